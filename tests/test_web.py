@@ -4,6 +4,7 @@ import http.client
 import json
 import re
 import shutil
+import threading
 from importlib.resources import files
 
 import pytest
@@ -14,6 +15,7 @@ from estune import tune
 from estune.errors import InvalidInput
 from estune.run.journal import Journal
 from estune.web.board import Board, Seen
+from estune.web.reader import Reader
 from estune.web.run_reader import HISTORY_MAX, RunReader
 from estune.web.server import PageServer
 from estune.web.views import View, folder_views
@@ -213,7 +215,7 @@ def test_long_history_is_thinned_to_the_best_and_worst_of_each_stretch(run, tmp_
     assert page.values["state"]["done"] == 20_000 + len(run.entries)
 
 
-def test_page_open_for_days_is_sent_a_thinned_history_now_and_then(run, tmp_path, monkeypatch):
+def test_page_open_for_days_is_sent_a_thinned_history_now_and_then(tmp_path, monkeypatch):
     monkeypatch.setattr("estune.web.run_reader.HISTORY_MAX", 10)
     board, page, lengths = Board(), Follower(), []
     readers = []
@@ -243,6 +245,20 @@ def test_run_that_a_full_disk_ended_says_so(run, tmp_path, monkeypatch):
     assert status.endswith(f"estune resume {tmp_path / 'full'}")
 
 
+def test_source_is_read_while_a_page_shows_it_and_again_later(monkeypatch):
+    monkeypatch.setattr("estune.web.reader.LINGER_S", 0.05)
+    read, released = threading.Event(), threading.Event()
+    reader = Reader(Board())
+    reader.read, reader.release = read.set, released.set
+    for _ in range(3):
+        read.clear()
+        released.clear()
+        reader.look()
+        assert read.wait(60.0)
+        assert released.wait(60.0)
+    reader.close()
+
+
 def test_damaged_and_missing_journals_are_shown_as_faults_and_left_as_they_are(run, tmp_path):
     folder = tmp_path / "runs" / "torn"
     folder.mkdir(parents=True)
@@ -251,7 +267,7 @@ def test_damaged_and_missing_journals_are_shown_as_faults_and_left_as_they_are(r
     (folder / "run.sqlite").write_bytes(torn)
     board = Board()
     reader = RunReader(board, folder)
-    reader.start()
+    reader.look()
     while not board.get("fault.run"):
         pass
     reader.close()

@@ -1,7 +1,9 @@
 """Status, live samples and emergency stop of a rig for the page; never its lease."""
 
 import dataclasses
+import math
 import threading
+import time
 from collections.abc import Callable
 from contextlib import suppress
 
@@ -15,6 +17,8 @@ SAMPLES_PER_S = 200.0
 """Samples that a page is sent of a running trial; a screen shows no more."""
 SAMPLES_MAX = 20_000
 """Samples of one trial that are kept."""
+SHOWN_EVERY_S = 1.0
+"""Least time between the beginnings of two trials whose samples are shown; no eye sees more."""
 _DESCRIBED_EVERY = 8
 """Readings of the status between two of the description."""
 
@@ -88,15 +92,18 @@ class RigReader(Reader):
 
 def _follow(rig: RemoteRig, board: Board) -> None:
     """Puts the samples of each trial on the board, thinned, until the rig is closed."""
-    trial_id, kept = "", 0
+    trial_id, passed_over, kept, begun_s = "", "", 0, -math.inf
     with suppress(Exception), rig.watch() as batches:  # the link has ended: the status says so
         for batch in batches:
             restart = batch.trial_id != trial_id
-            kept = 0 if restart else kept
-            rows = _rows(batch)[: max(SAMPLES_MAX - kept, 0)]
             if restart:
-                trial_id = batch.trial_id
+                is_soon = time.monotonic() - begun_s < SHOWN_EVERY_S
+                if is_soon or batch.trial_id == passed_over:
+                    passed_over = batch.trial_id
+                    continue
+                trial_id, kept, begun_s = batch.trial_id, 0, time.monotonic()
                 board.put("live", {"trial_id": trial_id})
+            rows = _rows(batch)[: max(SAMPLES_MAX - kept, 0)]
             kept += len(rows)
             if rows or restart:
                 board.extend("samples", rows, restart=restart)

@@ -120,6 +120,8 @@ class PageServer:
             views = await run_in_threadpool(self._views)
         except EstuneError as error:
             return JSONResponse({"views": [], "fault": str(error)}, headers=_HEADERS)
+        for view in views:
+            view.glance()
         listed = [{"name": view.name, "kind": view.kind, "line": _line(view)} for view in views]
         return JSONResponse({"views": listed, "fault": ""}, headers=_HEADERS)
 
@@ -133,7 +135,7 @@ class PageServer:
             return Response("there is no such view", 404)
         if self._pages >= PAGES_MAX:
             return Response(f"{PAGES_MAX} pages are open already; close some", 503)
-        view.start()
+        view.look()
         return StreamingResponse(
             self._stream(view), media_type="text/event-stream", headers=_HEADERS
         )
@@ -151,6 +153,7 @@ class PageServer:
                     yield f"data: {text}\n\n"
                 if waited_s >= BEAT_S:
                     waited_s = 0.0
+                    view.look()
                     yield f"event: beat\ndata: {to_json(view.board.ages())}\n\n"
                 await asyncio.sleep(UPDATE_S)
                 waited_s += UPDATE_S

@@ -1,6 +1,5 @@
 """What a server shows: runs, rigs and supervised rigs, each with a board and its readers."""
 
-import threading
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from functools import partial
@@ -39,7 +38,7 @@ Execute = Callable[[str], str]
 
 
 class View:
-    """One rig or run. Its readers start when it is first looked at.
+    """One rig or run. It is read while it is looked at.
 
     Attributes:
         name: Identifies it in addresses.
@@ -61,37 +60,25 @@ class View:
         self.board = board
         self.commands = dict(commands or {})
         self._readers = list(readers)
-        self._started = 0
-        self._lock = threading.Lock()
 
-    def start(self) -> None:
-        """Starts the readers that have not been started."""
-        self._start(len(self._readers))
+    def look(self) -> None:
+        """Has all of it read for a while."""
+        for reader in tuple(self._readers):
+            reader.look()
 
     def glance(self) -> None:
-        """Starts what the list of views shows; a run is read when it is looked at."""
+        """Has read what the list of views shows; a run is read when it is looked at."""
         if self.kind != "run":
-            self._start(1)
-
-    def _start(self, count: int) -> None:
-        with self._lock:
-            for reader in self._readers[self._started : count]:
-                reader.start()
-            self._started = max(self._started, count)
+            for reader in self._readers[:1]:
+                reader.look()
 
     def replace(self, old: Reader | None, new: Reader) -> None:
-        """Has a reader in the place of another; it is started at once if the others are."""
-        with self._lock:
-            if old in self._readers:
-                index = self._readers.index(old)
-                old.ended.set()
-                self._readers[index] = new
-            else:
-                index = len(self._readers)
-                self._readers.append(new)
-                self._started += self._started == index
-            if index < self._started:
-                new.start()
+        """Has a reader in the place of another."""
+        if old is None:
+            self._readers.append(new)
+        else:
+            self._readers[self._readers.index(old)] = new
+            old.end()
 
     def close(self) -> None:
         """Ends the readers."""

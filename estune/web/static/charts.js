@@ -52,8 +52,17 @@ export class Chart {
     figure.setAttribute("role", "img");
     figure.setAttribute("aria-label", label);
     this.build();
-    new ResizeObserver(() => this.plot.setSize(this.size())).observe(figure);
-    matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => this.build());
+    this.resized = new ResizeObserver(() => this.plot.setSize(this.size()));
+    this.resized.observe(figure);
+    this.ended = new AbortController();
+    matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => this.build(), { signal: this.ended.signal });
+  }
+
+  // Removes the plot, and what would draw it again.
+  close() {
+    this.ended.abort();
+    this.resized.disconnect();
+    this.plot.destroy();
   }
 
   size() {

@@ -22,6 +22,7 @@ function text(node, value) {
 function open(name) {
   stream?.close();
   view = name;
+  sections?.close();
   sections = new Sections();
   beat = { at: performance.now(), ages: {} };
   stream = new EventSource(`api/events?view=${encodeURIComponent(name)}`);

@@ -9,7 +9,6 @@ const last = (rows) => rows[rows.length - 1];
 export class Sections {
   constructor() {
     this.charts = {};
-    for (const id of ["response", "command", "cost", "gains", "chart"]) $(id).replaceChildren();
     $("compare").querySelector("select").replaceChildren();
     this.other = null;
     this.clear();
@@ -49,8 +48,14 @@ export class Sections {
   }
 
   remove(id) {
+    this.charts[id]?.close();
     delete this.charts[id];
-    $(id).replaceChildren();
+  }
+
+  // Removes what is drawn, for the sections of another view.
+  close() {
+    Object.keys(this.charts).forEach((id) => this.remove(id));
+    $("gains").replaceChildren();
   }
 
   drawTrial() {
@@ -61,7 +66,7 @@ export class Sections {
     const samples = this.tables.samples, per = about.per_ampere;
     const now = v.live
       ? { t: samples.map((r) => r[0]), r: samples.map((r) => r[1]), y: samples.map((r) => r[2]), u: samples.map((r) => r[3] * per) }
-      : v["curve.latest"];
+      : v["curve.tuned"] ? undefined : v["curve.latest"]; // which is as good as the tuned one
     const shown = [...curves.map(([name]) => v[name]), this.other, now].map((one) => one ?? {});
     const setpoint = now?.t?.length ? now : v["curve.start"] ?? {};
     const step = about.step_at_s ?? 0;

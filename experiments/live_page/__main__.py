@@ -1,11 +1,16 @@
 """Does the live page show a trial at once, and cost the run or the rig nothing?
 
-Every part is a process of its own: a tuning, a daemon, a rig, the page's server. This process is
-the pages: it reads their event streams.
+Every part is a process of its own: a tuning, a daemon, a rig, the page's server. Ten pages are
+this process, which reads their event streams; one is a headless Chromium.
 
-* Update: time from the commit of a trial, by the journal, to its arrival at a page.
+* Page, usable: size of all files, and time from the request to state and charts, in Chromium.
+* Update: time from the commit of a trial, by the journal, until Chromium shows it.
+* Stale: time from the end of the rig's process until Chromium shows that there is no link.
+* Faults: serious ones that axe-core finds at 400 and 1280 px, light and dark, messages of the
+  browser's console, and requests to other hosts.
 * History: time until a page of a run with 100 000 trials has been sent them.
-* Rate: a daemon's trials in equal times, with ten pages open and without, in turns.
+* Rate: a daemon's trials in equal times, with ten pages open and without, in turns. Without pages
+  a daemon reads nothing for them, `LINGER_S` after the last was closed.
 * Stop: 99th centile of the time until a rig has answered an emergency stop, likewise.
 """
 
@@ -30,6 +35,8 @@ import plants
 from estune import tune
 from estune.remote import zenoh
 from estune.remote.zenoh.daemon_service import DaemonClient
+from estune.web.reader import LINGER_S
+from experiments.live_page.browser import Seen, look_at
 from experiments.results import (
     Target,
     at_least,
@@ -118,33 +125,23 @@ def pages_open(address: str, view: str) -> Iterator[None]:
         ended.set()
 
 
-def update_s(folder: Path, trials: int) -> list[float]:
-    """Time from the commit of each trial to its arrival at a page."""
-    options = ("--trials", trials, "--tolerance", 0, "--tuner", "least_squares_gradient")
-    shown: dict[int, float] = {}
+def in_browser(folder: Path, watch_s: float) -> tuple[Seen, list[float]]:
+    """What is seen of a tuning's page, and times from the commit of each trial to its showing."""
+    options = ("--trials", 10_000, "--tolerance", 0, "--tuner", "least_squares_gradient")
     with ExitStack() as stack:
         rig = stack.enter_context(command("serve", "--pace", 0.2, "--ledger", "memory"))
         endpoint = printed(rig, "rig reel at ")
         run = ("tune", endpoint, *options, "--quiet", "--run", "live", "--folder", folder)
-        tuning = stack.enter_context(command(*run))
+        stack.enter_context(command(*run))
         while not (folder / "live" / "run.sqlite-wal").exists():
             time.sleep(0.1)
-        time.sleep(1.0)
+        time.sleep(2.0)
         watch = stack.enter_context(command("watch", folder / "live", "--port", 0))
-        for change in changes(printed(watch, "page at "), "live"):
-            now_s = time.time()
-            table = change["tables"].get("trials")
-            if table and not table["restart"]:
-                shown |= dict.fromkeys((row[0] for row in table["rows"]), now_s)
-            if change["values"].get("state", {}).get("status", "running") != "running":
-                break
-        tuning.wait()
+        seen = look_at(printed(watch, "page at "), watch_s, rig.kill)
     with sqlite3.connect(folder / "live" / "run.sqlite") as journal:
-        told = dict(journal.execute("SELECT number, told_at FROM trial WHERE told_at NOT NULL"))
-    return [
-        at_s - datetime.fromisoformat(told[n]).astimezone(UTC).timestamp()
-        for n, at_s in shown.items()
-    ]
+        told = journal.execute("SELECT told_at FROM trial WHERE told_at NOT NULL ORDER BY told_at")
+        committed_s = [datetime.fromisoformat(at).astimezone(UTC).timestamp() for (at,) in told]
+    return seen, [at_s - committed_s[n - 1] for n, at_s in seen.shown_at_s.items()]
 
 
 def history_s(folder: Path, trials: int) -> float:
@@ -189,6 +186,7 @@ def rates(folder: Path, rounds: int, each_s: float) -> tuple[list[float], list[f
             with pages_open(address, "reel"):
                 time.sleep(0.5)
                 having.append(rate())
+            time.sleep(LINGER_S)
     return without, having
 
 
@@ -224,13 +222,17 @@ def main() -> int:
     quick = options.quick
     with tempfile.TemporaryDirectory() as name, print_tables(hidden=options.json):
         folder = Path(name)
-        updates = update_s(folder, 20 if quick else 150)
+        seen, updates = in_browser(folder, 5.0 if quick else 40.0)
         opened_s = history_s(folder, 2000 if quick else TRIALS_LONG)
         without, having = rates(folder, 1 if quick else 8, 2.0 if quick else 8.0)
         plain_ms, watched_ms = stops_ms(1 if quick else 5, 20 if quick else 200)
         ratio = statistics.fmean(having) / statistics.fmean(without)
         p99 = [float(np.quantile(times, 0.99)) for times in (plain_ms, watched_ms)]
         figures: dict[str, float] = {
+            "page_kB": seen.page_kB,
+            "usable_s": seen.usable_s,
+            "stale_s": seen.stale_s,
+            "faults": len(seen.faults) + len(seen.complaints) + len(seen.elsewhere),
             "update_median_s": statistics.median(updates),
             "update_max_s": max(updates),
             "history_s": opened_s,
@@ -241,7 +243,13 @@ def main() -> int:
         }
         for label, value in figures.items():
             print(f"{label:<26} {value:10.4g}")
+        for fault in (*seen.faults, *seen.complaints, *seen.elsewhere):
+            print(fault)
     targets: dict[str, Target] = {
+        "page_kB": at_most(seen.page_kB, 150.0),
+        "usable_s": at_most(seen.usable_s, 1.0),
+        "stale_s": at_most(seen.stale_s, 2.0),
+        "faults": at_most(figures["faults"], 0),
         "update_max_s": at_most(max(updates), 0.5),
         "history_s": at_most(opened_s, 2.0),
         "rate_share": at_least(ratio, 0.98),
