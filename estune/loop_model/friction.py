@@ -33,9 +33,6 @@ from estune.loop_model.model import LoopModel
 SHARES = (0.01, 0.03, 0.1, 0.25)
 """Sizes of friction that a search begins from, over the effort of a step."""
 
-STARTS = 3
-"""Starts, the best ones of the grid, from which a search descends."""
-
 SCREENED = 2
 """Records by which the starts of a search are compared."""
 
@@ -133,20 +130,21 @@ def _cost(one: _Try) -> float:
 def _starts(
     signals: _Signals, linear: LoopModel, settling_samples: float
 ) -> list[tuple[FloatArray, int]]:
-    """The best of a coarse grid of poles, each with its best friction and dead time."""
+    """The best of a coarse grid of poles and friction, at each of several dead times."""
     w = 2.0 * math.pi / settling_samples
     poles = [pole_coordinates(linear)]
     poles += [np.log([w * f, z]) for f in (0.3, 0.7, 1.5) for z in (0.2, 0.7)]
     grid = [np.array([*pole, share, 0.0]) for pole in poles for share in SHARES]
     positions = _positions(signals, grid)
-    delays = sorted({0, 1, 2, 4, linear.dead_samples})
+    # What sticks until the effort has grown looks like dead time to a linear model.
+    delays = sorted({1, 4, linear.dead_samples // 3, linear.dead_samples})
     tried = [
         (_Output.of(signals, x, dead).cost, i, dead)
         for i, x in enumerate(positions)
         for dead in delays
     ]
-    best = [min(t for t in tried if t[1] // len(SHARES) == n) for n in range(len(poles))]
-    return [(grid[i], dead) for _, i, dead in sorted(best)[:STARTS]]
+    best = [min(one for one in tried if one[2] == dead) for dead in delays]
+    return [(grid[i], dead) for _, i, dead in best]
 
 
 def _searched_dead_time(signals: _Signals, best: _Try) -> _Try:
