@@ -21,8 +21,7 @@ from matplotlib.figure import Figure
 import estune
 from estune.core.quantities import FloatArray
 from estune.reel.hybrid import SwitchingRules
-from estune.remote.zenoh import RemoteRig, connect
-from estune.remote.zenoh.setpoint_stream import SetpointStream
+from estune.remote.zenoh import RemoteRig, SetpointStream, connect
 from estune.support.plot_style import BLUE, GREY, VERMILION, finish, legend, new_figure
 from estune.trial import Setpoint
 from experiments.results import Target, at_least, at_most, command_line, print_results, save_figure
@@ -44,6 +43,7 @@ class Tracking(NamedTuple):
     """One run along the circle; each column has a row for each period."""
 
     time_s: FloatArray
+    sent_s: FloatArray
     wanted: FloatArray
     pose: FloatArray
     tension_error_N: FloatArray
@@ -80,16 +80,17 @@ def track(rigs: Sequence[RemoteRig], rate_Hz: float, duration_s: float) -> Track
     )
     stream = SetpointStream(rigs, rate_Hz)
     setpoints: Sequence[Setpoint] = [Setpoint(reel.tension_N) for reel in mechanism.reels]
-    rows, began_s, time_s, start = [], math.nan, 0.0, np.zeros(3)
+    rows, start = [], np.zeros(3)
+    began_s = time_s = 0.0
     while time_s < duration_s:
         sent_s, feedback, trips = stream.exchange(setpoints)
-        began_s = sent_s if math.isnan(began_s) else began_s
-        time_s = sent_s - began_s
+        if not rows:
+            began_s, start = feedback[0].time_s, controller.estimate(feedback).copy()
+        time_s = feedback[0].time_s - began_s  # the reels' clock, by which the platform moves
         error = [f.tension_N - s.tension_N for f, s in zip(feedback, setpoints, strict=True)]
-        start = controller.estimate(feedback).copy() if time_s == 0.0 else start
         wanted = circle(time_s, start)
         setpoints = controller.update(feedback, *wanted)
-        rows.append((time_s, wanted[0], controller.pose, error, trips))
+        rows.append((time_s, sent_s, wanted[0], controller.pose, error, trips))
     return Tracking(*(np.array(column) for column in zip(*rows, strict=True)))
 
 
@@ -109,10 +110,10 @@ def link_row(tracking: Tracking) -> dict[str, float]:
     """Rate reached, and time from a setpoint to the reply of its reel."""
     trips_ms = 1e3 * tracking.round_trip_s[np.isfinite(tracking.round_trip_s)]
     return {
-        "rate (Hz)": float((len(tracking.time_s) - 1) / tracking.time_s[-1]),
+        "rate (Hz)": float((len(tracking.sent_s) - 1) / np.ptp(tracking.sent_s)),
         "round trip median (ms)": float(np.median(trips_ms)),
         "99 % (ms)": float(np.percentile(trips_ms, 99.0)),
-        "longest period (ms)": 1e3 * float(np.diff(tracking.time_s).max()),
+        "longest period (ms)": 1e3 * float(np.diff(tracking.sent_s).max()),
         "late replies (%)": 100.0 * float(np.isnan(tracking.round_trip_s).mean()),
     }
 

@@ -9,8 +9,7 @@ import pytest
 from estune.conformance.rig import RigConformance
 from estune.errors import InvalidInput, RigError
 from estune.remote.state_machine.setpoint_age import SetpointAge
-from estune.remote.zenoh import connect, serve
-from estune.remote.zenoh.setpoint_stream import SetpointStream
+from estune.remote.zenoh import SetpointStream, connect, serve
 from estune.trial import SETPOINT_S, Setpoint
 from plants.cable_platform import RealTimePlatform
 from plants.cable_platform.examples import bench

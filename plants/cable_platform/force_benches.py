@@ -7,8 +7,7 @@ from typing import NamedTuple
 from estune.core.gains import Gains
 from estune.errors import InvalidInput
 from estune.remote.security import OPEN, Security
-from estune.remote.zenoh import RemoteRig, connect
-from estune.remote.zenoh.setpoint_stream import SetpointStream
+from estune.remote.zenoh import RemoteRig, SetpointStream, connect
 from estune.run.targets import is_endpoint, load
 from estune.trial import RigDescription, Setpoint
 from plants.cable_platform.examples import bench
@@ -66,6 +65,7 @@ class ServedForceBench:
         self._stream = SetpointStream([rig, far] if far else [rig], RATE_HZ)
         self.period_s = 1.0 / RATE_HZ
         self._start_rad: tuple[float, ...] = ()
+        self._offset_s = 0.0  # of this process's clock to the rig's
 
     def use(self, gains: Gains) -> None:
         """Makes gains the live ones of the reel under test."""
@@ -78,15 +78,18 @@ class ServedForceBench:
             hold = Setpoint(command_N)
             found = self._stream.exchange([own, hold] if self._far else [own])
             self._start_rad = tuple(each.angle_rad for each in found.feedback)
+            self._offset_s = found.time_s - found.feedback[0].time_s
         setpoints = [own]
         if self._far is not None:
             angle = self._start_rad[1] + position_m / self._radius_m
             setpoints.append(Setpoint(command_N, angle))
-        time_s, feedback, _ = self._stream.exchange(setpoints)
+        feedback = self._stream.exchange(setpoints).feedback
         outside = feedback[0].reference_N
         felt = feedback[-1].tension_N if outside is None else outside
         sign = -1.0 if self._far is None else 1.0
         turned = feedback[-1].angle_rad - self._start_rad[-1]
+        # The rig's clock, by which it applies the setpoint and reads; the link delays the rest.
+        time_s = feedback[0].time_s + self._offset_s
         return ForceSample(time_s, felt, feedback[0].tension_N, sign * self._radius_m * turned)
 
 

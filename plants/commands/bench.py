@@ -64,7 +64,7 @@ def bench(
     """
     from estune.support.html_page import write  # noqa: PLC0415  slow to import
     from plants.cable_platform.force_benches import open_benches  # noqa: PLC0415  as above
-    from plants.two_reel_bench.force_page import headline, page  # noqa: PLC0415  as above
+    from plants.two_reel_bench.force_page import COLUMNS, headline, page  # noqa: PLC0415  as above
     from plants.two_reel_bench.force_test import ForceTest  # noqa: PLC0415  as above
 
     check_folder_exists("--report", report)
@@ -85,7 +85,7 @@ def bench(
     if json:
         output.print_json(_plain(reels))
         return
-    heads = ("reel", "N", "gains", "mean", "felt rms", "felt 99 %", "gauge rms", "hyst.", "Hz")
+    heads = ("reel", "at (N)", "gains", *COLUMNS.values())
     output.show_table(heads, [row for reel in reels for row in reel.rows()])
     output.console().print(Text(headline(reels)), soft_wrap=True)
     output.show_next({"page": report})

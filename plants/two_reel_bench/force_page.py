@@ -13,10 +13,10 @@ from plants.two_reel_bench.felt_force import HALF_POWER, FeltForce
 from plants.two_reel_bench.force_test import BenchPhase, ForceRecord
 
 COLUMNS = {
-    "offset_N": "mean error (N)",
-    "error_rms_N": "felt, moving (N rms)",
-    "error_peak_N": "felt, moving (N, 99 %)",
-    "gauge_rms_N": "own gauge, moving (N rms)",
+    "error_rms_N": "felt rms (N)",
+    "error_peak_N": "99 % (N)",
+    "gauge_rms_N": "gauge rms (N)",
+    "offset_N": "mean (N)",
     "hysteresis_N": "hysteresis (N)",
     "bandwidth_Hz": "bandwidth (Hz)",
 }
@@ -48,14 +48,15 @@ def page(reels: Sequence[ReelForces], source: str) -> Page:
         reels: Results of the reels.
         source: Where the outside force comes from.
     """
-    heads = ("reel", "command (N)", "gains", *COLUMNS.values())
+    heads = ("reel", "at (N)", "gains", *COLUMNS.values())
     table = Table(heads, [row for reel in reels for row in reel.rows()], numeric=range(3, 9))
     how = (
         "Each reel held a constant tension while the far end of its cable moved: slowly at a "
-        "constant speed, for the hysteresis, then in many frequencies at once. At last the "
-        f"command oscillated, for the bandwidth. The outside force is {source}. Hysteresis is "
-        "the felt force while the cable is pulled out minus that while it is wound in. The "
-        "controller sees its own gauge only: what the eyelet adds outside, no gains remove."
+        "constant speed, for mean error and hysteresis, then in many frequencies at once, for the "
+        "rms error felt and at the reel's own gauge, and that exceeded in 1 % of the time. At "
+        f"last the command oscillated, for the bandwidth. The outside force is {source}. "
+        "Hysteresis is the felt force while the cable is pulled out minus that while it is wound "
+        "in. The controller sees its own gauge only: what the eyelet adds, no gains remove."
     )
     sections = [Section(f"Reel {reel.label}", tuple(_blocks(reel))) for reel in reels]
     return Page("Felt force", Status(headline(reels)), (table, Paragraph(how, "soft")), sections)
@@ -63,7 +64,7 @@ def page(reels: Sequence[ReelForces], source: str) -> Page:
 
 def headline(reels: Sequence[ReelForces]) -> str:
     """The result in one line."""
-    return "; ".join(f"reel {reel.label}: {_change(reel)}" for reel in reels)
+    return "; ".join(f"Reel {reel.label}: {_change(reel)}" for reel in reels)
 
 
 def _change(reel: ReelForces) -> str:

@@ -78,6 +78,9 @@ class ForceRecord:
         return ForceRecord(self.command_N, [phase] * rows.size, *(c[rows] for c in columns))
 
 
+_Command = Callable[[float], tuple[float, float]]
+"""Force above the constant one, N, and position of the far end, m, at a time in the part, s."""
+
 SETTLE_S = 1.0
 """Time left out at the beginning of each part, s; ten times the slowest lag of the reels."""
 
@@ -127,53 +130,56 @@ class ForceTest:
         high = min(band[1], 0.4 / period_s)
         return np.asarray(np.geomspace(band[0], high, self.lines))
 
-    def run(
-        self,
-        bench: ForceBench,
-        command_N: float,
-        progress: Callable[[ForceSample], None] | None = None,
-    ) -> ForceRecord:
+    def run(self, bench: ForceBench, command_N: float) -> ForceRecord:
         """Runs the test at one constant force.
 
         Raises:
             EstuneError: the bench fails, or refuses a command.
         """
         rows, phases = [], []
-        for phase, setpoint, position in self._commands(command_N, bench.period_s):
-            sample = bench.exchange(setpoint, position)
-            rows.append((setpoint, *sample))
-            phases.append(phase)
-            if progress is not None:
-                progress(sample)
+        sample = bench.exchange(command_N, 0.0)
+        for phase, duration_s, command in self._parts(bench.period_s):
+            start_s = sample.time_s
+            # By the time that has passed: a bench in real time may miss a period.
+            while (passed_s := sample.time_s + bench.period_s - start_s) <= duration_s:
+                above_N, position_m = command(passed_s)
+                before_s, sample = sample.time_s, bench.exchange(command_N + above_N, position_m)
+                if sample.time_s > before_s:  # else the reply was late
+                    rows.append((command_N + above_N, *sample))
+                    phases.append(phase)
         return ForceRecord(command_N, phases, *np.array(rows).T)
 
-    def _commands(
-        self, command_N: float, period_s: float
-    ) -> Iterator[tuple[BenchPhase, float, float]]:
-        """Part, setpoint and position of the far end, period by period."""
-        part = np.arange(0.0, self.part_s, period_s)
-        strokes = np.mod(self.speed_m_s / self.stroke_m * part, 2.0)
-        slow = self.stroke_m * (1.0 - np.abs(1.0 - strokes))
-        fast = self._oscillation(self.frequencies_Hz(self.motion_Hz, period_s), part, power=1.0)
-        wave = self._oscillation(self.frequencies_Hz(self.command_Hz, period_s), part, power=0.0)
-        for _ in np.arange(0.0, SETTLE_S, period_s):
-            yield BenchPhase.REST, command_N, 0.0
-        for position in slow.tolist():
-            yield BenchPhase.SLOW, command_N, position
-        for position in (0.5 * self.motion_m * fast).tolist():
-            yield BenchPhase.FAST, command_N, position
-        above = 0.5 * self.oscillation_N * (1.0 + wave)
-        for setpoint, position in zip((command_N + above).tolist(), slow.tolist(), strict=True):
-            yield BenchPhase.COMMAND, setpoint, position
+    def _parts(self, period_s: float) -> Iterator[tuple[BenchPhase, float, _Command]]:
+        """Each part with its duration, s, and its command."""
+        fast = self._oscillation(self.frequencies_Hz(self.motion_Hz, period_s), power=1.0)
+        wave = self._oscillation(self.frequencies_Hz(self.command_Hz, period_s), power=0.0)
+        half_N = 0.5 * self.oscillation_N
+        yield BenchPhase.REST, SETTLE_S, lambda _: (0.0, 0.0)
+        yield BenchPhase.SLOW, self.part_s, lambda t: (0.0, self._slow_m(t))
+        yield BenchPhase.FAST, self.part_s, lambda t: (0.0, 0.5 * self.motion_m * fast(t))
+        yield (
+            BenchPhase.COMMAND,
+            self.part_s,
+            lambda t: (half_N * (1.0 + wave(t)), self._slow_m(t)),
+        )
 
-    @staticmethod
-    def _oscillation(frequencies_Hz: FloatArray, time_s: FloatArray, power: float) -> FloatArray:
+    def _slow_m(self, time_s: float) -> float:
+        """Back and forth at a constant speed."""
+        return self.stroke_m * (1.0 - abs(1.0 - self.speed_m_s / self.stroke_m * time_s % 2.0))
+
+    def _oscillation(self, frequencies_Hz: FloatArray, power: float) -> Callable[[float], float]:
         """Sines of low crest factor (Schroeder 1970), faded in; at most 1.
 
         Their amplitudes fall with the frequency to this power: with 1, speeds are the same.
         """
         number = np.arange(frequencies_Hz.size)
         phases = -math.pi * number * (number + 1) / frequencies_Hz.size
-        sines = np.sin(2.0 * np.pi * np.outer(time_s, frequencies_Hz) + phases)
-        wave = sines @ frequencies_Hz**-power
-        return np.asarray(wave / np.abs(wave).max() * np.minimum(time_s / (0.5 * SETTLE_S), 1.0))
+        omega, amplitudes = 2.0 * np.pi * frequencies_Hz, frequencies_Hz**-power
+        times_s = np.arange(0.0, self.part_s, 1e-3)
+        peak = np.abs(np.sin(np.outer(times_s, omega) + phases) @ amplitudes).max()
+
+        def wave(time_s: float) -> float:
+            value = float(np.sin(omega * time_s + phases) @ amplitudes / peak)
+            return value * min(2.0 * time_s / SETTLE_S, 1.0)
+
+        return wave
