@@ -1,8 +1,9 @@
 """How does the service grow: seconds, bytes and their growth exponents at each size.
 
 A daemon tunes and holds fleets of rigs (`experiments.fleet`). Journals hold real runs of a tuner
-on recorded trials of the reference reel, 632 samples each, with other noise in every trial. Their
-times are process times of whole commands, with the start of Python.
+on recorded trials of the reference reel, 632 samples each, with other noise in every trial. Sweeps
+have as many cells (`experiments.large_sweep`). Times are process times of whole commands, with the
+start of Python.
 """
 
 import functools
@@ -26,6 +27,7 @@ from estune.run.journal import FILE_NAME
 from estune.trial import RigDescription, TrialRecord, TrialRequest
 from experiments.fleet import HOLD_S, SEARCH_TRIALS, measure, targets_of
 from experiments.fleet import TUNER as FLEET_TUNER
+from experiments.large_sweep import measure_sweep
 from experiments.results import (
     Target,
     at_most,
@@ -41,8 +43,11 @@ RIGS = (10, 25, 50, 100, 200)
 QUICK_RIGS = (25,)
 QUICK_HOLD_S = 5.0
 QUICK_SEARCH_TRIALS = 4
+CELLS = (700, 7_000, 100_000)
+QUICK_CELLS = (70,)
 TUNER = "killingsworth"
 LIMITS = {"show_s": 1.5, "resume_s": 4.0, "parquet_s": 60.0, "bytes_per_trial": 10_000.0}
+SWEEP_MB_MAX = 200.0
 _RECORDED = 64
 """Recorded trials, each with noise of its own."""
 
@@ -162,20 +167,23 @@ def journal_table(sizes: Sequence[int], folder: Path) -> list[dict[str, float]]:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Measures, prints, and returns the exit code."""
-    parser = command_line(__doc__, quick="25 rigs, and journals of 200 and 1 000 trials")
+    parser = command_line(__doc__, quick="25 rigs, journals of 200 and 1 000 trials, 70 cells")
     parser.add_argument("--folder", type=Path, help="folder for the journals, to keep them")
     parser.add_argument("--rigs", type=int, nargs="*", help="numbers of rigs; none for no fleet")
     parser.add_argument("--trials", type=int, nargs="*", help="lengths of journals; or none")
+    parser.add_argument("--cells", type=int, nargs="*", help="numbers of cells of sweeps; or none")
     parser.add_argument("--busy", type=int, default=0, help="programs that compute beside a fleet")
     parser.add_argument("--tuner", default=FLEET_TUNER, help="tuner of a fleet")
     options = parser.parse_args(arguments)
     rigs = (QUICK_RIGS if options.quick else RIGS) if options.rigs is None else options.rigs
     trials = QUICK_TRIALS if options.quick else TRIALS
     trials = trials if options.trials is None else options.trials
+    cells = QUICK_CELLS if options.quick else CELLS
+    cells = cells if options.cells is None else options.cells
     hold_s = QUICK_HOLD_S if options.quick else HOLD_S
     search = QUICK_SEARCH_TRIALS if options.quick else SEARCH_TRIALS
     targets: dict[str, Target] = {}
-    fleet, journal = [], []
+    fleet, journal, sweep = [], [], []
     with tempfile.TemporaryDirectory() as temporary, print_tables(hidden=options.json):
         for number in rigs:
             costs = measure(number, options.tuner, hold_s, busy=options.busy, trials=search)
@@ -189,7 +197,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
             journal = journal_table(trials, options.folder or Path(temporary))
             limits = LIMITS.items()
             targets |= {f"journal_{name}": at_most(journal[-1][name], m) for name, m in limits}
-    figures = {"fleet": fleet, "journal": journal}
+        if cells:
+            sweep = [dict(measure_sweep(n, Path(temporary))._asdict()) for n in cells]
+            print_table(sweep)
+            targets["sweep_peak_MB"] = at_most(sweep[-1]["peak_MB"], SWEEP_MB_MAX)
+    figures = {"fleet": fleet, "journal": journal, "sweep": sweep}
     return print_results(figures, targets, as_json=options.json)
 
 

@@ -45,21 +45,23 @@ class SweepStore:
     def __exit__(self, *_: object) -> None:
         self._file.close()
 
-    def add(self, outcome: CellOutcome) -> None:
-        """Commits an outcome, which replaces an earlier failure of its cell and nothing else.
+    def add(self, *outcomes: CellOutcome) -> None:
+        """Commits outcomes, which replace earlier failures of their cells and nothing else.
 
         Raises:
-            JournalError: it could not be written, or the cell is finished already.
+            JournalError: they could not be written, or a cell is finished already.
         """
-        cell = outcome.cell
+        finished_at = datetime.now(UTC).isoformat(timespec="milliseconds")
         with self._file.transaction():
-            self._file.write("DELETE FROM cell WHERE key = ? AND ending = ?", cell.key, FAILED)
-            self._file.write(
-                "INSERT INTO cell VALUES (?, ?, ?, ?, ?, ?, ?)",
-                *(cell.key, cell.label, outcome.ending, outcome.message),
-                *(json.dumps(_facts(outcome)), outcome.trace.astype("<f8").tobytes()),
-                datetime.now(UTC).isoformat(timespec="milliseconds"),
-            )
+            for outcome in outcomes:
+                cell = outcome.cell
+                self._file.write("DELETE FROM cell WHERE key = ? AND ending = ?", cell.key, FAILED)
+                self._file.write(
+                    "INSERT INTO cell VALUES (?, ?, ?, ?, ?, ?, ?)",
+                    *(cell.key, cell.label, outcome.ending, outcome.message),
+                    *(json.dumps(_facts(outcome)), outcome.trace.astype("<f8").tobytes()),
+                    finished_at,
+                )
 
     def missing(self, cells: Iterable[Cell]) -> list[Cell]:
         """Those of some cells that are not finished, or failed.
