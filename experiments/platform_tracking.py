@@ -80,7 +80,8 @@ def track(rigs: Sequence[RemoteRig], rate_Hz: float, duration_s: float) -> Track
     )
     stream = SetpointStream(rigs, rate_Hz)
     setpoints: Sequence[Setpoint] = [Setpoint(reel.tension_N) for reel in mechanism.reels]
-    rows, start = [], np.zeros(3)
+    rows: list[tuple[Any, ...]] = []
+    start = np.zeros(3)
     began_s = time_s = 0.0
     while time_s < duration_s:
         sent_s, feedback, trips = stream.exchange(setpoints)
