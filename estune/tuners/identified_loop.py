@@ -13,19 +13,20 @@ posterior of the model. Measured costs decide what is kept.
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal
 
 import numpy as np
-from scipy.special import stdtrit
 
 from estune.core.quantities import FloatArray
+from estune.loop_model.drawn_optima import draw_optima
 from estune.loop_model.fitting import fit_loop
 from estune.loop_model.identification import LoopFit, LoopRecord
 from estune.loop_model.model import LoopModel
 from estune.loop_model.optimum import TOLERANCE, Optimum, RegionSearch, RobustnessLimits
 from estune.loop_model.prediction import Prediction, StepTrial, parameter_deviations, predict
+from estune.tuners.identified_loop_state import IdentifiedLoopState
 from estune.tuners.interface import ConvergenceEstimate, CostPrediction
 from estune.tuners.observation import Observation, log_cost
 from estune.tuners.residual_surface import ResidualSurface
@@ -45,11 +46,6 @@ SAFE_DEVIATIONS = 2.5
 SAFE_RATIO = 1.3
 """A trial is safe if all models this many standard deviations away predict at most so many times
 the cost of the first trial."""
-
-DRAWS = 6
-DRAW_ITERATIONS = 3
-"""Posterior draws of the remaining improvement, and iterations of the optimum of each: the bound
-is then as after 25, 0.02 to 0.19 % on five families."""
 
 ITERATIONS = 40
 FIRST_ITERATIONS = 12
@@ -74,46 +70,6 @@ NOISE_EXPECTED = 0.03
 WORTH_DRAWING = 0.1
 """Improvement of the model's optimum over the best trial, in the log cost, below which the
 remaining improvement is worth estimating."""
-
-
-class IdentifiedLoopState(NamedTuple):
-    """The state of a model-based search.
-
-    Attributes:
-        fallback: State of the fallback tuner.
-        records: Last records of the loop.
-        points: Coordinates of all trials with a record.
-        costs: Logarithms of their costs.
-        overshoots: Their overshoots, as shares of the step.
-        errors: Errors of the predictions of these before they ran; NaN before the first fit.
-        fit: The identified loop; None before the first record.
-        surface: What the last trials measured beyond its predictions; None where these stand.
-        proposal: The next trial.
-        centre: Coordinates of the recommended point.
-        base: Those of the safe trial of least cost by the model, about which the search reaches.
-        step_scale: Factor on the reach after unsafe trials.
-        estimate: State of convergence by the model.
-        fallen_back: Whether the fallback tuner proposes.
-        best_point: The point of the best safe trial.
-        best_cost: Its cost.
-    """
-
-    fallback: Any
-    records: tuple[LoopRecord, ...]
-    points: tuple[Coordinates, ...]
-    costs: tuple[float, ...]
-    overshoots: tuple[float, ...]
-    errors: tuple[float, ...]
-    fit: LoopFit | None
-    surface: ResidualSurface | None
-    proposal: Point
-    centre: Coordinates
-    base: Coordinates
-    step_scale: float
-    estimate: ConvergenceEstimate | None
-    fallen_back: bool
-    best_point: Point
-    best_cost: float | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -371,40 +327,25 @@ class IdentifiedLoopTuner:
             return None
         if self._at_edge(state, optimum):
             return None
-        rng = np.random.default_rng(len(state.costs))
-        theta, factor = fit.model.parameters, parameter_deviations(fit)
-        gains, optima = [], []
-        for _ in range(DRAWS):
-            model = fit.model.with_parameters(theta + factor @ rng.standard_normal(theta.size))
-            search = self._search(state, model)
-            here = search.predicted(optimum.coordinates)
-            if not math.isfinite(here.cost):
-                gains.append(1.0)
-                continue
-            # What a draw violates at the centre is the model's doubt and no improvement.
-            own = replace(search, limits=self.limits.loosened_to(here), _known={})
-            drawn = own.minimise([optimum.coordinates], iterations=DRAW_ITERATIONS)
-            gains.append(max(math.log(here.cost / drawn.prediction.cost), 0.0))
-            optima.append(drawn.coordinates)
-        low, high = self._interval(optimum.coordinates, optima)
+        draws = draw_optima(
+            fit, lambda model: self._search(state, model), optimum, seed=len(state.costs)
+        )
+        low, high = draws.interval
+        low = np.maximum(low, self.space.coordinates_low)
+        high = np.minimum(high, self.space.coordinates_high)
         beyond = state.surface.deviation(optimum.coordinates) if state.surface else 0.0
         return ConvergenceEstimate(
             noise=self._noise(state),
-            remaining_improvement=-math.expm1(-float(np.quantile(gains, 0.95)) - beyond),
-            expected_improvement=-math.expm1(-float(np.mean(gains))),
-            intervals=tuple(zip(self.space.point(low), self.space.point(high), strict=True)),
+            remaining_improvement=-math.expm1(-float(np.quantile(draws.gains, 0.95)) - beyond),
+            expected_improvement=-math.expm1(-float(np.mean(draws.gains))),
+            intervals=tuple(
+                zip(
+                    self.space.point(tuple(low.tolist())),
+                    self.space.point(tuple(high.tolist())),
+                    strict=True,
+                )
+            ),
         )
-
-    def _interval(
-        self, centre: FloatArray, optima: Sequence[FloatArray]
-    ) -> tuple[Coordinates, Coordinates]:
-        """Ends of the 95 % interval of the optimum, by Student's t of those of a few draws."""
-        half = np.zeros_like(centre)
-        if len(optima) > 1:
-            half = float(stdtrit(len(optima) - 1, 0.975)) * np.std(optima, axis=0, ddof=1)
-        low = np.maximum(centre - half, self.space.coordinates_low)
-        high = np.minimum(centre + half, self.space.coordinates_high)
-        return tuple(low.tolist()), tuple(high.tolist())
 
     def _at_edge(self, state: IdentifiedLoopState, optimum: Optimum) -> bool:
         """Whether the reach, not a bound of the space, holds the optimum back."""

@@ -27,7 +27,7 @@ found there becomes the new centre, and the probes begin anew.
 import math
 from dataclasses import dataclass, fields
 from statistics import median
-from typing import Literal, NamedTuple
+from typing import Literal
 
 import numpy as np
 
@@ -48,7 +48,7 @@ from estune.tuners.local_cubic import (
     newton_step,
 )
 from estune.tuners.low_discrepancy import simplex
-from estune.tuners.observation import COST_LIMIT, Observation, log_cost, usable_margin
+from estune.tuners.observation import Observation, log_cost, usable_margin
 from estune.tuners.probes import (
     CAREFUL_STEPS,
     PlateauScan,
@@ -57,18 +57,10 @@ from estune.tuners.probes import (
     next_scan_point,
 )
 from estune.tuners.remaining_improvement import expected_improvement, sample_quadratics
-from estune.tuners.search_space import Coordinates, Point, SearchSpace
+from estune.tuners.safe_bayesian_state import UNSAFE, SafeBayesianState, clip_log_costs
+from estune.tuners.search_space import Point, SearchSpace
 from estune.tuners.settings import check_above_zero, check_logarithmic
 from estune.tuners.step_control import best_after, recover_after_safe, shrink_after_unsafe
-
-UNSAFE = 1.0 + math.log(COST_LIMIT)
-"""Stored log cost of a censored trial; no cost reaches it."""
-
-LOG_COST_MAX = math.log(2.25)
-"""Upper clip of the log cost over the start's; larger values carry no information."""
-
-CLIFF = 1.25
-"""Upper clip of the log cost over the least, as beyond the edge of stability."""
 
 PROBE_BELOW = 0.05
 """Expected improvement, relative to the cost, below which the axis probe begins."""
@@ -85,32 +77,6 @@ ends 23 % above the optimum instead of 62 %."""
 
 MODEL_RADIUS = 1.5
 """Greatest distance from the centre, in logarithms, of the convergence estimate."""
-
-
-def clip_log_costs(log_costs: FloatArray) -> FloatArray:
-    """Log costs over the start's, clipped where they carry no further information."""
-    least = float(np.sort(log_costs)[:3].mean())
-    return np.minimum(log_costs, min(LOG_COST_MAX, least + CLIFF))
-
-
-class SafeBayesianState(NamedTuple):
-    """The state of the search before trial k; coordinates are relative to the start."""
-
-    k: int
-    tried: tuple[float, ...]  # coordinates of all trials kept, one trial after the other
-    log_costs: tuple[float, ...]  # UNSAFE where the trial was censored
-    margins: tuple[float, ...]  # constraint margins, at most one
-    centre: Coordinates
-    curvature: tuple[float, ...]  # about the centre, by rows; empty before there is a local model
-    noise: float  # standard deviation of one trial's log cost
-    proposal: Point
-    probed: int  # directions of the axis probe made, of 2 n
-    scanned: int  # directions of the plateau scan begun, of 2 n
-    scan_steps: int  # made along the last of them; zero between scans
-    reference: float | None  # log cost of the first trials; None before they are made
-    step_scale: float
-    best_point: Point
-    best_cost: float | None
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,7 +8,7 @@ from scipy.optimize import minimize
 
 from estune.core.quantities import FloatArray
 from estune.tuners.gaussian_process import CostPrior, prior_covariance, prior_mean
-from estune.tuners.safe_bayesian import clip_log_costs
+from estune.tuners.safe_bayesian_state import clip_log_costs
 from experiments.loop_prior.loops import NOISE, Loop
 
 LOWER = np.tril_indices(4)

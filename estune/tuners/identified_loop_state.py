@@ -1,0 +1,48 @@
+"""State of the model-based search."""
+
+from typing import Any, NamedTuple
+
+from estune.loop_model.identification import LoopFit, LoopRecord
+from estune.tuners.interface import ConvergenceEstimate
+from estune.tuners.residual_surface import ResidualSurface
+from estune.tuners.search_space import Coordinates, Point
+
+
+class IdentifiedLoopState(NamedTuple):
+    """The state of a model-based search.
+
+    Attributes:
+        fallback: State of the fallback tuner.
+        records: Last records of the loop.
+        points: Coordinates of all trials with a record.
+        costs: Logarithms of their costs.
+        overshoots: Their overshoots, as shares of the step.
+        errors: Errors of the predictions of these before they ran; NaN before the first fit.
+        fit: The identified loop; None before the first record.
+        surface: What the last trials measured beyond its predictions; None where these stand.
+        proposal: The next trial.
+        centre: Coordinates of the recommended point.
+        base: Those of the safe trial of least cost by the model, about which the search reaches.
+        step_scale: Factor on the reach after unsafe trials.
+        estimate: State of convergence by the model.
+        fallen_back: Whether the fallback tuner proposes.
+        best_point: The point of the best safe trial.
+        best_cost: Its cost.
+    """
+
+    fallback: Any
+    records: tuple[LoopRecord, ...]
+    points: tuple[Coordinates, ...]
+    costs: tuple[float, ...]
+    overshoots: tuple[float, ...]
+    errors: tuple[float, ...]
+    fit: LoopFit | None
+    surface: ResidualSurface | None
+    proposal: Point
+    centre: Coordinates
+    base: Coordinates
+    step_scale: float
+    estimate: ConvergenceEstimate | None
+    fallen_back: bool
+    best_point: Point
+    best_cost: float | None
