@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 
 from estune.cli.checks import REPEATS, State, gentle_trial, run_checks
+from estune.cli.checks.current_loop_check import expected_gain
 from estune.cli.checks.driver_checks import check_exchange, check_loop, check_messages
 from estune.cli.checks.host_checks import (
     Host,
@@ -252,6 +253,8 @@ def refused(_record):
         (lambda record: replace(record, tension_N=np.roll(record.tension_N, 12)), State.FIX),
         (lambda record: replace(record, outcome=Outcome.GUARD, reason="travel"), State.FIX),
         (refused, State.UNKNOWN),
+        # Slow: at the end it is on its way.
+        (lambda record: turned(record, np.linspace(0.0, 0.5, record.time_s.size)), State.FINE),
     ],
 )
 def test_current_loop_is_judged_by_sign_scale_and_delay_of_an_open_step(change, state):
@@ -259,6 +262,21 @@ def test_current_loop_is_judged_by_sign_scale_and_delay_of_an_open_step(change, 
         return change(replace(record, current_A=record.setpoint_N / 20.0))
 
     assert found(Patient(in_open_loop(commanded)))["current loop"] is state
+
+
+INTEGRATOR = LinearModel(((0.0,),), (1.0,), (1.0,))
+HALF = LinearModel(((-5.0,),), (2.5,), (1.0,))
+
+
+def test_open_step_is_of_a_plant_with_a_rest_and_judged_by_its_gain():
+    rig = Patient(dated, linear_model=INTEGRATOR)
+    assert found(rig)["current loop"] is State.UNKNOWN
+    assert {request.profile.loop for request in rig.requests} == {"closed"}
+    assert found(Patient(dated, linear_model=HALF))["current loop"] is State.FIX
+    assert expected_gain(description(linear_model=HALF)) == pytest.approx(0.5)
+    assert expected_gain(description(linear_model=None)) == 1.0
+    other = description(linear_model=None, measurement="speed, rad/s")
+    assert expected_gain(other) is None
 
 
 def gauge(rate_Hz, resolution_N, noise_N=0.04, samples=2000):

@@ -6,7 +6,13 @@ from collections.abc import Iterator
 from dataclasses import replace
 from typing import Protocol
 
-from estune.cli.checks import description_checks, host_checks, link_checks, trial_checks
+from estune.cli.checks import (
+    current_loop_check,
+    description_checks,
+    host_checks,
+    link_checks,
+    trial_checks,
+)
 from estune.cli.checks.check_result import CheckResult, State, fine, fix, unknown
 from estune.cli.checks.link_checks import Dated
 from estune.errors import EstuneError
@@ -110,11 +116,7 @@ def check_in_motion(rig: TrialRig, about: RigDescription, repeats: int) -> Itera
         yield trial_checks.check_gauge_rate(quiet, records[0].sampling_Hz)
         yield trial_checks.check_gauge(records, step, about)
         yield trial_checks.check_cost(records, step, about)
-        request = TrialRequest(run, repeats, about.gains, replace(step, loop="open"))
-        try:
-            yield trial_checks.check_current_loop(rig.run(request), step, about)
-        except EstuneError as error:
-            yield unknown("current loop", f"the rig takes no trial in an open loop ({error})")
+        yield _of_current_loop(rig, about, TrialRequest(run, repeats, about.gains, step))
     after = rig.describe().gains
     if after == about.gains:
         yield fine("restored", "the live gains are restored")
@@ -124,3 +126,20 @@ def check_in_motion(rig: TrialRig, about: RigDescription, repeats: int) -> Itera
             f"the rig runs {after} after the trials, not {about.gains} as before",
             "correct the rig's software: it must restore the live gains after every trial",
         )
+
+
+def _of_current_loop(rig: TrialRig, about: RigDescription, closed: TrialRequest) -> CheckResult:
+    """Check of the current loop by a trial in an open loop, of a plant that comes to rest."""
+    gain = current_loop_check.expected_gain(about)
+    if gain is None:
+        return unknown(
+            current_loop_check.CHECK, "not checked: no tension at rest is stated for a current"
+        )
+    step = gentle_trial(about)
+    try:
+        record = rig.run(replace(closed, profile=replace(step, loop="open")))
+    except EstuneError as error:
+        return unknown(
+            current_loop_check.CHECK, f"the rig takes no trial in an open loop ({error})"
+        )
+    return current_loop_check.check_current_loop(record, step, about, gain)

@@ -39,15 +39,6 @@ REPEATED_MAX = 0.02
 RESOLVED_LEAST = 3.0
 """Least change of neighbouring readings (rms), in steps of the converter, that shows its rate."""
 
-QUIET_LEAST = 12
-"""Fewest samples before and after a step that show its size."""
-
-DETECTION = 4.0
-"""Change that counts as a response, in standard deviations of the noise beyond its range."""
-
-SCALE_MAX = 0.2
-"""Maximum relative deviation of the tension per current; friction hides a part of each step."""
-
 
 def check_outcomes(records: Sequence[TrialRecord], step: StepProfile) -> CheckResult:
     """Whether the trials ran to their end, with finite values."""
@@ -176,59 +167,6 @@ def check_gauge_rate(quiet: Sequence[FloatArray], sampling_Hz: float) -> CheckRe
             **figures,
         )
     return fine("gauge rate", f"a new reading in each of {sampling_Hz:.4g} a second", **figures)
-
-
-def check_current_loop(record: TrialRecord, step: StepProfile, rig: RigDescription) -> CheckResult:
-    """Sign, scale and delay from the commanded current to the tension, by a step in an open loop.
-
-    The delay ends where the tension first leaves its noise. A loop with a dead time has a time
-    constant of at least as much (Skogestad's SIMC rules), and settles in four of them.
-    """
-    if record.outcome is not Outcome.DONE:
-        return fix(
-            "current loop",
-            f"a step of the current in an open loop: {record.outcome.sentence} ({record.reason})",
-            "check the current's calibration C1 and the reel's torque constant",
-        )
-    first = step.step_index(record.sampling_Hz)
-    before, after = record.tension_N[:first], record.tension_N[first:]
-    if min(before.size, after.size) < QUIET_LEAST:
-        return unknown("current loop", "there are too few samples before or after the step")
-    settled = after[3 * after.size // 4 :]
-    change_N = float(np.mean(settled) - np.mean(before))
-    commanded_A = float(np.mean(record.current_A[-settled.size :]) - record.current_A[first - 1])
-    scale = change_N / (commanded_A * rig.newtons_per_ampere) if commanded_A else math.nan
-    noise_N = float(np.std(np.diff(before))) / math.sqrt(2.0)
-    left = np.abs(after - np.mean(before)) > DETECTION * noise_N + np.ptp(before) / 2.0
-    delay_s = float(np.argmax(left)) / record.sampling_Hz if left.any() else math.nan
-    figures = {"current_scale": scale, "current_delay_ms": 1e3 * delay_s}
-    if math.isnan(scale) or math.isnan(delay_s):
-        return fix(
-            "current loop",
-            f"the tension changes by {change_N:.2g} N after a current step of {commanded_A:.2g} A",
-            "check that the amplifier follows the commanded current",
-            **figures,
-        )
-    sentence = (
-        f"{change_N:+.3g} N after {commanded_A:+.3g} A, {100 * scale:.0f} % of what "
-        f"{rig.newtons_per_ampere:.3g} N/A gives, from {1e3 * delay_s:.2g} ms on"
-    )
-    if abs(scale - 1.0) > SCALE_MAX:
-        remedy = (
-            "correct the sign of C1 or of C2"
-            if scale < 0.0
-            else "calibrate the current (C1), check torque constant, radius and friction"
-        )
-        return fix("current loop", sentence, remedy, **figures)
-    if 4.0 * delay_s > rig.settling_time_s:
-        return fix(
-            "current loop",
-            f"{sentence}: no loop with that dead time settles in {rig.settling_time_s:g} s",
-            "shorten the way of the current command, use a faster gauge, move the loop to the "
-            "board, or ask for a longer settling_time_s",
-            **figures,
-        )
-    return fine("current loop", sentence, **figures)
 
 
 def check_cost(
