@@ -8,10 +8,12 @@ from pathlib import Path
 
 import pytest
 from axe_playwright_python.sync_playwright import Axe
+from cyclopts import CycloptsError
 
 from estune.cli import run
 from estune.support.documentation import documentation_folder, documentation_pages, write_html
 from tests.support_browser import browser, needs_browser, opened
+from tests.support_snippets import check_commands
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
@@ -100,6 +102,12 @@ def test_links_of_installed_pages_lead_to_pages_and_headings(installed):
 def test_links_of_pages_at_the_root_lead_to_files(name):
     links = re.findall(r"\]\(([^):]+)\)", (ROOT / name).read_text("utf-8"))
     assert [link for link in links if not (ROOT / link.partition("#")[0]).exists()] == []
+
+
+@pytest.mark.parametrize("line", ["estune tune x --no-such-option 1", "estune tunes x", "for"])
+def test_wrong_command_in_a_page_is_found(line):
+    with pytest.raises((CycloptsError, subprocess.CalledProcessError)):
+        check_commands(line)
 
 
 def test_modules_that_pages_run_exist():
