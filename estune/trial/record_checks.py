@@ -48,7 +48,8 @@ def _start_fault(record: TrialRecord) -> str:
 
 
 def _length_fault(record: TrialRecord, request: TrialRequest) -> str:
-    lengths = {name: len(getattr(record, name)) for name in _COLUMNS}
+    names = (*_COLUMNS, *record.optional_columns)
+    lengths = {name: len(getattr(record, name)) for name in names}
     if len(set(lengths.values())) > 1:
         listed = ", ".join(f"{name} {length}" for name, length in lengths.items())
         return f"its columns differ in length: {listed}"
