@@ -138,7 +138,8 @@ def draw(runs: Mapping[str, Tracking]) -> Figure:
         distance_mm = 1e3 * np.hypot(*(run.pose - run.wanted)[:, :2].T)
         errors.plot(run.time_s, distance_mm, color=color, linewidth=1.0, label=name)
     wanted = next(iter(runs.values())).after_start().wanted
-    paths.plot(*(1e3 * wanted[:, :2]).T, color=GREY, linewidth=0.9, label="wanted")
+    paths.plot(*(1e3 * wanted[:, :2]).T, color=GREY, linewidth=0.9)
+    errors.plot([], [], color=GREY, linewidth=0.9, label="wanted")
     paths.set_aspect("equal")
     finish(paths, "y (mm)", "x (mm)")
     finish(errors, "distance from the wanted position (mm)", "time (s)")

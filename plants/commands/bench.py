@@ -87,7 +87,8 @@ def bench(
         return
     heads = ("reel", "at (N)", "gains", *COLUMNS.values())
     output.show_table(heads, [row for reel in reels for row in reel.rows()])
-    output.console().print(Text(headline(reels)), soft_wrap=True)
+    for note in (headline(reels), *(note for reel in reels for note in reel.stalls())):
+        output.console().print(Text(note), soft_wrap=True)
     output.show_next({"page": report})
 
 

@@ -25,7 +25,6 @@ class FeltForce:
 
     Attributes:
         command_N: The command.
-        offset_N: Mean error of the felt force at rest.
         error_rms_N: Error of the felt force while the far end moves fast, rms.
         error_peak_N: Error exceeded in 1 % of that time.
         hysteresis_N: Felt force while the cable is pulled out minus that while it is wound in, at
@@ -39,7 +38,6 @@ class FeltForce:
     """
 
     command_N: float
-    offset_N: float
     error_rms_N: float
     error_peak_N: float
     hysteresis_N: float
@@ -58,7 +56,7 @@ def felt_force(record: ForceRecord, test: ForceTest, period_s: float) -> FeltFor
     Raises:
         InvalidInput: the far end did not move, so that nothing is known.
     """
-    rest, fast = record.of(BenchPhase.SLOW), record.of(BenchPhase.FAST)
+    fast = record.of(BenchPhase.FAST)
     error = fast.felt_N - record.command_N
     wave = record.of(BenchPhase.COMMAND)
     frequencies = test.frequencies_Hz(test.command_Hz, period_s)
@@ -68,10 +66,9 @@ def felt_force(record: ForceRecord, test: ForceTest, period_s: float) -> FeltFor
     ratio = felt / commanded
     return FeltForce(
         command_N=record.command_N,
-        offset_N=float(rest.felt_N.mean() - record.command_N),
         error_rms_N=float(np.sqrt(np.mean(error**2))),
         error_peak_N=float(np.quantile(np.abs(error), 0.99)),
-        hysteresis_N=_hysteresis_N(rest),
+        hysteresis_N=_hysteresis_N(record.of(BenchPhase.SLOW)),
         gauge_rms_N=float(np.sqrt(np.mean((fast.tension_N - record.command_N) ** 2))),
         bandwidth_Hz=_bandwidth_Hz(frequencies, np.abs(ratio)),
         frequencies_Hz=frequencies,

@@ -7,8 +7,18 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from estune.core.gains import Gains
-from estune.support.html_page import Block, Drawing, Page, Paragraph, Section, Status, Table
+from estune.support.html_page import (
+    Block,
+    Drawing,
+    Page,
+    Paragraph,
+    Section,
+    Status,
+    Table,
+    Warnings,
+)
 from estune.support.plot_style import BLUE, GREY, VERMILION, WIDTH_in, finish, legend, new_figure
+from estune.support.quantity_text import time_text
 from plants.two_reel_bench.felt_force import HALF_POWER, FeltForce
 from plants.two_reel_bench.force_test import BenchPhase, ForceRecord
 
@@ -16,13 +26,16 @@ COLUMNS = {
     "error_rms_N": "felt rms (N)",
     "error_peak_N": "99 % (N)",
     "gauge_rms_N": "gauge rms (N)",
-    "offset_N": "mean (N)",
     "hysteresis_N": "hysteresis (N)",
     "bandwidth_Hz": "bandwidth (Hz)",
 }
 """Figures of the table, with their heads."""
 
 _STYLES = {"before": VERMILION, "after": BLUE}
+
+
+STALL_S = 0.05
+"""Gap between two readings that is reported, s: the far end then jumps by 1.5 mm at 30 mm/s."""
 
 
 class ReelForces(NamedTuple):
@@ -40,6 +53,17 @@ class ReelForces(NamedTuple):
                 texts = [_text(each[n], column) for column in COLUMNS]
                 yield self.label, f"{first.command_N:g}", name, *texts
 
+    def stalls(self) -> Iterator[str]:
+        """Warnings of gaps between the readings, in which nothing was commanded."""
+        for name, records in self.records.items():
+            longest_s = max(float(np.diff(record.time_s).max()) for record in records)
+            if longest_s > STALL_S:
+                yield (
+                    f"Reel {self.label}, gains {name}: no setpoint arrived for "
+                    f"{time_text(longest_s)}; its peaks and bandwidth are uncertain. Repeat the "
+                    "test on a machine and a network with less to do."
+                )
+
 
 def page(reels: Sequence[ReelForces], source: str) -> Page:
     """The page of a bench.
@@ -49,17 +73,19 @@ def page(reels: Sequence[ReelForces], source: str) -> Page:
         source: Where the outside force comes from.
     """
     heads = ("reel", "at (N)", "gains", *COLUMNS.values())
-    table = Table(heads, [row for reel in reels for row in reel.rows()], numeric=range(3, 9))
+    table = Table(heads, [row for reel in reels for row in reel.rows()], numeric=range(3, 8))
     how = (
         "Each reel held a constant tension while the far end of its cable moved: slowly at a "
-        "constant speed, for mean error and hysteresis, then in many frequencies at once, for the "
-        "rms error felt and at the reel's own gauge, and that exceeded in 1 % of the time. At "
-        f"last the command oscillated, for the bandwidth. The outside force is {source}. "
+        "constant speed, for the hysteresis, then in many frequencies at once, for the rms error "
+        "felt and at the reel's own gauge, and the error exceeded in 1 % of the time. At last the "
+        f"command oscillated, for the bandwidth. The outside force is {source}. "
         "Hysteresis is the felt force while the cable is pulled out minus that while it is wound "
         "in. The controller sees its own gauge only: what the eyelet adds, no gains remove."
     )
+    notes = Warnings([note for reel in reels for note in reel.stalls()])
     sections = [Section(f"Reel {reel.label}", tuple(_blocks(reel))) for reel in reels]
-    return Page("Felt force", Status(headline(reels)), (table, Paragraph(how, "soft")), sections)
+    summary = (notes, table, Paragraph(how, "soft"))
+    return Page("Felt force", Status(headline(reels)), summary, sections)
 
 
 def headline(reels: Sequence[ReelForces]) -> str:
