@@ -100,8 +100,8 @@ def _allowed(step: StepProfile, rig: RigDescription, repeats: int) -> bool:
 
 def _show(result: CheckResult) -> None:
     line = Text.assemble(
-        (f"{result.state:<8}", _STYLES[result.state]), f"{result.check:<12}", result.sentence
+        (f"{result.state:<8}", _STYLES[result.state]), f"{result.check:<13}", result.sentence
     )
     if result.remedy:
-        line.append(f"\n{'':20}-> {result.remedy}")
+        line.append(f"\n{'':21}-> {result.remedy}")
     output.console().print(line, soft_wrap=True)

@@ -1,6 +1,7 @@
 """`python -m experiments.chaos`: the tables, or with --json the figures."""
 
 import contextlib
+import json
 import signal
 import statistics
 import sys
@@ -19,7 +20,6 @@ from experiments.chaos.campaign import Campaign, Diary
 from experiments.chaos.stand import Stand
 from experiments.results import Target, at_least, at_most, command_line, print_results
 
-PARTS = ("estune", "plain", "daemon", "hardware", "stops")
 SEARCH_TRIALS = 120
 BESIDE_SEARCH = 9
 OUTAGE_SEARCH_TRIALS = 20
@@ -196,6 +196,30 @@ def _show_kinds(figures: dict[str, Any]) -> None:
         print(f"  {count:5}  {kind}")
 
 
+def measure(
+    extent: Extent, seed: int, folder: Path, report: Callable[[str], None]
+) -> dict[str, Any]:
+    """Figures of all parts, each in a folder of its own; estune's beside the next two."""
+
+    def part(name: str, run: Callable[..., dict[str, Any]], *before: Any, **options: Any) -> Any:
+        """Figures of a part; kept, for those of a long campaign must outlive a later fault."""
+        (place := folder / name).mkdir(parents=True)
+        found = run(*before, folder=place, **options)
+        (place / "figures.json").write_text(json.dumps(found), encoding="utf-8")
+        return found
+
+    of_both: dict[str, Any] = {"extent": extent, "seed": seed, "report": report}
+    with ThreadPoolExecutor(1) as beside:
+        ours = beside.submit(part, "estune", run_campaign, plain=False, **of_both)
+        plain = part("plain", run_campaign, plain=True, **of_both)
+        faults_of_daemon = (extent.daemon_faults, seed, QUICK.pace)
+        durations = extent.durations
+        daemon = part("daemon", supervised.run_campaign, *faults_of_daemon, durations=durations)
+        figures = ours.result() | {"plain": plain, "daemon": daemon}
+    figures |= part("hardware", lose_clients, extent.losses)
+    return dict(figures | part("stops", stop_under_load, extent.stops))
+
+
 def main() -> int:
     """Runs everything; returns 1 where a target is missed."""
     parser = command_line(
@@ -218,21 +242,7 @@ def main() -> int:
         folder = arguments.keep or Path(
             opened.enter_context(tempfile.TemporaryDirectory(prefix="estune-chaos-"))
         )
-        parts = {name: folder / name for name in PARTS}
-        for part in parts.values():
-            part.mkdir(parents=True)
-        seed = arguments.seed
-        with ThreadPoolExecutor(1) as beside:
-            ours = beside.submit(
-                run_campaign, extent, seed, parts["estune"], plain=False, report=report
-            )
-            plain = run_campaign(extent, seed, parts["plain"], plain=True, report=report)
-            daemon = supervised.run_campaign(
-                *(extent.daemon_faults, seed, QUICK.pace, parts["daemon"]), extent.durations
-            )
-            figures = ours.result() | {"plain": plain, "daemon": daemon}
-        figures |= lose_clients(extent.losses, parts["hardware"])
-        figures |= stop_under_load(extent.stops, parts["stops"])
+        figures = measure(extent, arguments.seed, folder, report)
     if not arguments.json:
         show(figures, time.monotonic() - began_s)
     return print_results(figures, targets_of(figures), as_json=arguments.json)
