@@ -28,6 +28,7 @@ from plants.diagnosis.result import (
     Trace,
 )
 from plants.effects import EFFECTS, EyeletFriction
+from plants.effects.plant_scale import CHANNEL_TITLES
 
 RATE_Hz = 632.0
 REEL = plants.reference_reel()
@@ -102,6 +103,7 @@ def trace(name, channel, seconds, *, scale, left):
         measured + noise,
         measured - wrong,
         measured - left * wrong,
+        CHANNEL_TITLES[channel],
     )
 
 

@@ -67,6 +67,24 @@ def test_gains_by_themselves_have_no_unit_but_the_filter():
     assert oven().rig().describe().name == "simulated-plant"
 
 
+def test_plant_shows_its_signals_and_only_limits_that_it_has():
+    shown = oven()._repr_html_()
+    assert "heating power</td>" in shown
+    assert "temperature</td>" in shown
+    assert "0 to 1 K at" in shown
+    assert "e+09" not in shown + repr(plants.stage(2.0, 8.0))
+    reel = plants.reference_reel() + plants.CoulombFriction(0.02)
+    assert "control effort, -120 to 120 N" in reel._repr_html_()
+    assert "with Coulomb friction" in reel._repr_html_()
+
+
+def test_channels_of_records_have_the_names_and_units_of_the_plant():
+    assert oven().scale.channel("tension_N") == ("temperature", "K")
+    assert oven().scale.channel("current_A") == ("heating power", "W")
+    assert plants.reference_reel().scale.channel("tension_N") == ("tension", "N")
+    assert plants.stage(2.0, 8.0).scale.channel("angle_rad") == ("position", "m")
+
+
 def test_law_of_gains_has_the_units_of_its_rigs():
     places = [(0.5, 1.0), (0.8, 1.6), (1.1, 2.2), (1.4, 2.8)]
     tunings = [

@@ -14,7 +14,6 @@ from plants.diagnosis.data.noise_floor import NoiseFloor
 from plants.diagnosis.declared_effects import declared_effects
 from plants.diagnosis.experiments.next_experiment import Evidence, next_experiment
 from plants.diagnosis.hold_out import (
-    UNITS,
     floor_of,
     held_errors,
     hold_out,
@@ -358,8 +357,9 @@ def _free_run(before: Stage, after: Stage) -> tuple[tuple[Trace, ...], tuple[flo
                 continue
             # What was taken out as interference belongs to what is predicted with it.
             known = last[0] + (measured - rest)
-            unit = scale.unit(UNITS[name])
-            traces.append(Trace(m.name, name, unit, m.time_s, measured, first[0], known))
+            title, unit = scale.channel(name)
+            values = m.time_s, measured, first[0], known
+            traces.append(Trace(m.name, name, unit, *values, title))
             if name == main:
                 errors.append(np.stack([first[0] - measured, known - measured]))
     rms = np.sqrt(np.nanmean(np.concatenate(errors, axis=1) ** 2, axis=1))

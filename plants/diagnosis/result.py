@@ -184,6 +184,7 @@ class Trace:
         measured: As measured.
         before: Simulated by the base model.
         after: Simulated with the effects; the same as `before` where there are none.
+        title: The channel in words.
     """
 
     name: str
@@ -193,6 +194,7 @@ class Trace:
     measured: FloatArray
     before: FloatArray
     after: FloatArray
+    title: str
 
 
 class ModelSummary(NamedTuple):

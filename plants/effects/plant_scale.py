@@ -11,6 +11,13 @@ _PREFIXES = {-6: "µ", -3: "m", 0: "", 3: "k"}
 _SCALED = {"N", "m", "s", "A", "N m", "rad"}
 """Units that are written with a prefix; N m/A or kg/m are not."""
 
+CHANNEL_TITLES = {
+    "tension_N": "tension",
+    "angle_rad": "angle",
+    "reference_N": "tension outside",
+    "current_A": "current",
+}
+
 _INPUT, _OUTPUT = "in the input's unit", "in the output's unit"
 """Units of a plant that states none."""
 
@@ -58,6 +65,7 @@ class PlantScale(NamedTuple):
         names: The plant's own names of numbers and columns by those of a drum.
         input_unit: Unit of the input of a plant known by input and output; empty if not stated.
         output_unit: Unit of its output.
+        channels: Title and unit of columns that the plant names and measures otherwise.
     """
 
     subject: str = "plant"
@@ -71,6 +79,7 @@ class PlantScale(NamedTuple):
     names: Mapping[str, str] = {}
     input_unit: str = ""
     output_unit: str = ""
+    channels: Mapping[str, tuple[str, str]] = {}
 
     @classmethod
     def of(cls, model: Any) -> "PlantScale":
@@ -85,6 +94,13 @@ class PlantScale(NamedTuple):
     def name(self, name: str) -> str:
         """A drum's number or column by the plant's own name."""
         return self.names.get(name, name)
+
+    def channel(self, column: str) -> tuple[str, str]:
+        """Title and unit of a column; an angle in metres is a position."""
+        if column in self.channels:
+            return self.channels[column]
+        unit = self.unit(column.rpartition("_")[2])
+        return "position" if unit == "m" else CHANNEL_TITLES[column], unit
 
     def amount(self, value: float, unit: str) -> str:
         """A value in a drum's unit, written in the plant's own."""

@@ -113,8 +113,17 @@ class MountedModel(PlantModel):
     def scale(self) -> PlantScale:
         """Units that sentences on the plant refer to."""
         signals = self.signals
-        return super().scale._replace(
+        scale = super().scale._replace(
             input_unit=signals.command_unit, output_unit=signals.measurement_unit
+        )
+        if not (scale.input_unit and scale.output_unit):
+            return scale
+        output = signals.measurement_name, signals.measurement_unit
+        return scale._replace(
+            channels={
+                "tension_N": output,
+                "current_A": (signals.command_name, signals.command_unit),
+            }
         )
 
     @property

@@ -23,7 +23,7 @@ from estune.support.plot_style import (
     legend,
     new_figure,
 )
-from plants.diagnosis.report.residual_figures import NOISE, channel_title, draw_shares
+from plants.diagnosis.report.residual_figures import NOISE, draw_shares
 from plants.diagnosis.report.summary import main_channel, step_name, worst_trace
 from plants.diagnosis.result import BaseParameter, DiagnosisResult, Trace
 from plants.effects.plant_scale import digits, si
@@ -73,7 +73,7 @@ def draw_trace(ax: Axes, trace: Trace, within: slice | None = None) -> Axes:
     if changed(trace):
         ax.plot(time, trace.after[part], label="with the effects", **AFTER)
     ax.set_xlim(time[0], time[-1])
-    finish(ax, f"{channel_title(trace.channel, trace.unit)}, {trace.unit}", "time, s")
+    finish(ax, f"{trace.title}, {trace.unit}", "time, s")
     legend(ax)
     return ax
 
@@ -112,7 +112,7 @@ def draw_spectrum(ax: Axes, d: DiagnosisResult, channel: str | None = None) -> A
     ax.set_xscale("log")
     ax.set_yscale("log")
     ax.set_xlim(frequency[1], frequency[-1])
-    finish(ax, f"{channel_title(channel, unit)} error, {unit}/√Hz", "frequency, Hz")
+    finish(ax, f"{traces[0].title} error, {unit}/√Hz", "frequency, Hz")
     legend(ax)
     return ax
 

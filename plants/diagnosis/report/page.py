@@ -11,6 +11,7 @@ from estune.support.html_page import Block, Bullets, Drawing, Heading, Page, Par
 from estune.support.plot_style import WIDTH_in, new_figure
 from plants.diagnosis.report import figures, residual_figures, summary
 from plants.diagnosis.result import DiagnosisResult, Trace
+from plants.effects.plant_scale import PlantScale
 
 TITLE = "Where simulation and measurement disagree"
 
@@ -96,7 +97,11 @@ def _where(d: DiagnosisResult) -> list[Block]:
 def _distortion(d: DiagnosisResult) -> list[Block]:
     drawings = [
         _plot(
-            partial(residual_figures.draw_distortion, distortion=distortion),
+            partial(
+                residual_figures.draw_distortion,
+                distortion=distortion,
+                scale=PlantScale.of(d.base_model),
+            ),
             f"distortion-{channel}",
             f"lines of {channel}",
         )

@@ -8,7 +8,7 @@ import re
 from dataclasses import replace
 from typing import Any
 
-from plants.diagnosis.residual.localisation import ResidualLocation
+from plants.diagnosis.residual.localisation import ResidualDependence, ResidualLocation
 from plants.diagnosis.result import Interval
 from plants.effects import Effect, Port
 from plants.effects.plant_scale import PlantScale
@@ -38,15 +38,34 @@ def located_in_own_units(where: ResidualLocation, scale: PlantScale) -> Residual
     blocks = []
     for block in where.blocks:
         views = [
-            replace(view, unit=scale.unit(view.unit), detail=_detail(view.detail, scale))
+            replace(
+                view,
+                name=_detail(view.name, scale),
+                unit=_view_unit(view, scale),
+                detail=_detail(view.detail, scale),
+            )
             for view in block.views
         ]
-        blocks.append(replace(block, unit=scale.unit(block.unit), views=tuple(views)))
+        # The balance of a plant is an effort.
+        unit = scale.channel("current_A")[1] if scale.channels else scale.unit(block.unit)
+        blocks.append(replace(block, unit=unit, views=tuple(views)))
     return replace(where, blocks=tuple(blocks), sentence=_detail(where.sentence, scale))
 
 
+def _view_unit(view: ResidualDependence, scale: PlantScale) -> str:
+    """Unit of the variable of a view; of a plant that of its command or measurement."""
+    if not scale.channels:
+        return scale.unit(view.unit)
+    own = scale.input_unit if view.name == "command rate" else scale.output_unit
+    return re.sub(r"^N\b", own, view.unit)
+
+
 def _detail(text: str, scale: PlantScale) -> str:
-    """A text with the length of a period in the plant's own unit."""
+    """A text in the plant's own words, with the length of a period in its unit."""
+    title = scale.channel("tension_N")[0]
+    text = text.replace("tension_N", title)
+    if scale.channels:
+        text = re.sub(r"\btension\b", title, text)
     return re.sub(r"(?<=\d) rad\b", f" {scale.unit('rad')}", text)
 
 

@@ -24,21 +24,9 @@ from plants.diagnosis.residual.localisation import (
     ResidualDependence,
     ResidualLocation,
 )
+from plants.effects.plant_scale import PlantScale
 
 NOISE: dict[str, Any] = {"color": GREY, "linewidth": 1.0, "linestyle": (0, (4, 2))}
-CHANNEL_TITLES = {
-    "tension_N": "tension",
-    "angle_rad": "angle",
-    "reference_N": "tension outside",
-    "current_A": "current",
-}
-
-
-def channel_title(channel: str, unit: str) -> str:
-    """A channel in words; an angle in metres is a position."""
-    return "position" if unit == "m" else CHANNEL_TITLES[channel]
-
-
 _BLOCK_COLOURS = (VERMILION, PURPLE, GREEN, BLUE)
 _COLUMNS = 3
 
@@ -131,7 +119,7 @@ def _small(ax: Axes) -> Axes:
     return ax
 
 
-def draw_distortion(ax: Axes, distortion: Distortion) -> Axes:
+def draw_distortion(ax: Axes, distortion: Distortion, scale: PlantScale) -> Axes:
     """Lines of a multisine's response: those it excites, odd and even ones it does not."""
     looks = ((0, GREY, "D", "excited"), (1, VERMILION, "o", "odd"), (2, BLUE, "s", "even"))
     for kind, colour, marker, label in looks:
@@ -144,8 +132,7 @@ def draw_distortion(ax: Axes, distortion: Distortion) -> Axes:
     some = distortion.noise > 0.0
     noise = 20.0 * np.log10(distortion.noise[some])
     ax.plot(distortion.frequency_Hz[some], noise, label="noise", **NOISE)
-    unit = distortion.channel.rpartition("_")[2]
-    title = CHANNEL_TITLES[distortion.channel]
+    title, unit = scale.channel(distortion.channel)
     finish(ax, f"{title}, dB above 1 {unit}", "frequency, Hz")
     legend(ax)
     return ax

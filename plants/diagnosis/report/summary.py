@@ -183,8 +183,14 @@ def step_name(effect: str | None) -> str:
 
 def distortions(d: DiagnosisResult) -> Table:
     """Power of periodic records on lines they do not excite."""
+    scale = PlantScale.of(d.base_model)
     rows = [
-        (x.source, x.channel, f"{number(x.even_dB)} dB", f"{number(x.odd_dB)} dB")
+        (
+            x.source,
+            scale.channel(x.channel)[0],
+            f"{number(x.even_dB)} dB",
+            f"{number(x.odd_dB)} dB",
+        )
         for x in d.where.distortion
     ]
     return Table(("record", "channel", "even lines, over the noise", "odd lines"), tuple(rows))
@@ -200,10 +206,9 @@ def noises(d: DiagnosisResult) -> Table:
     """The noise of each channel, and how it was estimated."""
     scale = PlantScale.of(d.base_model)
     rows = [
-        (name, _amount(n.rms, unit), _amount(n.lsb, unit) if n.lsb > 0.0 else "-", n.how)
+        (title, _amount(n.rms, unit), _amount(n.lsb, unit) if n.lsb > 0.0 else "-", n.how)
         for channel, n in d.noise.channels.items()
-        for name in [scale.name(channel)]
-        for unit in [scale.unit(name.rpartition("_")[2])]
+        for title, unit in [scale.channel(channel)]
     ]
     return Table(("channel", "noise, rms", "step of the reading", "from"), tuple(rows))
 
