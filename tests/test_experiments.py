@@ -13,6 +13,7 @@ TIMED = {
     "benchmark_link",
     "benchmark_trials",
     "catenary",
+    "diagnosis_scale",
     "effects",
     "emergency_stop",
     "jitter",
@@ -35,7 +36,14 @@ SAMPLED = {
 }
 """Experiments whose targets are shares or means of hundreds of cases: too many to be quick."""
 
-NIGHTLY = {"diagnosis_constants", "hidden_effects", "jitter", "live_page", "two_reels"}
+NIGHTLY = {
+    "diagnosis_constants",
+    "diagnosis_scale",
+    "hidden_effects",
+    "jitter",
+    "live_page",
+    "two_reels",
+}
 """Experiments whose quick form takes a minute; their subjects have tests of their own."""
 
 

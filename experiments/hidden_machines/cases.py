@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 
 from experiments.hidden_machines import bases, batteries
 from experiments.hidden_machines.bases import Base
-from experiments.hidden_machines.effects import CATALOGUE, FURTHER, OUTSIDE, Hidden
+from experiments.hidden_machines.effects import CATALOGUE, FURTHER, Hidden
 from experiments.hidden_machines.records import Bench, Record, record
+from experiments.hidden_machines.undeclared_effects import OUTSIDE
 
 Rng = np.random.Generator
 

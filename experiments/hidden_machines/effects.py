@@ -39,34 +39,35 @@ def force(base: Base) -> float:
     return {"reel": 10.0, "unloaded": 6.0, "stage": 150.0}[base.kind]
 
 
-def _log(rng: Rng, low: float, high: float) -> float:
+def log_uniform(rng: Rng, low: float, high: float) -> float:
+    """A number whose logarithm is uniform between two bounds."""
     return float(np.exp(rng.uniform(np.log(low), np.log(high))))
 
 
-def _reach(base: Base) -> float:
+def half_step_m(base: Base) -> float:
     """Half a step of the encoder, in metres at the rim."""
     return np.pi / base.encoder_counts * base.radius_m
 
 
 def coulomb_friction(rng: Rng, base: Base) -> Hidden:
-    F = force(base) * _log(rng, 0.04, 0.2)
+    F = force(base) * log_uniform(rng, 0.04, 0.2)
     return Hidden(
         "coulomb_friction",
-        {"dry": F, "bristle": _reach(base) * rng.uniform(0.4, 1.0)},
+        {"dry": F, "bristle": half_step_m(base) * rng.uniform(0.4, 1.0)},
         truth={"torque_Nm": F * base.radius_m},
     )
 
 
 def stribeck_friction(rng: Rng, base: Base) -> Hidden:
-    F, more = force(base) * _log(rng, 0.05, 0.2), rng.uniform(0.4, 1.0)
-    fast = {"reel": 0.012, "unloaded": 0.03, "stage": 0.01}[base.kind] * _log(rng, 0.6, 1.6)
+    F, more = force(base) * log_uniform(rng, 0.05, 0.2), rng.uniform(0.4, 1.0)
+    fast = {"reel": 0.012, "unloaded": 0.03, "stage": 0.01}[base.kind] * log_uniform(rng, 0.6, 1.6)
     return Hidden(
         "stribeck_friction",
         {
             "dry": F,
             "dry_excess": more * F,
             "dry_velocity": fast,
-            "bristle": _reach(base) * rng.uniform(0.4, 1.0),
+            "bristle": half_step_m(base) * rng.uniform(0.4, 1.0),
         },
         truth={
             "coulomb_Nm": F * base.radius_m,
@@ -78,8 +79,8 @@ def stribeck_friction(rng: Rng, base: Base) -> Hidden:
 
 def dahl_hysteresis(rng: Rng, base: Base) -> Hidden:
     """Slip elements in series, or bristles that give way faster or slower than Dahl's own."""
-    F = force(base) * _log(rng, 0.06, 0.25)
-    reach = _reach(base) * _log(rng, 12.0, 60.0)
+    F = force(base) * log_uniform(rng, 0.06, 0.25)
+    reach = half_step_m(base) * log_uniform(rng, 12.0, 60.0)
     machine = {"slip_force": F, "slip_length": reach}
     if rng.random() < 0.5:
         power = rng.uniform(0.7, 1.5)
@@ -92,7 +93,7 @@ def dahl_hysteresis(rng: Rng, base: Base) -> Hidden:
 
 
 def eyelet_friction(rng: Rng, base: Base) -> Hidden:  # noqa: ARG001  a ratio
-    hold = 1.0 - _log(rng, 0.02, 0.12)
+    hold = 1.0 - log_uniform(rng, 0.02, 0.12)
     return Hidden(
         "eyelet_friction",
         {"hold": hold, "inner": rng.uniform(0.2, 0.4)},
@@ -129,7 +130,7 @@ def current_saturation(rng: Rng, base: Base) -> Hidden:
 
 
 def rate_limit(rng: Rng, base: Base) -> Hidden:
-    slew = force(base) * _log(rng, 30.0, 90.0)
+    slew = force(base) * log_uniform(rng, 30.0, 90.0)
     return Hidden(
         "rate_limit",
         {"slew": slew, "slew_soft": rng.uniform(3e-4, 6e-4)},
@@ -143,7 +144,7 @@ def gain_error(rng: Rng, base: Base) -> Hidden:  # noqa: ARG001  a ratio
 
 
 def gauge_nonlinearity(rng: Rng, base: Base) -> Hidden:  # noqa: ARG001  a reel's
-    bend = float(rng.choice([-0.7, 1.0]) * _log(rng, 2e-3, 5.5e-3))
+    bend = float(rng.choice([-0.7, 1.0]) * log_uniform(rng, 2e-3, 5.5e-3))
     more = rng.uniform(-0.4, 0.4) / 40.0
     return Hidden("gauge_nonlinearity", {"gauge_bend": bend, "gauge_bend_more": more})
 
@@ -157,14 +158,14 @@ def gauge_drift(rng: Rng, base: Base) -> Hidden:  # noqa: ARG001  a reel's
     return Hidden(
         "gauge_drift",
         instrument={
-            "drift": float(rng.choice([-1, 1]) * _log(rng, 0.15, 0.6)),
+            "drift": float(rng.choice([-1, 1]) * log_uniform(rng, 0.15, 0.6)),
             "drift_s": rng.uniform(8.0, 25.0),
         },
     )
 
 
 def gauge_resonance(rng: Rng, base: Base) -> Hidden:  # noqa: ARG001  a reel's
-    rate, damping = _log(rng, 25.0, 90.0), rng.uniform(0.015, 0.06)
+    rate, damping = log_uniform(rng, 25.0, 90.0), rng.uniform(0.015, 0.06)
     return Hidden(
         "gauge_resonance",
         {
@@ -180,7 +181,7 @@ def cable_stiffening(rng: Rng, base: Base) -> Hidden:
     return Hidden(
         "cable_stiffening",
         {
-            "stiffening": _log(rng, 0.08, 0.3),
+            "stiffening": log_uniform(rng, 0.08, 0.3),
             "stiffening_at": 30.0 / base.stiffness(0.8),
             "stiffening_power": rng.uniform(0.8, 2.2),
         },
@@ -188,7 +189,7 @@ def cable_stiffening(rng: Rng, base: Base) -> Hidden:
 
 
 def cable_creep(rng: Rng, base: Base) -> Hidden:  # noqa: ARG001  a ratio
-    share, first = rng.uniform(0.06, 0.25), _log(rng, 0.08, 0.5)
+    share, first = rng.uniform(0.06, 0.25), log_uniform(rng, 0.08, 0.5)
     second = rng.uniform(0.2, 0.45)
     return Hidden(
         "cable_creep",
@@ -202,18 +203,18 @@ def cable_creep(rng: Rng, base: Base) -> Hidden:  # noqa: ARG001  a ratio
 
 
 def cable_slack(rng: Rng, base: Base) -> Hidden:
-    toe = _log(rng, 1.5, 5.0) / base.stiffness(0.8)
+    toe = log_uniform(rng, 1.5, 5.0) / base.stiffness(0.8)
     return Hidden("cable_slack", {"toe": toe, "toe_width": toe * rng.uniform(0.35, 0.6)})
 
 
 def cable_weight(rng: Rng, base: Base) -> Hidden:
-    density = _log(rng, 0.05, 0.15)
+    density = log_uniform(rng, 0.05, 0.15)
     ratio = ((base.density_kg_m + density) / base.density_kg_m) ** 2
     return Hidden("cable_weight", {"*sag": ratio}, truth={"density_kg_m": density})
 
 
 def string_mode(rng: Rng, base: Base) -> Hidden:  # noqa: ARG001  a reel's
-    density, damping = _log(rng, 0.05, 0.14), _log(rng, 0.01, 0.06)
+    density, damping = log_uniform(rng, 0.05, 0.14), log_uniform(rng, 0.01, 0.06)
     return Hidden(
         "string_mode",
         {"string_mass": density, "string_damping": damping},
@@ -222,7 +223,7 @@ def string_mode(rng: Rng, base: Base) -> Hidden:  # noqa: ARG001  a reel's
 
 
 def structural_mode(rng: Rng, base: Base) -> Hidden:
-    share, rate = rng.uniform(0.08, 0.4), _log(rng, 18.0, 70.0)
+    share, rate = rng.uniform(0.08, 0.4), log_uniform(rng, 18.0, 70.0)
     k = base.stiffness(0.8) / share
     mass = k / (2.0 * np.pi * rate) ** 2
     damping = rng.uniform(0.02, 0.08)
@@ -239,7 +240,7 @@ def structural_mode(rng: Rng, base: Base) -> Hidden:
 
 
 def torque_ripple(rng: Rng, base: Base) -> Hidden:
-    size = force(base) * _log(rng, 0.03, 0.12)
+    size = force(base) * log_uniform(rng, 0.03, 0.12)
     per_turn = float(rng.integers(6, 49) if base.kind != "reel" else rng.integers(40, 130))
     if base.kind == "stage":
         per_turn = 2.0 * np.pi / rng.uniform(0.004, 0.02)  # periods in 2 pi metres
@@ -257,7 +258,7 @@ def torque_ripple(rng: Rng, base: Base) -> Hidden:
 
 
 def drum_eccentricity(rng: Rng, base: Base) -> Hidden:  # noqa: ARG001  a ratio
-    first = _log(rng, 0.01, 0.06)
+    first = log_uniform(rng, 0.01, 0.06)
     return Hidden(
         "drum_eccentricity",
         {
@@ -278,7 +279,7 @@ def backlash(rng: Rng, base: Base) -> Hidden:
     """
     motor = rng.uniform(0.35, 0.65)
     mass, drag = base.machine(None)["mass"], base.machine(None)["drag"]
-    play = _log(rng, 0.01, 0.06) if base.kind != "stage" else _log(rng, 5e-4, 3e-3)
+    play = log_uniform(rng, 0.01, 0.06) if base.kind != "stage" else log_uniform(rng, 5e-4, 3e-3)
     rate = 2.0 * np.pi * rng.uniform(100.0, 250.0)  # of the drum with the motor held
     far_mass, damping = (1.0 - motor) * mass, rng.uniform(0.2, 0.5)
     return Hidden(
@@ -298,12 +299,13 @@ def backlash(rng: Rng, base: Base) -> Hidden:
 
 
 def quantisation(rng: Rng, base: Base) -> Hidden:  # noqa: ARG001  a reel's
-    step = _log(rng, 0.25, 1.0)
+    step = log_uniform(rng, 0.25, 1.0)
     return Hidden("quantisation", {"gauge_step": step}, truth={"step_N": step})
 
 
 def mains_interference(rng: Rng, base: Base) -> Hidden:  # noqa: ARG001  a reel's
-    size, rate = _log(rng, 0.1, 0.5), float(rng.choice([50.0, 60.0]) + rng.uniform(-0.05, 0.05))
+    size = log_uniform(rng, 0.1, 0.5)
+    rate = float(rng.choice([50.0, 60.0]) + rng.uniform(-0.05, 0.05))
     return Hidden(
         "mains_interference",
         instrument={"hum": size, "hum_Hz": rate, "hum_third": size * rng.uniform(0.05, 0.2)},
@@ -351,10 +353,10 @@ def directional_friction(rng: Rng, base: Base) -> Hidden:
 
 
 def load_friction(rng: Rng, base: Base) -> Hidden:
-    share = _log(rng, 0.02, 0.1)
+    share = log_uniform(rng, 0.02, 0.1)
     return Hidden(
         "load_friction",
-        {"dry_load": share, "bristle": _reach(base) * rng.uniform(0.4, 1.0)},
+        {"dry_load": share, "bristle": half_step_m(base) * rng.uniform(0.4, 1.0)},
         truth={"load_share": share},
     )
 
@@ -373,115 +375,3 @@ FURTHER: dict[str, Draw] = {
     draw.__name__: draw for draw in (directional_friction, load_friction, current_lag)
 }
 """Effects with a name that are hidden only where a case asks for them: seeds drawn before stay."""
-
-
-def quadratic_drag(rng: Rng, base: Base) -> Hidden:
-    fast = {"reel": 0.06, "unloaded": 0.3, "stage": 0.25}[base.kind]
-    return Hidden("quadratic_drag", {"drag2": force(base) * rng.uniform(0.1, 0.5) / fast**2})
-
-
-def motor_heating(rng: Rng, base: Base) -> Hidden:
-    load = (2.0 if base.kind == "reel" else 0.6) * force(base)
-    return Hidden(
-        "motor_heating", {"heat": rng.uniform(0.06, 0.25) / load**2, "heat_s": rng.uniform(2, 12)}
-    )
-
-
-def sector_rub(rng: Rng, base: Base) -> Hidden:
-    """Friction on part of the drum's way only."""
-    middle, width = (0.0, 0.02) if base.kind != "reel" else (18.0 / base.stiffness(0.8), 3e-4)
-    if base.kind == "stage":
-        width = 0.01
-    return Hidden(
-        "sector_rub",
-        {
-            "rub_force": force(base) * rng.uniform(0.08, 0.25),
-            "rub_at": middle * rng.uniform(0.9, 1.1),
-            "rub_width": width * rng.uniform(0.5, 1.0),
-        },
-    )
-
-
-def cable_hysteresis(rng: Rng, base: Base) -> Hidden:
-    """A parallel strand that slips: a loop between angle and tension, as high at any tension."""
-    return Hidden(
-        "cable_hysteresis",
-        {
-            "loop_force": force(base) * rng.uniform(0.05, 0.15),
-            "loop_length": rng.uniform(2.0, 6.0) / base.stiffness(0.8),
-        },
-    )
-
-
-def gauge_hysteresis(rng: Rng, base: Base) -> Hidden:
-    return Hidden(
-        "gauge_hysteresis",
-        {
-            "gauge_loop": force(base) * rng.uniform(0.04, 0.12),
-            "gauge_loop_width": rng.uniform(2.0, 6.0),
-        },
-    )
-
-
-def sensitivity_drift(rng: Rng, base: Base) -> Hidden:  # noqa: ARG001  a ratio
-    return Hidden(
-        "sensitivity_drift",
-        instrument={
-            "warming": float(rng.choice([-1, 1]) * rng.uniform(0.03, 0.1)),
-            "warming_s": rng.uniform(0.8, 4.0),
-        },
-    )
-
-
-def current_crosstalk(rng: Rng, base: Base) -> Hidden:  # noqa: ARG001  a ratio
-    return Hidden(
-        "current_crosstalk", {"gauge_current": rng.choice([-1, 1]) * _log(rng, 0.03, 0.12)}
-    )
-
-
-def lost_samples(rng: Rng, base: Base) -> Hidden:  # noqa: ARG001  a share
-    return Hidden(
-        "lost_samples",
-        instrument={"lost": rng.uniform(0.008, 0.025), "lost_run": float(rng.integers(4, 12))},
-    )
-
-
-def nonlinear_lag(rng: Rng, base: Base) -> Hidden:
-    return Hidden(
-        "nonlinear_lag",
-        {"lag_slow": rng.uniform(5e-3, 15e-3), "lag_size": force(base) * rng.uniform(0.2, 0.6)},
-    )
-
-
-def jolts(rng: Rng, base: Base) -> Hidden:
-    """Someone knocks against the machine now and then."""
-    return Hidden(
-        "jolts",
-        instrument={
-            "jolt": force(base) * rng.uniform(0.3, 1.0),
-            "jolts_per_s": rng.uniform(0.3, 1),
-        },
-    )
-
-
-def amplifier_deadband(rng: Rng, base: Base) -> Hidden:
-    return Hidden("amplifier_deadband", {"dead_band": force(base) * rng.uniform(0.05, 0.2)})
-
-
-OUTSIDE: dict[str, Draw] = {
-    draw.__name__: draw
-    for draw in (
-        quadratic_drag,
-        motor_heating,
-        sector_rub,
-        cable_hysteresis,
-        gauge_hysteresis,
-        sensitivity_drift,
-        current_crosstalk,
-        lost_samples,
-        nonlinear_lag,
-        jolts,
-        amplifier_deadband,
-    )
-}
-"""Effects without a name in reports."""

@@ -32,6 +32,7 @@ from plants.diagnosis.search.mains_interference import (
     find_mains_interference,
 )
 from plants.diagnosis.search.model_fitter import CandidateFit, ModelFitter
+from plants.diagnosis.search.more_records import carried_over, confirmed, differing
 from plants.diagnosis.search.search import SearchResult, search
 from plants.diagnosis.search.starts import coarse_fit
 from plants.diagnosis.search.wrong_parameter import find_wrong_parameter
@@ -112,12 +113,13 @@ def _explained(
         raise InvalidInput(f"no record can be used: {refused or 'there is none'}")
     noise = noise_floor(measurements)
     progress("fitting the model as given", 0.08)
-    variants = _variants(model, measurements, noise)
+    some = differing(measurements)
+    variants = _variants(model, some, noise)
     recorded = variants[0]
     choice = _choice(recorded.fitter.model, effects)
     line = None
     for _ in range(LINE_ROUNDS if MainsInterference in choice.in_noise else 0):
-        again = _line(variants[0].fitter, variants[0].fit, measurements)
+        again = _line(*variants[0], some)
         if again is None:
             break
         line, variants = again, _variants(model, again.measurements, noise)
@@ -125,6 +127,9 @@ def _explained(
     if line is not None and done.judged.best.effects and not _remains(recorded, done.judged.best):
         # The line was what the effects do.
         line, done = None, _searched((recorded,), choice, noise, portion(progress, 0.2, 0.85))
+    if len(some) < len(measurements):
+        progress("confirming on all records", 0.7)
+        recorded, line, done = _on_all(model, measurements, noise, line, done)
     progress("refitting with parts left out", 0.85)
     wrong = None
     if done.judged.verdict == "none" and line is None:
@@ -132,6 +137,9 @@ def _explained(
     coarse = None
     if Quantisation in choice.in_noise and "tension_N" in noise.channels:
         coarse = coarse_step_N(noise.channels["tension_N"])
+    aside = None
+    if held is not None:
+        aside = _for_records(model, check(held.measurements, model)[0], done.fitter.model)
     diagnosis = build_diagnosis(
         DiagnosisInputs(
             model=model,
@@ -147,16 +155,37 @@ def _explained(
             noise=noise,
             findings=findings,
             rig=rig,
-            held=None if held is None else _held_model(model, held, done.fitter.model),
+            held=aside,
         )
     )
     progress("done", 1.0)
     return diagnosis
 
 
-def _held_model(model: Any, held: FolderContents, fitted: DiagnosedModel) -> DiagnosedModel:
-    """The model as given for records that are held out, in the variant that was fitted."""
-    measurements, _ = check(held.measurements, model)
+def _on_all(
+    model: Any,
+    measurements: tuple[MeasuredRecord, ...],
+    noise: NoiseFloor,
+    line: MainsLine | None,
+    done: "Searched",
+) -> "tuple[FittedModel, MainsLine | None, Searched]":
+    """What a search on some of the records found, fitted to all and judged again."""
+    fitter = ModelFitter(_for_records(model, measurements, done.fitter.model), measurements, noise)
+    recorded = FittedModel(fitter, carried_over(fitter, done.found.base))
+    if line is not None:
+        line = _line(fitter, carried_over(fitter, done.judged.best), measurements)
+    if line is not None:
+        cleaned = _for_records(model, line.measurements, done.fitter.model)
+        fitter = ModelFitter(cleaned, line.measurements, noise)
+    found = confirmed(fitter, done.found, done.judged)
+    judged = conclude(fitter, found)
+    return recorded, line, done._replace(fitter=fitter, found=found, judged=judged)
+
+
+def _for_records(
+    model: Any, measurements: Sequence[MeasuredRecord], fitted: DiagnosedModel
+) -> DiagnosedModel:
+    """The model as given for other records, in the variant that was fitted."""
     kinds = diagnosed(model, measurements).alternatives()
     return next((k for k in kinds if type(k.calibration) is type(fitted.calibration)), kinds[0])
 

@@ -1,6 +1,6 @@
 """Errors of fitted models on records that had no part in the fits."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -10,6 +10,7 @@ from plants.diagnosis.models.diagnosed_model import DiagnosedModel
 from plants.diagnosis.prediction.prediction import CHANNELS
 from plants.diagnosis.result import HoldOut, ModelErrors
 from plants.diagnosis.search.model_fitter import CandidateFit, ModelFitter
+from plants.diagnosis.search.more_records import settle
 
 UNITS = {"tension_N": "N", "angle_rad": "rad", "reference_N": "N", "current_A": "A"}
 
@@ -27,25 +28,13 @@ def hold_out(model: DiagnosedModel, base: CandidateFit, last: CandidateFit) -> H
     measurements = model.measurements
     fitter = ModelFitter(model, measurements, noise_floor(measurements))
     before = held_errors(fitter, fitter.given())
-    fits = [_refitted(fitter, one) for one in (base, last)]
+    fits = [settle(fitter, one) for one in (base, last)]
     return HoldOut(
         tuple(m.name for m in measurements),
         floor_of(fitter),
         before,
         *(held_errors(fitter, one) for one in fits),
     )
-
-
-def _refitted(fitter: ModelFitter, one: CandidateFit) -> CandidateFit:
-    """A fitted model on other records, with what belongs to each of them fitted."""
-    predictor = fitter.predictor(one.effects)
-    row = predictor.row(shared(one.values))
-    return fitter.fit(one.effects, row, owners=frozenset())
-
-
-def shared(values: Mapping[str, float]) -> dict[str, float]:
-    """The values that do not belong to single records."""
-    return {name: value for name, value in values.items() if not name.endswith("]")}
 
 
 def held_errors(fitter: ModelFitter, one: CandidateFit) -> ModelErrors:

@@ -27,6 +27,9 @@ BOUND = 1e-6
 BLOCK_WINDOWS, BLOCKS, BLOCKS_OF_FEW = 3, 12, 24
 """Least windows of a block, most blocks of a record, and that of one of two records."""
 
+MOST_ENTRIES = 120_000
+"""Residual entries that a fit takes about; J is then known to 1 % or better."""
+
 Effects = tuple[type[Effect], ...]
 Numbers = NDArray[np.int64]
 
@@ -89,7 +92,7 @@ class ModelFitter:
         measurements: The records.
         floor: The noise.
         base: The predictor without effects.
-        entries: Numbers of all residual entries.
+        entries: Numbers of the residual entries that count: all, or of many evenly some.
         group: Number of the block of time each entry lies in.
     """
 
@@ -99,7 +102,8 @@ class ModelFitter:
         self.model, self.measurements, self.floor = model, tuple(measurements), floor
         self._predictors: dict[Effects, Predictor] = {}
         self.base = self.predictor(())
-        self.entries: Numbers = np.arange(self.base.index.sigma.size)
+        sample = self.base.index.sample
+        self.entries: Numbers = np.flatnonzero(sample % max(1, sample.size // MOST_ENTRIES) == 0)
         self.group = self._blocks()
 
     def predictor(self, effects: Effects) -> Predictor:

@@ -14,14 +14,16 @@ REFITTED = 4
 
 def held_out(fitter: ModelFitter, one: CandidateFit) -> FloatArray:
     """Whitened residuals, (entries,), each predicted by a fit to the other two thirds."""
-    predictor, part = one.fitted.predictor, thirds(fitter)
-    residuals = np.zeros(fitter.entries.size)
+    predictor, entries = one.fitted.predictor, fitter.entries
+    part = thirds(fitter)[entries]
+    residuals = np.zeros(entries.size)
     for n in range(THIRDS):
-        left, rest = np.flatnonzero(part == n), np.flatnonzero(part != n)
-        if not left.size or not rest.size:
-            left, rest = fitter.entries, fitter.entries
-        values = fit(predictor, one.fitted.values, one.fitted.moved, rest, REFITTED).values
-        residuals[left] = predictor.residuals(values[None, :], left)[0]
+        left, rest = part == n, part != n
+        if not left.any() or not rest.any():
+            left = rest = np.ones(entries.size, np.bool_)
+        moved = one.fitted.moved
+        values = fit(predictor, one.fitted.values, moved, entries[rest], REFITTED).values
+        residuals[left] = predictor.residuals(values[None, :], entries[left])[0]
     return residuals
 
 
