@@ -50,7 +50,7 @@ DEVICES = {
             "newton_metres_per_count": CanDevices.newton_metres_per_count,
             "counts_per_turn": CanDevices.counts_per_turn,
             "answer_within_s": ANSWER_s,
-            "write_within_s": 1.0,
+            "write_within_s": 10.0,
         },
         "gauge": {
             "use": "can-gauge",
@@ -63,7 +63,8 @@ DEVICES = {
     },
 }
 """Table [driver] of the emulated reel at an address, by the device that it is behind."""
-ANSWER_s = 0.1
+ANSWER_s = 1.0
+"""Patience with the emulated devices: on a busy machine they wait for their turn, too."""
 
 
 def configuration(address: str, device: str = "packets") -> RigConfig:
