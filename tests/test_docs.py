@@ -98,6 +98,11 @@ def test_links_of_installed_pages_lead_to_pages_and_headings(installed):
             assert not anchor or f'id="{anchor}"' in target.read_text("utf-8"), f"{name}: {link}"
 
 
+def test_index_leads_to_every_page(installed):
+    index = (installed / "index.html").read_text("utf-8")
+    assert [name for name in PAGES if name != "index" and f'"{name}.html' not in index] == []
+
+
 @pytest.mark.parametrize("name", ["README.md", "CONTRIBUTING.md"])
 def test_links_of_pages_at_the_root_lead_to_files(name):
     links = re.findall(r"\]\(([^):]+)\)", (ROOT / name).read_text("utf-8"))
