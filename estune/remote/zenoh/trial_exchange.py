@@ -21,7 +21,7 @@ from estune.trial import TrialRecord, TrialRequest
 from estune.trial.record_frame import decode
 
 # Between a status that is lost and the next query; a rig publishes its status when a trial ends.
-# Queries are a third of what a daemon of many rigs computes for a trial: few in a trial of a second.
+# Queries are a third of what a daemon of many rigs computes for a trial: few in one of a second.
 _POLL_FIRST_S, _POLL_MAX_S, _POLL_GROWTH = 0.004, 0.5, 4.0
 
 
