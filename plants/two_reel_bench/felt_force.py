@@ -56,6 +56,7 @@ def felt_force(record: ForceRecord, test: ForceTest, period_s: float) -> FeltFor
     Raises:
         InvalidInput: the far end did not move, so that nothing is known.
     """
+    hysteresis_N = _hysteresis_N(record.of(BenchPhase.SLOW))
     fast = record.of(BenchPhase.FAST)
     error = fast.felt_N - record.command_N
     wave = record.of(BenchPhase.COMMAND)
@@ -68,7 +69,7 @@ def felt_force(record: ForceRecord, test: ForceTest, period_s: float) -> FeltFor
         command_N=record.command_N,
         error_rms_N=float(np.sqrt(np.mean(error**2))),
         error_peak_N=float(np.quantile(np.abs(error), 0.99)),
-        hysteresis_N=_hysteresis_N(record.of(BenchPhase.SLOW)),
+        hysteresis_N=hysteresis_N,
         gauge_rms_N=float(np.sqrt(np.mean((fast.tension_N - record.command_N) ** 2))),
         bandwidth_Hz=_bandwidth_Hz(frequencies, np.abs(ratio)),
         frequencies_Hz=frequencies,
