@@ -41,7 +41,7 @@ def reference(rig, steps):
     """Efforts by `estune.reel.hybrid`."""
     plan = rig.plan()
     c = HybridCoefficients(plan.hybrid.position, plan.live)
-    rest = pidf.state_at_rest(0.0, 5.0), pidf.state_at_rest(15.0, 5.0)
+    rest = pidf.state_at_rest(steps[0][0][1], 0.0), pidf.state_at_rest(15.0, 5.0)
     state = HybridState(*rest, in_tension=True)
     efforts = []
     for row, in_tension in steps:
@@ -58,7 +58,6 @@ def test_control_of_the_loop_is_that_of_the_equations(steps):
     tension.use(plan.live)
     tension.rest(15.0, 5.0)
     control = HybridControl(plan.hybrid, tension, PlainController())
-    control.start(0.0, 5.0)
     efforts = [control.step(HybridSignals(*row), 0.0, in_tension=on) for row, on in steps]
     np.testing.assert_allclose(efforts, reference(rig, steps), rtol=1e-9, atol=1e-9)
 
@@ -72,7 +71,7 @@ int main(void) {
   double r_p, p, r_t, t;
   int on;
   estune_hybrid_init(&reel);
-  estune_pidf_at_rest(&reel.position, 0, 5);
+  estune_pidf_at_rest(&reel.position, FIRST, 0);
   estune_pidf_at_rest(&reel.tension, 15, 5);
   while (scanf("%lf %lf %lf %lf %d", &r_p, &p, &r_t, &t, &on) == 5) {
     printf("%.17g ", estune_hybrid_step(&reel, 0, r_p, p, r_t, t, on));
@@ -85,16 +84,17 @@ int main(void) {
 
 def test_exported_c_equals_the_equations_and_the_rules(tmp_path):
     rig = rig_file()
-    files = compensation_files(rig) | {"estune_pidf.c": rig.plan().controller, "main.c": MAIN}
+    rng = np.random.default_rng(3)
+    rows = rng.uniform((-0.02, -0.02, 5.0, 5.0), (0.02, 0.02, 20.0, 20.0), (200, 4))
+    on = rng.random(200) < 0.5
+    steps = [(tuple(row), bool(o)) for row, o in zip(rows.tolist(), on, strict=True)]
+    main = MAIN.replace("FIRST", repr(steps[0][0][1]))
+    files = compensation_files(rig) | {"estune_pidf.c": rig.plan().controller, "main.c": main}
     for name, text in files.items():
         (tmp_path / name).write_text(text)
     command = [*c_compiler.compiler(), "-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic"]
     program = str(tmp_path / "main")
     subprocess.run([*command, "-o", program, str(tmp_path / "main.c"), "-lm"], check=True)
-    rng = np.random.default_rng(3)
-    rows = rng.uniform((-0.02, -0.02, 5.0, 5.0), (0.02, 0.02, 20.0, 20.0), (200, 4))
-    on = rng.random(200) < 0.5
-    steps = [(tuple(row), bool(o)) for row, o in zip(rows.tolist(), on, strict=True)]
     text = "\n".join(f"{' '.join(map(repr, row))} {o:d}" for row, o in steps)
     done = subprocess.run(program, input=text, capture_output=True, text=True, check=True)
     printed = np.array([line.split() for line in done.stdout.splitlines()], float)
@@ -144,7 +144,9 @@ def test_tension_control_takes_over_where_position_would_let_the_cable_sag():
     with virtual_rig(rig_file()) as rig:
         followed = Followed(rig)
         _, _, angle, _ = followed.run(0.5)
-        tension, _, _, in_position = followed.run(3.0, Setpoint(15.0, angle[-1] - 0.05))  # 3.5 N there
+        tension, _, _, in_position = followed.run(
+            3.0, Setpoint(15.0, angle[-1] - 0.05)
+        )  # 3.5 N there
     assert in_position.any()
     assert not in_position[-1]
     assert tension.min() > 6.0

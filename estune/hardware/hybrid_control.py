@@ -40,18 +40,21 @@ class HybridControl:
         self.in_tension = True
         self.limited = False
         self._tension, self._position = tension, position
+        self._tracks = False
         position.use(plan.position)
 
-    def start(self, position_m: float, effort_N: float) -> None:
-        """Lets the position controller begin at rest; tension control is selected."""
-        self.in_tension = True
-        self._position.rest(position_m, effort_N)
+    def pause(self) -> None:
+        """Selects tension control, alone; the position controller begins at rest next time."""
+        self.in_tension, self._tracks = True, False
 
     def step(self, signals: HybridSignals, feed_forward_N: float, *, in_tension: bool) -> float:
         """One sample; the effort of the selected controller, N.
 
         At a change of the selection the effort is, to rounding, that without the change.
         """
+        if not self._tracks:
+            self._position.rest(signals.position_m, 0.0)  # its integral follows the effort below
+            self._tracks = True
         self._position.feed_forward(feed_forward_N)
         of_position, of_tension = signals[:2], signals[2:]
         if self.in_tension:

@@ -81,7 +81,6 @@ class ReelStateMachine:
         self._cost = 0.0
         self._ramp_step_N = 0.0
         self._limited = False
-        self._was_solved = True  # no position was asked for at the last sample
         controller.use(plan.live)
 
     @property
@@ -324,7 +323,7 @@ class ReelStateMachine:
             return motion.take_up_N
         self.phase = MotionPhase.HOLD
         if self._hybrid is not None:
-            self._hybrid.in_tension = True
+            self._hybrid.pause()
         self._controller.use(self._live.coefficients)
         self._controller.rest(tension_N, self._effort_N)
         self._start_setpoint_at(tension_N)
@@ -356,14 +355,12 @@ class ReelStateMachine:
         hybrid, target_rad = self._hybrid, self._memory.target_rad[0]
         solved = self._trial is not None or not self._follows or math.isnan(target_rad)
         if hybrid is None or (solved and hybrid.in_tension):
-            self._was_solved = True
+            if hybrid is not None:
+                hybrid.pause()
             effort = self._controller.step(self._setpoint_N, tension_N)
             self._limited = self._controller.limited
             return effort
         position, plan = hybrid.plan.drum_radius_m * self._angle_rad, self._plan
-        if self._was_solved and hybrid.in_tension:
-            hybrid.start(position, self._effort_N)
-        self._was_solved = solved
         in_tension = bool(hybrid.plan.rules.select(hybrid.in_tension, tension_N, solved))
         if not in_tension or (solved and not hybrid.in_tension):  # where tension control begins
             self._setpoint_N = min(max(tension_N, plan.tension_min_N), plan.tension_max_N)
