@@ -16,6 +16,7 @@ from estune.core.gains import Gains
 from estune.errors import Interrupted, InvalidInput, RigError
 from estune.run.loop import Stopped
 from estune.run.trial_file import TrialFile, read_trial
+from estune.support.html_page import prose, render
 from estune.trial import GUARD, LATE, Outcome, RigLimits, TrialRequest
 from estune.trial.profiles import StepProfile, TriangleProfile
 from experiments.improved_models import PLANT_20_N_A
@@ -27,6 +28,7 @@ from plants.diagnosis.experiments.next_experiment import Evidence, next_experime
 from plants.diagnosis.improvement import improve as module
 from plants.diagnosis.improvement.experiment_runner import ExperimentRunner
 from plants.diagnosis.improvement.improve import at_rig
+from plants.diagnosis.improvement.page import page
 from plants.diagnosis.improvement.result import Costs
 from plants.diagnosis.improvement.tuning import TuneOptions, is_worse, tune_with_model, way
 from plants.diagnosis.models.base import BaseNumbers
@@ -249,6 +251,14 @@ FEWER = {
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory):
     return plants.improve(REEL.rig(), REEL, folder=tmp_path_factory.mktemp("whole"), **FEWER)
+
+
+def test_page_of_an_improvement_has_its_costs_last_diagnosis_and_tuning(whole):
+    text = render(page(whole))
+    for shown in (*whole.rows()[0][1:2], whole.diagnosis.heading().partition(";")[0], "Diagnoses"):
+        assert str(prose(shown)) in text
+    assert ("Tuning on the rig" in text) == (whole.tuning is not None)
+    assert whole.heading() in repr(whole)
 
 
 @pytest.mark.parametrize("at", [3, 16])  # among the experiments, and in the rig's tuning

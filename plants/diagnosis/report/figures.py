@@ -35,6 +35,9 @@ THIRD_COLOURS = (LIGHT, ORANGE, BLUE)
 
 _EXCERPT_samples = 1200
 _BINS = 600
+NAME_MAX = 18
+"""Characters of a record's name, its last, beside its bar: more leave no room on a small page."""
+
 BARS_MAX = 14
 """Effects that a ranking draws; the rest are in its table."""
 
@@ -153,7 +156,8 @@ def draw_splits(ax: Axes, d: DiagnosisResult) -> Axes:
             antialiased=False,
             label=f"left out with third {third + 1}",
         )
-    ax.set_yticks(range(len(records)), records[::-1])
+    ends = [n if len(n) <= NAME_MAX else f"…{n[1 - NAME_MAX :]}" for n in records]
+    ax.set_yticks(range(len(records)), ends[::-1])
     finish(ax, "", "time in the record, s")
     ax.grid(visible=False, axis="y")
     legend(ax, columns=3)
