@@ -29,7 +29,7 @@ from tests.support_runs import START, ArithmeticRig
 COMMAND = [sys.executable, "-m", "estune.cli"]
 COMMANDS = {
     *("demo", "serve", "serve-hardware", "tune", "resume", "sweep", "match", "list", "show"),
-    *("watch", "report", "compare", "bench", "docs"),
+    *("watch", "report", "bridge", "compare", "bench", "docs"),
     *(
         "export",
         "export-controller",
