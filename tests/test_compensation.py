@@ -17,10 +17,12 @@ from estune.hardware.config import read_config
 from estune.hardware.controller import PlainController
 from estune.reel.gravity import gravity_force_by_position_N
 from estune.reel.velocity import motion
+from estune.run.export import write_record
 from estune.support import c_compiler
 from estune.trial import TrialRecord, TrialRequest
 from estune.trial.loop_records import loop_signals
 from estune.trial.profiles import StepProfile
+from plants.diagnosis.data.records import read_measurements
 from plants.emulator import RIG_FILE
 from plants.emulator.virtual_loop import virtual_rig
 from tests.support_hardware import config
@@ -143,7 +145,17 @@ def test_record_shows_each_compensation_and_the_current_is_their_sum():
     assert "effort" in loop_signals(hidden, description.step, description).reason
 
 
-def test_friction_feed_forward_halves_the_error_at_a_moving_far_end():
+def test_exported_record_with_compensations_is_read_back_without_remarks(tmp_path):
+    with rig_with(GENTLE) as rig:
+        record = trial(rig)
+    exported = write_record(record, tmp_path)
+    assert "gravity_N" in exported.read_text().partition("\n")[0]
+    read = read_measurements(tmp_path)
+    assert not read.findings
+    assert np.array_equal(read.measurements[0].tension_N, record.tension_N)
+
+
+def test_friction_feed_forward_reduces_the_error_at_a_moving_far_end():
     far_end = {"amplitude_m": 0.01, "frequency_Hz": 1.0}
     held = StepProfile(15.0, 1.0, 2.99, 3.0)
     errors = []
