@@ -222,9 +222,9 @@ def test_apply_makes_gains_live_and_start_restores_the_old(tuned, endpoint, here
     done = here("apply", folder / "first", endpoint)
     assert "confirms" in done
     assert f"{result.gains.P:.6g} N/N" in done
-    assert str(result.gains) in call("discover", endpoint).stdout
+    assert result.rig.gains_text(result.gains) in call("discover", endpoint).stdout
     here("apply", folder / "first", endpoint, "--start")
-    assert str(result.start_gains) in here("discover", endpoint)
+    assert result.rig.gains_text(result.start_gains) in here("discover", endpoint)
 
 
 @pytest.mark.parametrize("form", ["csv", "parquet"])
@@ -258,10 +258,11 @@ def test_ctrl_c_reports_live_gains_and_resume_continues(tmp_path, here):
         assert process.returncode == 130
         stop = said.splitlines()[-1]
         result = estune.load(tmp_path / "cut")
-        assert f"reel confirms that its own gains are live: {result.start_gains}" in stop
+        live = result.rig.gains_text(result.start_gains)
+        assert f"reel confirms that its own gains are live: {live}" in stop
         assert f"estune resume {tmp_path / 'cut'}" in stop
         assert "Traceback" not in said
-        assert str(result.start_gains) in here("discover", endpoint)
+        assert result.rig.gains_text(result.start_gains) in here("discover", endpoint)
         (row,) = json.loads(here("list", "--folder", tmp_path, "--json"))
         assert row["state"] == "stopped"
         assert "trials" in call("resume", tmp_path / "cut").stdout
