@@ -124,7 +124,8 @@ def test_daemon_control_shows_and_commands(tmp_path, capsys):
         trials = it.client.status("drum").trials
         stopped = say("stop", endpoint)
         assert re.search(r"^mode +stopped", stopped, re.MULTILINE)
-        assert re.search(r"^live +accepted gains", stopped, re.MULTILINE)
+        it.thread.join()
+        assert it.service._supervised["drum"].live == "accepted"
     with rig_served() as (_, where), daemon(tmp_path, rig_table("drum", where)) as it:
         assert it.client.status("drum").trials == trials > 0
 

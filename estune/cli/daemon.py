@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 _TAKES_EFFECT_WITHIN_S = 10.0
 """Time for which a command is waited for; a rig that is away may take longer."""
 _POLL_S = 0.1
+_ENDED = "the daemon has ended; its log says which gains the rig confirmed"
 _WATCH_EVERY_S = 1.0
 
 
@@ -139,7 +140,7 @@ def _status_after(client: "DaemonClient", status: DaemonStatus, verb: DaemonVerb
         except RigError:
             if verb != "stop":
                 raise
-            return replace(status, live="", sentence="the daemon has ended, as its last rig was")
+            return replace(status, mode="stopped", live="", sentence=_ENDED)
         if verb == "stop":
             has_taken_effect = status.mode == "stopped"
         else:

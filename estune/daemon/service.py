@@ -30,6 +30,8 @@ from estune.remote.zenoh.network import Network
 
 _POLL_S = 0.25
 _HOOKS_END_WITHIN_S = 5.0
+_LAST_ANSWERS_S = 0.5
+"""Time in which the client that stopped the last rig learns its gains; it asks every 0.1 s."""
 
 _log = logging.getLogger(__name__)
 
@@ -130,6 +132,8 @@ class DaemonService:
                     for rig in self._supervised.values():
                         rig.stop("the daemon is being stopped")
             self._report()
+            if not is_stopping:
+                time.sleep(_LAST_ANSWERS_S)
         self._check_ends()
 
     def _report(self) -> None:
