@@ -17,7 +17,8 @@ from estune.loop_model.model import LoopModel, close_loop, robustness
 from estune.loop_model.optimum import RegionSearch, RobustnessLimits
 from estune.loop_model.prediction import StepTrial, predict, predict_with_intervals
 from estune.trial.profiles import StepProfile
-from plants.effects import CoulombFriction
+from experiments.loop_claims import true_sensitivity
+from plants.effects import CoulombFriction, EyeletFriction
 from plants.simulation.noise import NoiseSource
 from tests.support_binomial import least_hits
 
@@ -172,8 +173,18 @@ def test_claim_needs_trials_near_the_gains():
     assert "trials near these gains" in far.reason
 
 
-def test_claim_is_refused_where_friction_leaves_a_misfit():
+def test_friction_is_identified_from_one_record():
     reel = plants.reference_reel() + CoulombFriction(torque_Nm=0.02)
+    record = record_of(reel, Gains(0.4, 4.0, 0.003, 0.03), noise_N=0.04)
+    model = fit_loop([record], reel.controller.sampling_Hz, 0.13).model
+    assert model.friction_N == pytest.approx(0.02 / reel.drum_radius_m, rel=0.05)
+    gains = Gains(1.0, 30.0, 0.018, 0.0016)
+    Ms = robustness(model, gains, reel.controller).sensitivity
+    assert Ms == pytest.approx(true_sensitivity(reel, gains), rel=0.05)
+
+
+def test_claim_is_refused_where_friction_in_the_eyelet_leaves_a_misfit():
+    reel = plants.reference_reel() + EyeletFriction(0.93)
     gains = Gains(1.0, 30.0, 0.018, 0.0016)
     trials = around(gains, 6, spread=0.1)
     records = [record_of(reel, g, n, 0.04) for n, g in enumerate(trials)]
