@@ -147,8 +147,7 @@ def test_tension_control_takes_over_where_position_would_let_the_cable_sag():
         tension, _, _, in_position = followed.run(
             3.0, Setpoint(15.0, angle[-1] - 0.05)
         )  # 3.5 N there
-    assert in_position.any()
-    assert not in_position[-1]
+    assert 0.0 < in_position[-632:].mean() < 1.0
     assert tension.min() > 6.0
     assert tension[-632:].mean() > 8.0
 
