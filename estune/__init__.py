@@ -2,7 +2,7 @@
 
 The library in three calls::
 
-    result = estune.tune("tcp/127.0.0.1:7447")   # or a plant, or a rig
+    result = estune.tune("tcp/127.0.0.1:7447")  # or a plant, or a rig
     result = estune.resume("runs/20261121-120000")
     result = estune.load("runs/20261121-120000")
 
