@@ -165,8 +165,8 @@ def not_robust(
     """Why tuned gains are not robust; empty where they are, or in a plan without limits.
 
     The mean of the records with these gains has to settle, without an error at its end beyond
-    its noise, and Ms, if it is claimed, may not be above `SENSITIVITY_ROBUST` unless the plan has
-    no limit of it.
+    its noise and that of the initial gains, which dry friction leaves with any gains. Ms, if it is
+    claimed, may not be above `SENSITIVITY_ROBUST` unless the plan has no limit of it.
     """
     if plan.limits is None:
         return ""
@@ -175,21 +175,24 @@ def not_robust(
         Ms = margins.sensitivity.value
         if Ms > max(SENSITIVITY_ROBUST, plan.limits.max_sensitivity):
             return f"the sensitivity Ms is {Ms:.2g}, above {SENSITIVITY_ROBUST:g}"
-    repeats = [r for r in records if r.gains == gains and r.outcome is Outcome.DONE]
+    done = [r for r in records if r.outcome is Outcome.DONE]
+    repeats = [r for r in done if r.gains == gains]
     if not repeats:
         return ""
     step, first = plan.step, repeats[0]
-    index = step.step_index(first.sampling_Hz)
+    index, final_N = step.step_index(first.sampling_Hz), step.preload_N + step.step_N
     responses = np.array([record.tension_N for record in repeats])
     metrics = step_metrics(
         first.time_s,
         responses.mean(axis=0),
         step_time_s=float(first.time_s[index]),
         initial=step.preload_N,
-        final=step.preload_N + step.step_N,
+        final=final_N,
     )
-    error_N, allowed_N = _end_error(responses[:, index:], step.preload_N + step.step_N)
+    error_N, allowed_N = _end_error(responses[:, index:], final_N)
     allowed_N = max(allowed_N, END_ERROR * abs(step.step_N))
+    if before := [r.tension_N[index:] for r in done if r.gains == plan.start]:
+        allowed_N = max(allowed_N, abs(_end_error(np.array(before), final_N)[0]))
     if abs(error_N) > allowed_N:
         ends = f"{error_N:+.2g} {rig.measurement_unit}".rstrip()
         return f"the response ends {ends} off its setpoint (allowed {rig.measured(allowed_N, 2)})"
