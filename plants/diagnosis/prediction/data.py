@@ -44,12 +44,12 @@ class Index(NamedTuple):
         window: Index of the window, counted through all measurements.
     """
 
-    measurement: NDArray[np.int64]
-    channel: NDArray[np.int64]
-    sample: NDArray[np.int64]
+    measurement: NDArray[np.int32]
+    channel: NDArray[np.int32]
+    sample: NDArray[np.int32]
     time_s: FloatArray
     sigma: FloatArray
-    window: NDArray[np.int64]
+    window: NDArray[np.int32]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -67,7 +67,7 @@ class PredictionData:
         window_at: First sample of each, in its record.
         window_place: State there, shape (windows, placed).
         measured: Measured value of each residual entry.
-        source: Index of its prediction among the channels of all samples.
+        source: Index of its prediction among the channels, those of one record after another.
         block_end: Entry after the last of each window.
         record_blocks: Number of windows of each record.
         index: Description of the entries.
@@ -105,7 +105,7 @@ def prepare_data(
     """The prediction data of some records; `placed` states are reset, none without a horizon."""
     noise = noise_floor(measurements) if floor is None else floor
     starts = [_start(model, m, horizon_s, noise, placed) for m in measurements]
-    entries = _Entries(model, noise, sum(m.samples for m in measurements))
+    entries = _Entries(model, noise)
     for m, start in zip(measurements, starts, strict=True):
         entries.add(m, start.edges)
     measured, source, block_end, index = entries.arrays()
@@ -265,9 +265,10 @@ def _rms(noise: NoiseFloor, channel: str | None) -> float:
 class _Entries:
     """Residual entries, by window, then by channel."""
 
-    def __init__(self, model: DiagnosedModel, noise: NoiseFloor, samples: int) -> None:
-        self._model, self._noise, self._samples = model, noise, samples
+    def __init__(self, model: DiagnosedModel, noise: NoiseFloor) -> None:
+        self._model, self._noise = model, noise
         self._parts: list[tuple[FloatArray, ...]] = []
+        self._labels: list[tuple[float, ...]] = []
         self._ends: list[int] = []
         self._record, self._window, self._first, self._count = 0, 0, 0, 0
 
@@ -280,18 +281,9 @@ class _Entries:
         for begin, end in zip(edges, [*edges[1:], m.samples], strict=True):
             for channel, (column, sigma) in columns.items():
                 kept = begin + np.flatnonzero(ok[begin:end] & np.isfinite(column[begin:end]))
-                self._parts.append(
-                    (
-                        column[kept],
-                        channel * self._samples + self._first + kept,
-                        np.full(kept.size, self._record),
-                        np.full(kept.size, channel),
-                        kept,
-                        m.time_s[kept],
-                        np.full(kept.size, sigma),
-                        np.full(kept.size, self._window),
-                    )
-                )
+                source = len(CHANNELS) * self._first + channel * m.samples + kept
+                self._parts.append((column[kept], source, kept, m.time_s[kept]))
+                self._labels.append((kept.size, self._record, channel, self._window, sigma))
                 self._count += kept.size
             self._ends.append(self._count)
             self._window += 1
@@ -300,11 +292,18 @@ class _Entries:
 
     def arrays(self) -> tuple[FloatArray, NDArray[np.int64], NDArray[np.int64], Index]:
         """Measured values, indices of the predictions, ends of the windows, description."""
-        joined = [np.concatenate(parts) for parts in zip(*self._parts, strict=True)]
-        whole = [np.asarray(joined[n], np.int64) for n in (1, 2, 3, 4, 7)]
-        source, measurement, channel, sample, window = whole
-        measured, time, sigma = (np.asarray(joined[n], np.float64) for n in (0, 5, 6))
-        index = Index(measurement, channel, sample, time, sigma, window)
+        kinds = (np.float64, np.int64, np.int32, np.float64)
+        measured, source, sample, time_s = (
+            np.concatenate(parts, dtype=kind)
+            for parts, kind in zip(zip(*self._parts, strict=True), kinds, strict=True)
+        )
+        labels = np.array(self._labels)
+        count = labels[:, 0].astype(np.int64)
+        record, channel, window = (
+            np.repeat(column.astype(np.int32), count) for column in labels[:, 1:4].T
+        )
+        sigma = np.repeat(labels[:, 4], count)
+        index = Index(record, channel, sample, time_s, sigma, window)
         return measured, source, np.array(self._ends, np.int64), index
 
     def _columns(self, m: MeasuredRecord) -> dict[int, tuple[FloatArray, float]]:

@@ -29,12 +29,12 @@ typedef struct {
   const double *table;             /* [rows][records][PARAMETERS + SENSORS] */
   const double *kick;              /* [rows][PLACED] added at each window's start, or null */
   const double *measured, *weight; /* [entries] */
-  const long *source;              /* [entries] place in the channels of all samples */
+  const long *source;              /* [entries] place in the channels of the records */
   const long *block_end;           /* [blocks] */
   const long *record_blocks;       /* [records] number of them */
   const char *wanted;              /* [records] whether it is run, or null for all */
   const double *basis;             /* [PLACED][entries] */
-  double *outputs;                 /* [rows][CHANNELS][samples], or null */
+  double *outputs;                 /* [rows], of each record [CHANNELS][its samples], or null */
   const long *chosen;              /* [kept] numbers of the entries whose residuals are told */
   double *residuals;               /* [rows][kept], or null */
 } Task;
@@ -175,11 +175,12 @@ WITHIN void run(const Rows *ready, Stretch record, Vector *channels, long apart)
 
 /* Whitened residuals of some blocks of the rows, without what the windows' starts explain. */
 APART void reduce(const Task *task, long begin, long end, const Vector *channels,
-                  Vector *residuals) {
+                  long first_channel, Vector *residuals) {
   long b, d, e, first = begin ? task->block_end[begin - 1] : 0;
   for (b = begin; b < end; b++) {
     for (e = first; e < task->block_end[b]; e++) {
-      Vector r = (task->measured[e] - channels[task->source[e]]) * task->weight[e];
+      Vector r = (task->measured[e] - channels[task->source[e] - first_channel]) *
+                 task->weight[e];
       r = pick(r <= FURTHEST, r, ALL(FURTHEST)); /* also where it is not a number */
       residuals[e] = pick(r < -FURTHEST, ALL(-FURTHEST), r);
     }
@@ -239,10 +240,13 @@ __attribute__((visibility("default"), flatten)) int estune_predict(const Task *t
   Vector *channels = 0, *left = 0;
   Ring ring = {0, 0};
   Rows rows;
-  long m, r, k, l, c;
+  long m, r, k, l, c, held = 0;
   int failed = 0;
-  failed |= posix_memalign((void **)&channels, sizeof(Vector),
-                           CHANNELS * samples * sizeof(Vector));
+  /* Where only residuals are wanted, all records have the channels of one in turn. */
+  for (r = 0; r < task->records; r++)
+    if (task->record_samples[r] > held) held = task->record_samples[r];
+  if (task->outputs) held = samples;
+  failed |= posix_memalign((void **)&channels, sizeof(Vector), CHANNELS * held * sizeof(Vector));
   if (task->residuals)
     failed |= posix_memalign((void **)&left, sizeof(Vector), task->entries * sizeof(Vector));
   for (m = 0; m < task->rows && !failed; m += LANES) {
@@ -253,11 +257,12 @@ __attribute__((visibility("default"), flatten)) int estune_predict(const Task *t
                               task->window_at + w, task->window_place + w * PLACED};
       const long blocks = b + task->record_blocks[r];
       const int at_rest = !record.windows || record.window_at[0] != 0;
+      const long place = task->outputs ? 0 : CHANNELS * at; /* of the first channel held */
       if (!task->wanted || task->wanted[r]) {
         failed |= ready(task, &rows, &ring, m, r, record, at_rest);
         if (failed) break;
-        run(&rows, record, channels + at, samples);
-        if (left) reduce(task, b, blocks, channels, left);
+        run(&rows, record, channels + CHANNELS * at - place, record.samples);
+        if (left) reduce(task, b, blocks, channels, place, left);
       }
       b = blocks;
       at += record.samples;

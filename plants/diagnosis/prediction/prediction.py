@@ -115,14 +115,15 @@ class Predictor:
 
     def predict(self, rows: FloatArray) -> list[Prediction]:
         """The channels of each measurement, for each row of values, shape (rows, free)."""
-        outputs = np.empty((len(rows), len(CHANNELS), self._data.samples))
+        outputs = np.empty((len(rows), len(CHANNELS) * self._data.samples))
         _run(self._library, self._data, self._table.of(rows), outputs=outputs)
         shown = []
         last = np.cumsum(self._data.record_samples)
         for m, end, size in zip(
             self._data.measurements, last, self._data.record_samples, strict=True
         ):
-            part = outputs[:, :, end - size : end]
+            own = outputs[:, len(CHANNELS) * (end - size) : len(CHANNELS) * end]
+            part = own.reshape(len(rows), len(CHANNELS), size)
             measured = m.measured_current_A(self._model.newtons_per_ampere) is not None
             known = {*self._model.outputs, *(("current_A",) if measured else ())}
             columns = (part[:, n] if name in known else None for n, name in enumerate(CHANNELS))

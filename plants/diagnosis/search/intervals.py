@@ -12,13 +12,14 @@ import math
 from collections.abc import Mapping
 
 import numpy as np
+from numpy.typing import NDArray
 
 from estune.core.quantities import FloatArray
 from plants.diagnosis.data.noise_floor import ALLOWANCE
 from plants.diagnosis.models.diagnosed_model import BASE, Free
 from plants.diagnosis.result import Interval
 from plants.diagnosis.search.constants import CONSTANTS
-from plants.diagnosis.search.model_fitter import CandidateFit, ModelFitter, Numbers, record_of
+from plants.diagnosis.search.model_fitter import CandidateFit, ModelFitter, record_of
 
 FURTHEST = 2.0
 """Prior deviations by which a group may move a value."""
@@ -75,7 +76,9 @@ def _deviation(free: Free, value: float) -> float:
     return max(abs(value), abs(free.start), 1e-3 * (free.high - free.low))
 
 
-def jackknife(columns: FloatArray, residuals: FloatArray, group: Numbers) -> FloatArray:
+def jackknife(
+    columns: FloatArray, residuals: FloatArray, group: NDArray[np.int64] | NDArray[np.int32]
+) -> FloatArray:
     """Standard errors by leaving out one group at a time, shape (values,).
 
     Args:

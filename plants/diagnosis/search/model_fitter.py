@@ -27,8 +27,11 @@ BOUND = 1e-6
 BLOCK_WINDOWS, BLOCKS, BLOCKS_OF_FEW = 3, 12, 24
 """Least windows of a block, most blocks of a record, and that of one of two records."""
 
-MOST_ENTRIES = 120_000
-"""Residual entries that a fit takes about; J is then known to 1 % or better."""
+MOST_ENTRIES = 60_000
+"""Residual entries from twice which on a fit takes only some; J is then known to 1 % or so."""
+
+AT_ONCE = 16
+"""Rows whose residuals are held at a time, a multiple of those predicted side by side."""
 
 Effects = tuple[type[Effect], ...]
 Numbers = NDArray[np.int64]
@@ -181,8 +184,8 @@ class ModelFitter:
         """The rows of values that leave the least."""
         if len(rows) <= 1:
             return rows
-        found = predictor.residuals(rows, self.entries)
-        best: FloatArray = rows[np.einsum("ij,ij->i", found, found).argsort()[:most]]
+        squares = _squares(predictor, rows, self.entries, np.zeros(1, np.int64))[:, 0]
+        best: FloatArray = rows[squares.argsort()[:most]]
         return best
 
     def placed(self, effects: Effects, rows: FloatArray) -> FloatArray:
@@ -222,7 +225,7 @@ class ModelFitter:
             by: Shifts of each row, shape (rows, shifts); None is `SHIFTS`, in noise floors.
         """
         records, places = np.array(list(own)), np.array(list(own.values()))
-        mine = np.flatnonzero(np.isin(predictor.index.measurement, records))
+        mine = self.entries[np.isin(predictor.index.measurement[self.entries], records)]
         found, first = np.unique(predictor.index.measurement[mine], return_index=True)
         unit = np.ones(places.size)
         if by is None:
@@ -234,7 +237,7 @@ class ModelFitter:
         many = by.shape[1]
         shifted = np.repeat(rows, many, axis=0)
         shifted[:, places] += by.reshape(-1, 1) * unit
-        squares = np.add.reduceat(predictor.residuals(shifted, mine) ** 2, first, axis=1)
+        squares = _squares(predictor, shifted, mine, first)
         best = squares.reshape(len(rows), many, -1).argmin(axis=1)
         chosen = np.take_along_axis(by, best, axis=1)[:, np.searchsorted(found, records)]
         rows = rows.copy()
@@ -290,6 +293,18 @@ class ModelFitter:
             stretch_max_m=max(stretched, default=math.nan),
             turn_periods=2.0 * math.pi / max(*turned, 1e-9) if turned else math.nan,
         )
+
+
+def _squares(
+    predictor: Predictor, rows: FloatArray, entries: Numbers, first: Numbers
+) -> FloatArray:
+    """Sums of squared residuals from each of some entries to the next, shape (rows, sums)."""
+    sums = np.empty((len(rows), first.size))
+    for begin in range(0, len(rows), AT_ONCE):
+        part = slice(begin, begin + AT_ONCE)
+        residuals = predictor.residuals(rows[part], entries)
+        np.add.reduceat(np.square(residuals, out=residuals), first, axis=1, out=sums[part])
+    return sums
 
 
 def pull_N_rad(model: object, measurements: Sequence[MeasuredRecord]) -> FloatArray:

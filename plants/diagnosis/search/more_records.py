@@ -10,8 +10,8 @@ from plants.diagnosis.search.conclusion import Conclusion
 from plants.diagnosis.search.model_fitter import CandidateFit, ModelFitter
 from plants.diagnosis.search.search import LEADING, SearchResult
 
-SEARCHED_samples = 100_000
-"""Samples that a search takes: of 80 records of 10 000 samples, ten."""
+SEARCHED_samples = 60_000
+"""Samples that a search takes: of 80 records of 10 000 samples, six."""
 SETTLING = 4
 """Rounds in which only the values of single records move."""
 
