@@ -123,12 +123,13 @@ def _explained(
         if again is None:
             break
         line, variants = again, _variants(model, again.measurements, noise)
-    done = _searched(variants, choice, noise, portion(progress, 0.2, 0.85))
+    end = 0.85 if len(some) == len(measurements) else 0.4
+    done = _searched(variants, choice, noise, portion(progress, 0.2, end))
     if line is not None and done.judged.best.effects and not _remains(recorded, done.judged.best):
         # The line was what the effects do.
-        line, done = None, _searched((recorded,), choice, noise, portion(progress, 0.2, 0.85))
+        line, done = None, _searched((recorded,), choice, noise, portion(progress, end, end))
     if len(some) < len(measurements):
-        progress("confirming on all records", 0.7)
+        progress("confirming on all records", end)
         recorded, line, done = _on_all(model, measurements, noise, line, done)
     progress("refitting with parts left out", 0.85)
     wrong = None
