@@ -428,3 +428,11 @@ def test_closed_server_frees_its_port():
     with zenoh.serve(ScriptedRig(), server.endpoint) as again:
         assert again.instance != server.instance
     server.close()
+
+
+def test_closed_session_is_refused_in_words_whatever_is_asked():
+    with served("scripted", "reel") as server, zenoh.connect(server.endpoint) as client:
+        connection = client._connection
+        connection.session.close()
+        with pytest.raises(RigError, match="the link has failed"):
+            connection.check_liveliness(0.0)

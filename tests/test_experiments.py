@@ -41,7 +41,11 @@ NIGHTLY = {
     "diagnosis_scale",
     "hidden_effects",
     "jitter",
+    "joint_tuning",
     "live_page",
+    "sample_efficiency",
+    "soak",
+    "sweep_law",
     "two_reels",
 }
 """Experiments whose quick form takes a minute; their subjects have tests of their own."""

@@ -185,7 +185,8 @@ class RigConnection:
     def check_liveliness(self, silent_since_s: float) -> LinkStatus:
         """State of a rig silent since that monotonic time; follows it if it was restarted."""
         silent_s = time.monotonic() - silent_since_s
-        present = present_at(self.session, self.keys.alive("*"))
+        with self._link_failures():
+            present = present_at(self.session, self.keys.alive("*"))
         instances = sorted(p.instance for p in present)
         is_present = self.instance in instances
         if not is_present or self._present_since_s is None:
