@@ -41,11 +41,11 @@ class Constants(NamedTuple):
     """Noise floors that an effect of usual size has to change, or the records cannot show it."""
     student: float = 2.3
     """Half the width of a 95 % interval in standard errors: Student's quantile with eight degrees
-    of freedom, about as many as there are records. On 77 validation cases it holds 0.94 of 47
-    values of effects and 0.96 of 80 of base models; 2.0 does 0.87 and 0.96, 2.6 0.96 and 0.99."""
+    of freedom, about as many as there are records. On 77 validation cases it holds 0.93 of 43
+    values of effects and 0.97 of 80 of base models; 2.0 does 0.86 and 0.96, 2.6 0.95 and 0.99."""
     form_least: float = 0.015
     """Least relative standard error of an effect's value: no law is quite the machine's. 0.01
-    holds 0.89 there, 0.02 0.96 with intervals wider by a quarter. Half the interval of a base
+    holds 0.88 there, 0.02 0.95 with intervals wider by a sixth. Half the interval of a base
     parameter is at least the allowance for model form in the noise floor."""
     form_taken_up: float = 0.15
     """Relative standard error of a value per root of the share of the error power left: values
