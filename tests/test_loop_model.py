@@ -10,6 +10,7 @@ import plants
 from estune.core.cost import StepCost
 from estune.core.gains import Gains
 from estune.core.margins import loop_margins, sample_plant
+from estune.loop_model import identification
 from estune.loop_model.claim import claim
 from estune.loop_model.fitting import fit_loop
 from estune.loop_model.identification import LoopRecord
@@ -48,6 +49,14 @@ def exact_model():
     sampled = control.c2d(SYSTEM, 1.0 / SAMPLING_HZ)
     numerator, denominator = sampled.num[0][0], sampled.den[0][0]
     return LoopModel(tuple(denominator[1:]), (*numerator[-2:], 0.0), 2)
+
+
+@pytest.mark.parametrize("roots", [(0.9, 0.0), (0.9, 0.5), (0.8 + 0.3j, 0.8 - 0.3j)])
+def test_fit_begins_at_any_earlier_poles_also_at_one_that_decays_within_a_sample(roots):
+    denominator = np.real(np.poly(roots))
+    model = LoopModel(tuple(denominator[1:]), (0.1, 0.0, 0.0), 1)
+    found = identification.denominator(identification.pole_coordinates(model))
+    assert found == pytest.approx(denominator, abs=1e-9)
 
 
 def trial_of(plant, effort_N=0.0):

@@ -37,6 +37,9 @@ NORMAL_MEDIAN = 0.6745
 RESPONSE_MIN = 10.0
 """Least response in standard deviations of the noise: a trial below 95 is refused as ill-posed."""
 
+FASTEST = 1e-20
+"""Least magnitude of a pole of z: the start of a fit has the logarithm of each."""
+
 NUISANCE_APART = 1e-7
 """Least share of the largest singular value by which start state and offsets differ."""
 
@@ -210,8 +213,9 @@ def denominator(coordinates: FloatArray) -> FloatArray:
 
 
 def pole_coordinates(model: LoopModel) -> FloatArray:
-    """Inverse of `denominator`."""
-    poles = np.log(np.roots(model.denominator).astype(complex))
+    """Inverse of `denominator`; a pole at zero is taken as one that decays within a sample."""
+    roots = np.roots(model.denominator).astype(complex)
+    poles = np.log(np.where(np.abs(roots) < FASTEST, FASTEST, roots))
     product, total = abs((poles[0] * poles[1]).real), -(poles[0] + poles[1]).real
     w = math.sqrt(max(product, 1e-20))
     return np.log([w, max(total / (2.0 * w), 1e-6)])
