@@ -19,6 +19,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from estune.core.filtering import lfilter
 from estune.core.gains import Gains
 from estune.core.quantities import FloatArray, check_not_negative, check_positive
 from estune.errors import InvalidInput
@@ -140,12 +141,12 @@ def unlimited_efforts(
         setpoint_N: Setpoint before its filter, N, shape (samples,).
         measurement_N: Measurement, N, shape (samples,).
     """
-    from scipy.signal import lfilter  # noqa: PLC0415  slow to import
-
     a, b = c.setpoint_pole, c.sample_s / c.derivative_span_s
-    at_setpoint, at_measurement = [a * state.filtered_setpoint_N], [state.filtered_measurement_N]
-    r, _ = lfilter([1.0 - a], [1.0, -a], setpoint_N, zi=at_setpoint)
-    filtered, _ = lfilter([0.0, b], [1.0, b - 1.0], measurement_N, zi=at_measurement)
+    # Both filters as deviations from their states before the record, in which they are at rest.
+    r = state.filtered_setpoint_N
+    r = r + lfilter([1.0 - a], [1.0, -a], setpoint_N - r)
+    filtered = state.filtered_measurement_N
+    filtered = filtered + lfilter([0.0, b], [1.0, b - 1.0], measurement_N - filtered)
     error, derivative = r - measurement_N, (measurement_N - filtered) / c.derivative_span_s
     integral = state.integral_N + c.I_per_sample * (np.cumsum(error) - error)
     return np.asarray(c.P * error + integral - c.D * derivative)

@@ -15,8 +15,8 @@ import numpy as np
 from scipy.optimize import least_squares
 from scipy.special import stdtrit
 
+from estune.core.filtering import lfilter
 from estune.core.quantities import FloatArray
-from estune.loop_model.filtering import lfilter
 from estune.loop_model.model import LoopModel
 
 NUISANCE = 4
