@@ -48,7 +48,7 @@ TUNERS: Final[dict[str, RegisteredTuner]] = {
     "model_based": RegisteredTuner(
         IdentifiedLoopTuner,
         "optimum of the loop identified from the records, within limits of sensitivity and "
-        "overshoot; safe_bayesian where the loop is not linear",
+        "overshoot; safe_bayesian where the model fails",
         "default",
     ),
     "safe_bayesian": RegisteredTuner(
