@@ -207,7 +207,8 @@ def predict_with_intervals(fit: LoopFit, trial: StepTrial, gains: Gains) -> Pred
     """Predictions of an identified loop with 95 % intervals by linear propagation of errors.
 
     Cost and Ms are propagated as logarithms. The standard error is the wider of the white and the
-    between-record estimate, times `INFLATION`.
+    between-record estimate, times `INFLATION`. An interval is NaN where the loop is unstable at
+    both ends of an error: no slope is known there.
     """
     at = predict(fit.model, trial, gains, fit.noise_N)
     centre = _transformed(at)
@@ -227,12 +228,14 @@ def predict_with_intervals(fit: LoopFit, trial: StepTrial, gains: Gains) -> Pred
                 )
                 for s in (0.5, -0.5)
             ]
-            moved.append(ends[0] - ends[1])
+            with np.errstate(invalid="ignore"):
+                moved.append(ends[0] - ends[1])
         widths.append(quantile * np.sqrt(np.sum(np.square(moved), axis=0)))
     half = INFLATION * np.fmax(*widths)
     half[2] = math.hypot(half[2], MISFIT_ERROR * fit.misfit)
     half[2] = math.hypot(half[2], FRICTION_ERROR if fit.model.friction_N else GRID_ERROR)
-    low, high = centre - half, centre + half
+    with np.errstate(invalid="ignore"):
+        low, high = centre - half, centre + half
     return PredictedMargins(
         Interval(at.cost, float(np.exp(low[0])), float(np.exp(high[0]))),
         Interval(at.overshoot, max(float(low[1]), 0.0), float(high[1])),
