@@ -1,12 +1,10 @@
 """A sweep of many cells: memory and time to read its outcomes, and to fit and draw their law.
 
-Real outcomes of a few cells are stored for all cells, their gains moved by the standard errors of
-their tunings. Then the command that made them is called again: it reads all cells, fits the law,
-and writes page and table.
+Real outcomes of a few cells are stored for all cells, their gains moved at random. Then the
+command that made them is called again: it reads all cells, fits the law, and writes page and
+table.
 """
 
-import os
-import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
@@ -21,6 +19,7 @@ from estune.studies.sweep.design import read_design
 from estune.studies.sweep.executors import run_cell
 from estune.studies.sweep.outcome import CellOutcome
 from estune.studies.sweep.store import SweepStore
+from experiments.command_costs import command_costs
 
 LENGTHS_m = (0.5, 0.65, 0.8, 0.95, 1.1, 1.25, 1.4)
 SPREAD = 0.02
@@ -52,20 +51,14 @@ def measure_sweep(cells: int, folder: Path) -> SweepCosts:
     seeds = max(cells // len(LENGTHS_m), 1)
     file.write_text(_DESIGN.format(lengths=list(LENGTHS_m), seeds=seeds), "utf-8")
     stored = _store(file, folder / file.stem)
-    command = [sys.executable, "-m", "estune.cli", "sweep", str(file), "--quiet"]
-    with Path(os.devnull).open("wb") as nothing:
-        output = [(os.POSIX_SPAWN_DUP2, nothing.fileno(), 1)]
-        where = ["--folder", str(folder / file.stem)]
-        pid = os.posix_spawn(sys.executable, command + where, os.environ, file_actions=output)
-        _, status, usage = os.wait4(pid, 0)
-    if status:
-        raise EstuneError(f"estune sweep of {cells} cells ended with {status}")
+    command = ("sweep", file, "--quiet", "--folder", folder / file.stem)
+    used = command_costs(*command)
     size = (folder / file.stem / "sweep.sqlite").stat().st_size
     return SweepCosts(
         cells=stored,
         bytes_per_cell=size / stored,
-        command_s=usage.ru_utime + usage.ru_stime,
-        peak_MB=usage.ru_maxrss / 1024.0,
+        command_s=used.cpu_s,
+        peak_MB=used.peak_MB,
     )
 
 

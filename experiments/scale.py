@@ -9,9 +9,7 @@ start of Python.
 import functools
 import math
 import os
-import resource
 import signal
-import subprocess
 import sys
 import tempfile
 from collections.abc import Mapping, Sequence
@@ -22,9 +20,9 @@ from typing import Any, NamedTuple
 import estune
 import plants
 from estune.core.gains import Gains
-from estune.errors import EstuneError
 from estune.run.journal import FILE_NAME
 from estune.trial import RigDescription, TrialRecord, TrialRequest
+from experiments.command_costs import command_costs
 from experiments.fleet import HOLD_S, SEARCH_TRIALS, measure, targets_of
 from experiments.fleet import TUNER as FLEET_TUNER
 from experiments.large_sweep import measure_sweep
@@ -114,25 +112,14 @@ def measure_journal(trials: int, folder: Path) -> JournalCosts:
     costs = JournalCosts(
         trials=trials,
         bytes_per_trial=size / len(estune.load(run).entries),
-        show_s=_command_s("show", run),
-        resume_s=_command_s("resume", run, "--quiet"),
-        parquet_s=_command_s("export", run, "--parquet", "--out", exported),
+        show_s=command_costs("show", run).cpu_s,
+        resume_s=command_costs("resume", run, "--quiet").cpu_s,
+        parquet_s=command_costs("export", run, "--parquet", "--out", exported).cpu_s,
         parquet_MB=sum(file.stat().st_size for file in exported.iterdir()) / 1e6,
     )
     for file in exported.iterdir():
         file.unlink()
     return costs
-
-
-def _command_s(*arguments: object) -> float:
-    """Process time of a command of the command line, s; its children's too."""
-    before = resource.getrusage(resource.RUSAGE_CHILDREN)
-    command = [sys.executable, "-m", "estune.cli", *map(str, arguments)]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)  # noqa: S603
-    if done.returncode not in (0, 7):
-        raise EstuneError(f"estune {arguments[0]} failed: {done.stdout}{done.stderr}")
-    after = resource.getrusage(resource.RUSAGE_CHILDREN)
-    return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
 
 
 def growth_exponents(

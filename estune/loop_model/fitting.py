@@ -38,5 +38,6 @@ def fit_loop(
     if not (linear.misfit > FRICTION_FROM and again):
         return linear
     found = fit_with_friction(records, linear, sampling_Hz, settling_time_s, earlier)
-    kept = found is not None and found.residual_N < FRICTION_GAIN * linear.residual_N
-    return found if found is not None and kept else linear
+    if found is None or found.residual_N >= FRICTION_GAIN * linear.residual_N:
+        return linear
+    return found

@@ -1,6 +1,6 @@
 """From a trial record to the signals that identify the loop.
 
-The effort is recomputed from setpoint, measurement and gains by the controller's own code: a
+The effort is recomputed from setpoint, measurement and gains by the controller's equation: a
 logged effort that is one sample off moves the identified Ms by a fifth, and no residual shows it.
 The logged effort only checks the recomputed one, and gives its unknown integral.
 """
