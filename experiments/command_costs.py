@@ -1,4 +1,4 @@
-"""What a whole command costs, with the start of Python."""
+"""CPU time and memory of a whole command, with the start of Python."""
 
 import os
 import sys

@@ -100,7 +100,7 @@ def started(*arguments: str) -> Iterator["subprocess.Popen[str]"]:
 
 
 def output(process: "subprocess.Popen[str]") -> IO[str]:
-    """What a process prints."""
+    """Output of a process."""
     if process.stdout is None:
         sys.exit("a part of the measurement has no output")
     return process.stdout

@@ -205,7 +205,7 @@ def with_friction(data: Path, coulomb_N: float) -> dict[str, Any]:
 
 
 def targets(cases: list[Case], plain: FloatArray) -> dict[str, Target]:
-    """What every case has to reach; `plain` are the numbers of the plain law, shape (6,)."""
+    """Targets of every case; `plain` are the numbers of the plain law, shape (6,)."""
     differences = np.array([np.subtract(one.numbers, one.true) for one in cases])
     apart = np.abs(differences[:, : len(LIMITS)] / plain[: len(LIMITS)]).max(axis=0)
     return {

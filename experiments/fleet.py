@@ -67,7 +67,7 @@ _CLOCK_Hz = os.sysconf("SC_CLK_TCK")
 
 
 class Usage(NamedTuple):
-    """What a process has used so far: CPU time, s; memory, MB; threads; switches of context."""
+    """Resources used by a process so far: CPU time, s; memory, MB; threads; context switches."""
 
     cpu_s: float
     rss_MB: float

@@ -132,7 +132,7 @@ def run_all(todo: list[Task], jobs: int, path: Path) -> list[Row]:
 
 
 def throughput(cases: int, seed0: int) -> dict[str, float]:
-    """What two workers do per second over what one does, of diagnoses and of a mere loop.
+    """Ratio of the throughput of two workers to that of one, of diagnoses and of a mere loop.
 
     The loop shows what the machine itself allows.
     """
@@ -163,7 +163,7 @@ def _loop(_: Task) -> int:
 
 
 def targets(figures: dict[str, float]) -> dict[str, Target]:
-    """What has to be reached, of the figures that were measured."""
+    """Targets, of the figures that were measured."""
     return {
         name: judge(figures[name], limit)
         for name, (limit, judge) in LIMITS.items()

@@ -27,7 +27,7 @@ FAIR = {
 
 @dataclass(frozen=True)
 class Task:
-    """What is to be diagnosed: a case by its seed."""
+    """A case to be diagnosed, by its seed."""
 
     seed: int
     variant: str

@@ -20,7 +20,7 @@ OUTSIDE = ("outside", "outside_unloaded", "left_out")
 
 
 def confusion(rows: list[Row]) -> dict[str, dict[str, int]]:
-    """How often what was said, by what was hidden; of one hidden effect or none."""
+    """Counts of answers by hidden effect; of one hidden effect or none."""
     table: dict[str, Counter[str]] = {}
     for row in rows:
         if row.variant in ("two", "left_out"):

@@ -53,7 +53,7 @@ def figures(data: Path) -> dict[str, Any]:
 
 
 def targets(figures: Mapping[str, Any]) -> dict[str, Target]:
-    """What has to be reached; nothing without the data."""
+    """Targets; none without the data."""
     if "silverbox_nrmse_after" not in figures:
         return {}
     first, after = figures["silverbox_stiffening_first"], figures["silverbox_nrmse_after"]

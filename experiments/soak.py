@@ -53,7 +53,7 @@ class Use(NamedTuple):
 
 
 class Sample(NamedTuple):
-    """What both processes use, and file sizes, after so many trials."""
+    """Resources of both processes, and file sizes, after so many trials."""
 
     trials: int
     at_s: float

@@ -9,7 +9,7 @@ from estune.bridges.viewer import RigState, Sample
 from estune.errors import InvalidInput
 
 ADDRESS = "127.0.0.1:9870"
-"""Where PlotJuggler's UDP server listens by default."""
+"""Address at which PlotJuggler's UDP server listens by default."""
 
 
 class PlotJuggler:

@@ -12,7 +12,7 @@ from estune.remote import zenoh
 from estune.remote.zenoh.endpoints import check_endpoint
 
 ROUTER = "tcp/127.0.0.1:7447"
-"""Where the router of rmw_zenoh listens by default."""
+"""Default address of the router of rmw_zenoh."""
 
 
 def bridge(

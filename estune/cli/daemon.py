@@ -198,7 +198,7 @@ def _show(verb: str, answer: Any) -> None:
 
 
 def _facts(status: DaemonStatus) -> Mapping[str, object]:
-    """What an operator is shown of a status, by name."""
+    """The fields of a status that an operator sees, by name."""
     live = f"{status.live} gains" if status.live else "not confirmed by the rig now"
     facts: dict[str, object] = {
         "rig": status.rig,

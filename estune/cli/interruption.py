@@ -1,4 +1,4 @@
-"""How a command that was stopped is continued."""
+"""The command by which a stopped one is continued."""
 
 import shlex
 import sys

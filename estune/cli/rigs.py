@@ -142,7 +142,7 @@ def clear(endpoint: str, /, *, rig: str | None = None, security: Path | None = N
 
 
 def _backed_off_sentence(result: TuneResult, gains: Gains, share: float) -> str:
-    """What the margin costs and brings, as far as the records of the run show it."""
+    """Costs and benefits of the margin, as far as the records of the run show them."""
     said = (
         f"backed off by {share:.0%}: any gain margin is {1.0 / (1.0 - share):.3g} times as large"
     )
@@ -176,7 +176,7 @@ def _described(endpoint: str, rig: str, security: Security) -> Described:
 
 
 def _facts(known: Described) -> dict[str, Any]:
-    """What a script is told of a rig."""
+    """The JSON form of a rig's description."""
     if isinstance(known, RigError):
         return {"fault": str(known)}
     about, status = known

@@ -186,14 +186,14 @@ def _summary(path: Path) -> dict[str, Any]:
 
 
 def _state(path: Path, result: TuneResult) -> str:
-    """How a run ended, or that a process is still at it."""
+    """The end of a run in words, or that a process is still at work on it."""
     with Journal.open(path) as journal:
         is_open = journal.fact("status") == "running"
     return "running" if is_open and being_written(path) else str(result.ending)
 
 
 def result_facts(result: TuneResult, *, trials: bool = False) -> dict[str, Any]:
-    """What a script is told of a result."""
+    """The JSON form of a result."""
     names = ("ending", "success", "message", "folder", "gains", "start_gains", "improvement")
     shown = {name: output.plain(getattr(result, name)) for name in (*names, "unsafe", "findings")}
     shown |= {"declined": result.verdict.declined, "search_end": result.session.search_end}

@@ -1,4 +1,4 @@
-"""What a cost is computed from, and costs that a user gives as a Python function of it."""
+"""A response that costs are computed from, and costs given as a Python function of it."""
 
 import importlib
 from collections.abc import Callable

@@ -1,4 +1,4 @@
-"""How much a daemon takes on: rigs held, connections begun and trials run at once.
+"""Limits of a daemon's load: rigs held, connections begun and trials run at once.
 
 A lease that is renewed late is the sign of an overload: the process, its machine or the network is
 too slow. The number of rigs that run a trial at once is then multiplied by `DECREASE`, and grows

@@ -96,7 +96,7 @@ class HookTable(TomlTable):
 
 
 class TuningTable(SearchTable):
-    """How gains are searched for, and when they are accepted.
+    """Settings of the search for gains, and of their acceptance.
 
     Attributes:
         tuner: Tuner that proposes gains.
@@ -122,7 +122,7 @@ class TuningTable(SearchTable):
 
 
 class WatchTable(TomlTable):
-    """How the accepted gains are watched.
+    """Settings of the monitoring of accepted gains.
 
     Attributes:
         every_s: Time between check trials.

@@ -1,4 +1,4 @@
-"""Where a daemon reports to: its log, the user's hooks, and systemd."""
+"""Reports of a daemon: its log, the user's hooks, and systemd."""
 
 import json
 import logging

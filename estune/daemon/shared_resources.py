@@ -1,4 +1,4 @@
-"""What the supervisors of one daemon share."""
+"""Resources that the supervisors of one daemon share."""
 
 from typing import NamedTuple
 
@@ -8,7 +8,7 @@ from estune.remote.zenoh.network import Network
 
 
 class SharedResources(NamedTuple):
-    """What the supervisors of a daemon have in common.
+    """Resources that the supervisors of a daemon have in common.
 
     Attributes:
         holder: Name of the daemon as the holder of leases.

@@ -113,7 +113,7 @@ class SupervisedRig:
 
     @property
     def mode(self) -> SupervisorMode:
-        """What the supervisor does now."""
+        """The supervisor's present activity."""
         return self._state.mode
 
     def command(self, verb: DaemonVerb, command: Command) -> CommandAnswer:

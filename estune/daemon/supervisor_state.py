@@ -53,7 +53,7 @@ class Shutdown(StrEnum):
 
 
 class SupervisorMode(StrEnum):
-    """What the supervisor does now: the columns of the table, in this order."""
+    """The supervisor's activities: the columns of the table, in this order."""
 
     sentence: str
     """Description of the mode for the operator."""
@@ -111,7 +111,7 @@ class SupervisorState:
 
     @property
     def mode(self) -> SupervisorMode:
-        """What the supervisor does now: a column of the table."""
+        """The supervisor's present activity: a column of the table."""
         if self.ending is Shutdown.STOPPED:
             return SupervisorMode.STOPPED
         if self.ending is Shutdown.STOPPING:

@@ -24,7 +24,7 @@ _BYTES_PER_SAMPLE = 8 * _COLUMNS + 1
 
 
 class MotionPhase(IntEnum):
-    """What the loop does with the reel."""
+    """Mode of the loop."""
 
     OFF = 0
     TAKE_UP = 1

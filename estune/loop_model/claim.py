@@ -60,7 +60,7 @@ class CostCheck(NamedTuple):
     costs: tuple[float, ...]
 
     def fault(self, trial: StepTrial, gains: Gains) -> str:
-        """How the mean cost differs from the prediction beyond its doubt; empty where it agrees.
+        """A sentence on a mean cost outside the prediction's interval; empty where it agrees.
 
         Three standard errors of the mean and `COST_ERROR` are allowed beside the interval.
         """
@@ -86,7 +86,7 @@ def claim(
     tried: Sequence[Gains],
     check: CostCheck | None = None,
 ) -> Claim:
-    """What the fit allows to be claimed of the loop with these gains.
+    """The claims that the fit allows about the loop with these gains.
 
     Args:
         fit: The identified loop.
@@ -115,7 +115,7 @@ def claim(
 
 
 def unexplained(misfit: float) -> str:
-    """What is said of a misfit that allows no claim."""
+    """A sentence on a misfit that allows no claim."""
     return (
         f"a linear model leaves {misfit:.1%} of the step unexplained, more than {MISFIT_MAX:.1%}; "
         "find what is missing with estune explain"

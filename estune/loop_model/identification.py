@@ -45,7 +45,7 @@ NUISANCE_APART = 1e-7
 
 
 class LoopRecord(NamedTuple):
-    """What the identification uses of one trial.
+    """The data of one trial that the identification uses.
 
     Attributes:
         effort_N: Effort of the controller, shape (samples,).

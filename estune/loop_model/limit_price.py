@@ -1,4 +1,4 @@
-"""What limits of sensitivity and overshoot cost, by the identified loop."""
+"""The cost of limits of sensitivity and overshoot, by the identified loop."""
 
 import math
 from collections.abc import Callable

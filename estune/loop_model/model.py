@@ -187,7 +187,7 @@ UNSTABLE = Robustness(math.inf, math.nan)
 
 
 class FrequencyGrid(NamedTuple):
-    """What the margins need of a model, on a grid of angles; shape (angles,) each.
+    """Frequency responses that the margins are computed from, on a grid of angles; (angles,) each.
 
     Attributes:
         theta: Angles, rad/sample, from well below the loop's rates to half the sampling rate.

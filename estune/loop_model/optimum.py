@@ -191,7 +191,7 @@ class RegionSearch:
         return min((self._descend(x, iterations) for x in stable[:DESCENTS]), key=self._rank)
 
     def predicted(self, x: FloatArray) -> Prediction:
-        """What is expected at some coordinates."""
+        """The expected cost and constraints at some coordinates."""
         key = x.tobytes()
         if key not in self._known:
             gains = self.gains_of(x)

@@ -87,7 +87,7 @@ class StepTrial:
 
 
 class Prediction(NamedTuple):
-    """What a model predicts of one set of gains; cost and Ms are infinite where it is unstable.
+    """Predictions by a model for one set of gains; cost and Ms are infinite where it is unstable.
 
     Attributes:
         cost: Expected cost of a trial, with the noise's share.
@@ -106,7 +106,7 @@ UNSTABLE = Prediction(math.inf, math.inf, math.inf, math.nan)
 
 
 def predict(model: LoopModel, trial: StepTrial, gains: Gains, noise_N: float = 0.0) -> Prediction:
-    """What a model predicts of a step trial with these gains."""
+    """The predictions by a model of a step trial with these gains."""
     margins = robustness(model, gains, trial.controller)
     if not math.isfinite(margins.sensitivity):
         return UNSTABLE

@@ -1,4 +1,4 @@
-"""Where a record's columns come from in a file: name, unit and scale, as TOML or as options."""
+"""Sources of a record's columns in a file: name, unit and scale, as TOML or as options."""
 
 import difflib
 import json
@@ -42,7 +42,7 @@ class ColumnMap(TomlTable):
     record: dict[str, Any] = Field(default={})
 
     def table(self, name: str) -> ColumnTable:
-        """What the map says of a column; nothing for most."""
+        """The map's entry for a column; an empty one for most."""
         return self.column.get(name, ColumnTable())
 
     def with_options(

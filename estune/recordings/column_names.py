@@ -40,7 +40,7 @@ DERIVED = ("drum_velocity_rad_s", "gravity_N", "friction_A", "inertia_A")
 
 
 def suggest_name(name: str, present: frozenset[str], known: tuple[str, ...]) -> str | None:
-    """What to do about a name that is not known but seems to be meant for one that is.
+    """The remedy for an unknown name that resembles a known one.
 
     Args:
         name: The name found.

@@ -1,4 +1,4 @@
-"""What is known of a record beside its columns, as other programs may write it."""
+"""Metadata of a record, as other programs may write it."""
 
 import json
 import math

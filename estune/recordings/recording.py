@@ -21,7 +21,7 @@ _LISTED = 12
 
 
 class Recording(NamedTuple):
-    """What a file holds.
+    """Contents of a file.
 
     Attributes:
         sampling_Hz: Rate of the grid.

@@ -1,10 +1,10 @@
-"""How a run ended."""
+"""End of a run."""
 
 from enum import StrEnum
 
 
 class RunEnding(StrEnum):
-    """How a run ended."""
+    """End of a run."""
 
     TUNED = "tuned"
     NO_IMPROVEMENT = "no significant improvement"

@@ -103,7 +103,7 @@ def _responses(result: RunResult) -> Iterator[Block]:
 
 
 def _load(result: RunResult) -> str:
-    """What the line in the figure means, in a sentence; empty without a load."""
+    """Legend of the line in the figure, as a sentence; empty without a load."""
     if not isinstance(result.plan.step, LoadStepProfile):
         return ""
     return " The load of the disturbance response begins at the dotted line."

@@ -64,7 +64,7 @@ def remarks(result: RunResult) -> tuple[str, ...]:
 
 
 def _start_remarks(result: RunResult) -> Iterator[str]:
-    """Where initial gains come from that are not the rig's, and gains that were not tuned."""
+    """Origin of initial gains that are not the rig's, and gains that were not tuned."""
     if result.plan.start_source:
         source = result.plan.start_source
         yield f"the search began at {source}, which are not live on the rig yet"
@@ -75,7 +75,7 @@ def _start_remarks(result: RunResult) -> Iterator[str]:
 
 
 def _robustness(result: RunResult) -> str:
-    """What is claimed of the tuned gains, in a few words."""
+    """The claims about the tuned gains, in a few words."""
     margins = result.claim.margins
     if margins is None:
         return "no margins claimed"
@@ -83,7 +83,7 @@ def _robustness(result: RunResult) -> str:
 
 
 def _robustness_remarks(result: RunResult) -> tuple[str, ...]:
-    """What the records do not show, and what the limits cost."""
+    """Properties that the records do not show, and the cost of the limits."""
     loop, limits, tuned = result.identified, result.plan.limits, result.tuned
     remarks = [*loop.remarks]
     reason = result.claim.reason

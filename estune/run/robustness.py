@@ -120,7 +120,7 @@ def limit_price(
 
 
 class Verdict(NamedTuple):
-    """What the records of a complete run say of the gains that it confirmed.
+    """Robustness of the confirmed gains by the records of a complete run.
 
     Attributes:
         fault: Why they are not robust; empty where they are.
@@ -135,7 +135,7 @@ class Verdict(NamedTuple):
 
 
 def verdict_on(run: TuningRun, change: Change | None) -> Verdict:
-    """What the records of a complete run say of the gains that it confirmed.
+    """Robustness of the confirmed gains by the records of a complete run.
 
     Args:
         run: The run.

@@ -40,7 +40,7 @@ _ARRAYS = {
     ),
     *((f"numpy.{core}.numeric", "_frombuffer") for core in ("core", "_core")),
 }
-"""What pickle makes arrays of numbers from."""
+"""Functions by which pickle makes arrays of numbers."""
 
 
 class StoredSnapshot(NamedTuple):

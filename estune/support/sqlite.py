@@ -42,7 +42,7 @@ _LARGE_bytes = 64 * 2**20
 
 
 class FileKind(NamedTuple):
-    """What the files of one store have in common.
+    """Properties that the files of one kind of store have in common.
 
     Attributes:
         noun: What such a file is, with its article, for messages.
@@ -221,7 +221,7 @@ class SqliteFile:
         return [f"PRAGMA quick_check('{name}')" for name in sorted(names)]
 
     def _missing_end(self) -> str:
-        """How much of the file is cut off; empty if nothing is."""
+        """A sentence on the part of the file that is cut off; empty if it is whole."""
         page_count, page_size = "PRAGMA page_count", "PRAGMA page_size"
         pages, size = (self._connection.execute(s).fetchone()[0] for s in (page_count, page_size))
         wal = Path(f"{self.path}-wal")

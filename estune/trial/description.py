@@ -172,7 +172,7 @@ class RigDescription(NamedSignals):
 
     @property
     def signals(self) -> Signals:
-        """What it measures and commands."""
+        """Its measured and commanded signals."""
         return Signals(self.measurement, self.command)
 
     def __post_init__(self) -> None:

@@ -21,7 +21,7 @@ OPTIONAL_COLUMNS = ("reference_N", "drum_velocity_rad_s", "gravity_N", "friction
 
 
 class Outcome(StrEnum):
-    """How a trial ended. Only `done` has a cost; void trials carry no information on the gains."""
+    """End of a trial. Only `done` has a cost; void trials carry no information on the gains."""
 
     DONE = "done"
     DIVERGED = "diverged"

@@ -1,4 +1,4 @@
-"""What a rig measures and commands: names and units of the plant's own."""
+"""Names and units of a rig's measured and commanded signals."""
 
 from dataclasses import dataclass
 
@@ -7,7 +7,7 @@ from estune.support.quantity_text import with_unit
 from estune.trial.profiles import StepProfile
 
 TENSION, EFFORT = "tension, N", "control effort, N"
-"""What a reel measures, and what its controller commands."""
+"""Signals of a reel: tension and the force commanded by its controller."""
 
 
 class NamedSignals:
@@ -25,7 +25,7 @@ class NamedSignals:
 
     @property
     def measurement_name(self) -> str:
-        """What is measured, without its unit."""
+        """Name of the measured signal, without its unit."""
         return _split(self.measurement)[0]
 
     @property
@@ -35,7 +35,7 @@ class NamedSignals:
 
     @property
     def command_name(self) -> str:
-        """What the controller commands, without its unit."""
+        """Name of the commanded signal, without its unit."""
         return _split(self.command)[0]
 
     @property

@@ -232,7 +232,7 @@ class IdentifiedLoopTuner:
         )
 
     def _surface(self, state: IdentifiedLoopState, fit: LoopFit) -> ResidualSurface | None:
-        """What the last trials measured beyond the predictions of a model."""
+        """Differences of the last trials' measured costs from the predictions of a model."""
         recent = slice(-self.memory, None)
         measured = zip(state.costs[recent], state.overshoots[recent], strict=True)
         predicted = [self._at(state, fit, x) for x in state.points[recent]]

@@ -112,7 +112,7 @@ _OLD_SETTINGS: Final = {
 
 
 _SETTINGS_BEFORE: Final = {"safe_bayesian": {"global_noise": "expected"}}
-"""What settings were before they had a name: plans without them go on as they began."""
+"""Values of settings before they had a name: plans without them go on as they began."""
 
 
 def tuner_class(name: str) -> type[Any]:

@@ -1,4 +1,4 @@
-"""What trials measured beyond the predictions of a model, as a surface over the gains.
+"""Differences of trials from the predictions of a model, as a surface over the gains.
 
 The differences in log cost and in overshoot are Gaussian processes of zero mean with the kernel
 s^2 exp(-|x - x'|^2/2) in logarithms of the gains. Their size s grows with the misfit rho of the

@@ -1,4 +1,4 @@
-"""What a page shows, as JSON that is encoded once however many pages are open."""
+"""The content of a page as JSON, encoded once however many pages are open."""
 
 import json
 import math
@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 
 class Seen(NamedTuple):
-    """What a page has been sent of a board.
+    """The part of a board that a page has been sent.
 
     Attributes:
         version: Version of the values.
@@ -72,7 +72,7 @@ class Board:
         return {name: now_s - at_s for name, at_s in self._heard_s.copy().items()}
 
     def changes(self, seen: Seen) -> tuple[str, Seen]:
-        """What a page has not been sent yet, as JSON; empty where there is nothing."""
+        """Changes that a page has not been sent yet, as JSON; empty where there are none."""
         known = {name: (generation, count) for name, generation, count in seen.rows}
         with self._lock:
             values = {n: text for n, (v, text) in self._values.items() if v > seen.version}

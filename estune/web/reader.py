@@ -11,7 +11,7 @@ from estune.web.board import Board
 _END_WITHIN_S = 2.0
 _AGAIN_S = 1.0
 LINGER_S = 5.0
-"""How long a source is read on without a page that shows it; the list is asked for each 3 s."""
+"""Time for which a source without a page is still read, s; pages ask for the list each 3 s."""
 
 _log = logging.getLogger(__name__)
 

@@ -237,7 +237,7 @@ class RunReader(Reader):
         return max(1, most - self._counted)
 
     def _show_expectations(self, journal: Journal) -> None:
-        """What the tuner expects: what is left to gain, intervals, and the next cost."""
+        """Expectations of the tuner: remaining improvement, intervals, and the next cost."""
         try:
             if self._tuning is None:
                 self._tuning = self._restored(journal)

@@ -1,4 +1,4 @@
-"""What a server shows: runs, rigs and supervised rigs, each with a board and its readers."""
+"""Views of a server: runs, rigs and supervised rigs, each with a board and its readers."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
@@ -29,7 +29,7 @@ from estune.web.rig_reader import RigReader
 from estune.web.run_reader import RunReader
 
 LINK_S = 2.0
-"""How long a rig is waited for before the page says that there is no link."""
+"""Time that a rig has to answer before the page says that there is no link, s."""
 RUNS_MAX = 100
 """Newest runs of a folder that are listed."""
 

@@ -75,7 +75,7 @@ class Base:
         }
 
     def given(self) -> dict[str, Any]:
-        """What the owner tells of it, named as the owner's model names it."""
+        """The owner's parameters, named as the owner's model names them."""
         own: dict[str, Any] = {
             "drum_radius_m": self.radius_m,
             "drum_inertia_kg_m2": self.inertia_kg_m2,
@@ -154,7 +154,7 @@ def as_believed(rng: np.random.Generator, base: Base) -> Base:
 
 
 def facts(base: Base) -> dict[str, float]:
-    """What a scorer may compare fitted calibrations with.
+    """True values that a scorer may compare fitted calibrations with.
 
     The offsets of drive and gauge cannot be told apart while the cable is taut, nor gain and
     inertia where there is no gauge.

@@ -86,7 +86,7 @@ VARIANTS = (
 
 @dataclass(frozen=True, eq=False)
 class Case:
-    """What is handed over.
+    """The data that are handed over.
 
     Attributes:
         variant: What kind of case it is; says nothing of what is hidden.
@@ -103,7 +103,7 @@ class Case:
 
 @dataclass(frozen=True)
 class Secret:
-    """What is hidden, for the scorer only.
+    """The hidden truth, for the scorer only.
 
     Attributes:
         names: Slugs of what is hidden; none is hidden where it is empty.
@@ -227,7 +227,7 @@ def _differ(some: tuple[Record, ...], others: tuple[Record, ...], bench: Bench) 
 
 
 def _bent(rows: NDArray[np.float64]) -> NDArray[np.float64]:
-    """What straight lines leave of rows, flat."""
+    """Residuals of rows about straight lines, flat."""
     t = np.linspace(-1.0, 1.0, rows.shape[1])
     basis = np.stack([np.ones_like(t), t]) / np.sqrt(np.array([[float(t.size)], [float(t @ t)]]))
     left: NDArray[np.float64] = rows - rows @ basis.T @ basis

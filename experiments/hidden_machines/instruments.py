@@ -1,4 +1,4 @@
-"""What gauges and disturbances do on their own: coloured noise, a force that nobody ordered."""
+"""Noise of gauges, and disturbing forces, as coloured noise."""
 
 import numpy as np
 from numpy.typing import NDArray

@@ -37,7 +37,7 @@ OFF = {
     "D_filter": 2e-3,
     "filter": 1e-9,
 }
-"""What is not zero where a machine does not say otherwise."""
+"""Default values other than zero."""
 
 
 class NoCompiler(RuntimeError):
@@ -45,7 +45,7 @@ class NoCompiler(RuntimeError):
 
 
 class Drive(NamedTuple):
-    """What goes into a record; columns of one value per sample, without the warm-up.
+    """Signals of a record; columns of one value per sample, without the warm-up.
 
     Attributes:
         setpoint: Force command, or what the controller follows.
@@ -63,7 +63,7 @@ class Drive(NamedTuple):
 
 
 class Run(NamedTuple):
-    """What comes out, and how warm the motor is at the end."""
+    """The signals, and the motor's temperature at the end."""
 
     tension: Column
     angle: Column

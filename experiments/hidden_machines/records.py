@@ -22,7 +22,7 @@ CURRENT_NOISE_A = 2e-3
 
 @dataclass(frozen=True, eq=False)
 class Record:
-    """What is handed over of one record: plain columns and plain metadata."""
+    """Contents of one record that is handed over: plain columns and plain metadata."""
 
     columns: dict[str, Column]
     metadata: dict[str, Any]
@@ -30,7 +30,7 @@ class Record:
 
 @dataclass(frozen=True)
 class Bench:
-    """What the records of one case have in common.
+    """Properties that the records of one case have in common.
 
     Attributes:
         actual: The machine as it is.

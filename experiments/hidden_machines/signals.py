@@ -1,4 +1,4 @@
-"""What the hidden machines are driven with: forces in N about a mean, or angles in rad."""
+"""Excitation of the hidden machines: forces in N about a mean, or angles in rad."""
 
 import numpy as np
 from numpy.typing import NDArray

@@ -95,7 +95,7 @@ def stream(address: str, view: str) -> http.client.HTTPResponse:
 
 
 def changes(address: str, view: str) -> Iterator[dict[str, Any]]:
-    """What a page is sent."""
+    """Data that a page is sent."""
     event = b"message"
     for line in stream(address, view):
         if line.startswith(b"event: "):
@@ -126,7 +126,7 @@ def pages_open(address: str, view: str) -> Iterator[None]:
 
 
 def in_browser(folder: Path, watch_s: float) -> tuple[Seen, list[float]]:
-    """What is seen of a tuning's page, and times from the commit of each trial to its showing."""
+    """Observations of a tuning's page, and times from each trial's commit to its display."""
     options = ("--trials", 10_000, "--tolerance", 0, "--tuner", "least_squares_gradient")
     with ExitStack() as stack:
         rig = stack.enter_context(command("serve", "--pace", 0.2, "--ledger", "memory"))

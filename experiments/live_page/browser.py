@@ -32,7 +32,7 @@ IS_STALE = """() => document.getElementById("state").textContent.startsWith("no 
 
 
 class Seen(NamedTuple):
-    """What was seen of a page.
+    """Observations of a page.
 
     Attributes:
         shown_at_s: Time of day at which a number of trials was shown, by the number.

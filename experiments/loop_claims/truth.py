@@ -1,4 +1,4 @@
-"""What is true of a loop, by its own plant: cost, overshoot, sensitivity, constrained optimum."""
+"""True properties of a loop, by its own plant: cost, overshoot, Ms, constrained optimum."""
 
 import math
 from dataclasses import dataclass, replace
@@ -31,7 +31,7 @@ PENALTY = 20.0
 
 
 class Truth(NamedTuple):
-    """What is true of gains.
+    """True properties of a loop with some gains.
 
     Attributes:
         cost: Mean cost over the measurement noise; infinite where the loop diverges.

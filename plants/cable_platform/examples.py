@@ -34,7 +34,7 @@ EXAMPLES: Mapping[str, Callable[[], tuple[Mechanism, tuple[str, ...]]]] = {
     "platform": platform,
     "bench": bench,
 }
-"""What `python -m plants.cable_platform` serves."""
+"""The platform that `python -m plants.cable_platform` serves."""
 
 
 @contextmanager

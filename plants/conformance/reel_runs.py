@@ -43,7 +43,7 @@ def trial(reel: Reel, profile: StepProfile = UP, gains: Gains = GAINS) -> Column
 
 
 class Rollout(NamedTuple):
-    """What a reel did under an effort: columns by sample, and the current in force."""
+    """Response of a reel to an effort: columns by sample, and the current in force."""
 
     tension: FloatArray  # as read
     outside: FloatArray  # as read, where there is no gauge outside

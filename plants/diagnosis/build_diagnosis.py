@@ -320,7 +320,7 @@ def _without_rounding(one: SearchStep, rounding: float) -> SearchStep:
 
 
 def _rounded(last: SearchStep, rounding: float) -> SearchStep:
-    """What the power of rounding leaves of the last step's error."""
+    """The last step's error without the power of rounding."""
     gap = math.sqrt(max(last.gap**2 - rounding, last.floor**2))
     return SearchStep(Quantisation.name, gap, last.floor, gap / last.floor)
 

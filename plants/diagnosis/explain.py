@@ -170,7 +170,7 @@ def _on_all(
     line: MainsLine | None,
     done: "Searched",
 ) -> "tuple[FittedModel, MainsLine | None, Searched]":
-    """What a search on some of the records found, fitted to all and judged again."""
+    """Result of a search on some of the records, fitted to all and judged again."""
     fitter = ModelFitter(_for_records(model, measurements, done.fitter.model), measurements, noise)
     recorded = FittedModel(fitter, carried_over(fitter, done.found.base))
     if line is not None:

@@ -9,7 +9,7 @@ from plants.effects.parameter import RecordScale, parameter
 from plants.effects.plant_scale import PlantScale, digits
 
 BEGUN = 0.1
-"""Where a fit begins: torque at the rms velocity, relative to the torque's rms."""
+"""Start of a fit: torque at the rms velocity, relative to the torque's rms."""
 
 
 @dataclass(frozen=True)

@@ -46,7 +46,7 @@ class DrumEccentricity(Effect):
 
     @staticmethod
     def prepare(p: Values, reel: Values) -> dict[str, Signal]:
-        """What the eccentricity stands for in tension and in arm."""
+        """Amplitudes of lever arm and tension caused by the eccentricity."""
         arm = p.eccentricity * reel.drum_radius_m
         swing = arm * reel.stiffness_N_m
         return {"arm_m": arm, "swing_N": swing, "taut_N": swing * ca.sin(p.phase_rad)}

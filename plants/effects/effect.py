@@ -1,4 +1,4 @@
-"""How a physical effect is declared, so that `reel + effect` is a new model.
+"""Declaration of a physical effect, so that `reel + effect` is a new model.
 
 An effect's file says all that the program knows of it. What the search, the report and the
 experiments want to know they read from its class:
@@ -36,7 +36,7 @@ Response = tuple[Signal, Signal]
 
 
 class Port(StrEnum):
-    """Where on the signal's path through the reel an effect sits, and which signal it changes.
+    """Place of an effect on the signal's path through the reel, and the signal that it changes.
 
     At the drum the effect adds to the torque that acts over a substep; at every other port it
     maps the signal as it passes. Drum, cable and eyelet are visited every substep, the others
@@ -86,7 +86,7 @@ USUAL_STARTS: dict[tuple[Port, str], tuple[Share, Share | None]] = {
     (Port.ACTUATOR, "A"): (Share(0.8, "current_max_A"), None),
     (Port.ACTUATOR, "A/s"): (Share(0.8, "current_rate_A_s"), None),
 }
-"""Where a fit begins, and its upper bound, of a parameter that declares neither: by port and unit,
+"""Start and upper bound of a fit, of a parameter that declares neither: by port and unit,
 relative to what the records show."""
 
 
@@ -172,7 +172,7 @@ class Effect(ABC):
 
     @classmethod
     def start(cls, name: str, records: RecordScale) -> tuple[float, float]:
-        """Where a fit of a parameter begins, and its upper bound there."""
+        """Start of a fit of a parameter, and its upper bound."""
         p, usual = cls.parameters()[name], float(getattr(cls(), name))
         begin, most = USUAL_STARTS.get((cls.port, "" if p.is_phase else p.unit), (None, None))
         begin = p.start if isinstance(p.start, Share) else begin
@@ -230,7 +230,7 @@ class Effect(ABC):
 
     @classmethod
     def describe(cls, p: Values, plant: PlantScale) -> str:  # noqa: ARG003  numbers alone
-        """What the effect is and how large: the end of a sentence that begins "Your reel".
+        """The effect and its size in words: the end of a sentence that begins "Your reel".
 
         Args:
             p: The fitted parameters by name, in the plant's own units.

@@ -1,4 +1,4 @@
-"""How a parameter of an effect is declared: its range, its role, and where a fit begins."""
+"""Declaration of a parameter of an effect: its range, its role, and the start of a fit."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -11,7 +11,7 @@ PHASE_MAX_rad = 8.0 * math.pi
 
 
 class Role(StrEnum):
-    """What a parameter stands for; the search treats parameters by their role alone."""
+    """Meaning of a parameter; the search treats parameters by their role alone."""
 
     SIZE = "size"  # how much of the effect there is: at the neutral value it does nothing
     LIMIT = "limit"  # level beyond which it acts: at the upper bound, its neutral value, never
@@ -22,7 +22,7 @@ class Role(StrEnum):
 
 
 class RecordScale(NamedTuple):
-    """What the records show of a machine, to begin a fit and to judge sizes by.
+    """Scales of a machine that its records show, to begin a fit and to judge sizes by.
 
     Numbers are nan, and lists empty, where the records do not show them.
 

@@ -123,7 +123,7 @@ class PlantScale(NamedTuple):
 
     @property
     def at_drum(self) -> str:
-        """Where friction is, in words."""
+        """Place of the friction, in words."""
         return " at the drum" if self.subject == "reel" else ""
 
     def torque(self, torque_Nm: float) -> str:

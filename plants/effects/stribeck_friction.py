@@ -99,7 +99,7 @@ class StribeckFriction(Effect):
 
 
 def faded(sixteenth: Signal) -> Signal:
-    """What is left of the excess: exp of minus sixteen times the argument."""
+    """Share of the excess that is left: exp of minus sixteen times the argument."""
     t = ca.fmin(sixteenth, FURTHEST)
     even, odd = 1.0 + (1.0 / 12.0) * (t * t), 0.5 * t
     root = (even - odd) / (even + odd)

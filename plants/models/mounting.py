@@ -106,7 +106,7 @@ class MountedModel(PlantModel):
 
     @property
     def signals(self) -> Signals:
-        """What the plant measures and commands."""
+        """The plant's measured and commanded signals."""
         return Signals(self.mounting.measurement, self.mounting.command)
 
     @property

@@ -47,7 +47,7 @@ class PlantModel(Plant, ABC):
 
     @property
     def signals(self) -> Signals:
-        """What the plant measures and commands."""
+        """The plant's measured and commanded signals."""
         return REEL
 
     @property
@@ -69,7 +69,7 @@ class PlantModel(Plant, ABC):
         return f"{type(self).__name__}({self.summary()}){added}"
 
     def facts(self) -> dict[str, str]:
-        """What the plant is as a rig, by label."""
+        """The plant's properties as a rig, by label."""
         signals, step, settings = self.signals, self.profile, self.controller
         low, high = settings.output_min_N, settings.output_max_N
         limits = f", {low:g} to {signals.commanded(high)}" if -low < UNLIMITED_N > high else ""

@@ -1,4 +1,4 @@
-"""What a user feels at the end of a reel's cable: figures of a `ForceRecord`."""
+"""Force felt by a user at the end of a reel's cable: figures of a `ForceRecord`."""
 
 from dataclasses import dataclass
 

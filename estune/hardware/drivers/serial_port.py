@@ -66,7 +66,7 @@ class SerialPort:
             raise RigError("the port does not take more bytes; its rate is too low for the loop")
 
     def read(self, until_s: float) -> bytes:
-        """What has arrived, waiting until an instant of `time.monotonic`; empty in time."""
+        """Bytes that arrive before an instant of `time.monotonic`; empty if none do."""
         began_s = time.monotonic()
         wait_ms = max(0.0, 1e3 * (until_s - began_s))
         # poll counts whole milliseconds; what is left of the last one is watched.

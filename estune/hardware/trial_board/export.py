@@ -29,7 +29,7 @@ def board_files(config: RigConfig) -> dict[str, str]:
 
 
 def compensation_files(config: RigConfig) -> dict[str, str]:
-    """What a rig's file switches on beside the controller: compensations, hybrid control."""
+    """Options of a rig's file beside the controller: compensations, hybrid control."""
     plan, files = config.plan(), dict[str, str]()
     if plan.compensation:
         files["estune_compensation.c"] = plan.compensation_source

@@ -19,7 +19,7 @@ _STATUS = struct.Struct("<BBBBBII")
 
 
 class BoardState(IntEnum):
-    """What the board does."""
+    """Mode of the board."""
 
     OFF = 0
     TAKE_UP = 1

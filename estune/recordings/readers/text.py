@@ -16,7 +16,7 @@ _UNIT = re.compile(r"^(?P<name>.*\S)\s*[\[(](?P<unit>[^\[\]()]+)[\])]$")
 
 
 class _Layout(NamedTuple):
-    """How the table is written."""
+    """Format of the table: separator, decimal mark and header."""
 
     names: list[str]
     units: list[str]

@@ -98,7 +98,7 @@ def connection_fault(endpoint: str, security: Security) -> tuple[str, bool]:
 
 
 def _tls_fault(connection: socket.socket, host: str, tls: Tls) -> str:
-    """What is wrong with the certificates of either side; empty if nothing is."""
+    """Faults of the certificates of either side; empty if there are none."""
     try:
         context = ssl.create_default_context(cafile=tls.authority)
         context.load_cert_chain(tls.certificate, tls.key)

@@ -115,7 +115,7 @@ def _errors(errors: Sequence[float]) -> tuple[float, ...] | None:
 
 
 def _aim(result: TuneResult) -> tuple[object, ...]:
-    """What a run tuned for: only runs of one aim, that of the latest, make a law."""
+    """The aim of a run: only runs of one aim, that of the latest, make a law."""
     plan = result.plan
     return replace(plan.cost, settling_time_s=1.0), plan.limits, plan.tuner.name
 

@@ -216,7 +216,7 @@ def _quantile(degrees: float) -> float:
 
 
 def _crossing(fit: _Fit, log_target: float) -> float:
-    """Where the parabola rises through the target; its minimum where it is all above it.
+    """Position at which the parabola rises through the target; of its minimum if all above it.
 
     Infinite where it never rises to the target.
     """

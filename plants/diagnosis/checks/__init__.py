@@ -1,1 +1,1 @@
-"""What is wrong with measurements, before anything is fitted to them."""
+"""Faults of measurements, before anything is fitted to them."""

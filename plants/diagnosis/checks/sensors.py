@@ -26,7 +26,7 @@ SHIFT_MAX_samples = 20
 """Samples by which two channels are tried against each other."""
 SHIFT_MIN_samples = 2
 SHIFT_GAIN = 0.3
-"""What a shift must leave of the residual to be believed."""
+"""Share of the residual that a believed shift leaves at most."""
 
 
 def faults(column: str, readings: FloatArray) -> Iterator[DataIssue]:

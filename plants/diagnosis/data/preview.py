@@ -1,4 +1,4 @@
-"""What is understood of recorded data, before anything is fitted to them."""
+"""Interpretation of recorded data, before anything is fitted to them."""
 
 from typing import NamedTuple
 
@@ -45,7 +45,7 @@ class Preview(NamedTuple):
 
 
 def preview(m: MeasuredRecord) -> Preview:
-    """What is understood of a record."""
+    """Interpretation of a record."""
     columns = {name: c for name in CHANNELS if (c := m.channel(name)) is not None}
     return Preview(
         name=m.name,

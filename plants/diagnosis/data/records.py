@@ -20,7 +20,7 @@ from plants.diagnosis.data.measured_record import CHANNELS, OUTPUTS, ROUNDING, M
 
 
 class ColumnSource(NamedTuple):
-    """Where a column of a file came from: channel, unit, and factor to SI units."""
+    """Origin of a column in a file: channel, unit, and factor to SI units."""
 
     file: str
     column: str

@@ -266,7 +266,7 @@ def _form_share(name: str, evidence: Evidence) -> float:
 
 
 def _excited(regime: str, m: MeasuredRecord) -> float:
-    """How far an experiment excites the variable that a residual follows."""
+    """Excitation by an experiment of the variable that a residual follows."""
     return _MEASURES.get(regime, _spread_of_rate)(m)
 
 

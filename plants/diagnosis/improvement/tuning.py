@@ -29,7 +29,7 @@ CERTAIN = 2.0
 
 
 class TuneOptions(NamedTuple):
-    """How gains are tuned, on the model and then on the rig.
+    """Settings of the tuning on the model and then on the rig.
 
     Attributes:
         tuner: Name of a tuner, or one ready-made.

@@ -25,7 +25,7 @@ _DRUM = (
 
 @dataclass(frozen=True, slots=True)
 class BaseNumbers:
-    """What is believed of the plant while one record was measured, without any effect.
+    """Parameters of the plant while one record was measured, without any effect.
 
     A reel has a radius, an inertia and a stiffness; one without cable has no stiffness and no
     tension; any other plant is a linear model from effort to its output.
@@ -100,7 +100,7 @@ class BaseNumbers:
 
     @property
     def tension_per_angle_N_rad(self) -> float:
-        """What the cable pulls per angle, k R; nan without a cable."""
+        """Tension per angle of the cable, k R; nan without a cable."""
         return (self.stiffness_N_m or math.nan) * self.drum_radius_m
 
     @property

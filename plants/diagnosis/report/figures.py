@@ -82,7 +82,7 @@ def draw_trace(ax: Axes, trace: Trace, within: slice | None = None) -> Axes:
 
 
 def draw_error(ax: Axes, trace: Trace) -> Axes:
-    """What the free run is wrong by over the whole record, before and after, as its envelope."""
+    """Error of the free run over the whole record, before and after, as its envelope."""
     looks = [(trace.before, ORANGE, "base model")]
     looks += [(trace.after, BLUE, "with the effects")] * changed(trace)
     for predicted, colour, label in looks:

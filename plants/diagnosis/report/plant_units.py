@@ -34,7 +34,7 @@ def in_own_units(effect: type[Effect], name: str, found: Interval, model: Any) -
 
 
 def located_in_own_units(where: ResidualLocation, scale: PlantScale) -> ResidualLocation:
-    """Where a residual is, in the plant's own units."""
+    """Location of a residual, in the plant's own units."""
     blocks = []
     for block in where.blocks:
         views = [
@@ -70,7 +70,7 @@ def _detail(text: str, scale: PlantScale) -> str:
 
 
 def _units(port: Port, model: Any) -> dict[str, tuple[float, str]]:
-    """What a unit is in the plant's own, and how that is written; empty for a reel."""
+    """Factor from a unit to the plant's own, and its symbol; empty for a reel."""
     torque, angle = getattr(model, "torque_unit", None), getattr(model, "angle_unit", None)
     if torque is None or angle is None:
         return {}

@@ -53,7 +53,7 @@ def draw_shares(ax: Axes, where: ResidualLocation) -> Axes:
 
 
 def block_figure(block: Block) -> Figure:
-    """Where a block's residual lies: its spectrum, and its mean over each variable."""
+    """Location of a block's residual: its spectrum, and its mean over each variable."""
     panels = 1 + len(block.views)
     rows = -(-panels // _COLUMNS)
     figure = new_figure(WIDTH_in, 1.75 * rows)
@@ -67,7 +67,7 @@ def block_figure(block: Block) -> Figure:
 
 
 def draw_block_spectrum(ax: Axes, block: Block) -> Axes:
-    """Where in frequency a block's residual lies, above that of the noise."""
+    """Spectrum of a block's residual above that of the noise."""
     seen = block.frequency_Hz > 0.0
     frequency = block.frequency_Hz[seen]
     ax.plot(frequency, np.sqrt(block.power[seen]), color=VERMILION, linewidth=1.0)

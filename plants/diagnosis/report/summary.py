@@ -44,7 +44,7 @@ class Table(NamedTuple):
 
 
 def heading(d: DiagnosisResult) -> str:
-    """What the records cannot tell, the verdict and the prediction error in one line."""
+    """Limits of the records, the verdict and the prediction error in one line."""
     if d.verdict == "ambiguous":
         what = " or ".join(_title(d, name) for name in d.ambiguous)
     elif d.verdict == "unknown":
@@ -177,7 +177,7 @@ def steps(d: DiagnosisResult) -> Table:
 
 
 def step_name(effect: str | None) -> str:
-    """What a step of the search added to the model."""
+    """The effect that a step of the search added to the model."""
     return "base fit" if effect is None else f"+ {effect}"
 
 
@@ -197,7 +197,7 @@ def distortions(d: DiagnosisResult) -> Table:
 
 
 def reasons(d: DiagnosisResult) -> tuple[str, ...]:
-    """What was ruled out and why, beyond the numbers of the ranking."""
+    """Effects ruled out and the reasons, beyond the numbers of the ranking."""
     known = {c.sentence.rstrip(".").lower() for c in d.candidates}
     return tuple(text for text in d.ruled_out if text.rstrip(".").lower() not in known)
 

@@ -1,4 +1,4 @@
-"""How often in a turn a residual repeats itself, whatever phase it has.
+"""Number of periods of a residual in a turn, whatever its phase.
 
 A wave over the angle is fitted by least squares beside a straight line for each of many periods
 (Zechmeister & Kürster 2009, with the angle for the time), all at once by Fourier transforms of
@@ -55,7 +55,7 @@ def per_turn(turnings: Sequence[ResidualOverAngle], read_rad: float) -> list[flo
 
 
 def _explained(turning: ResidualOverAngle, step: float, size: int) -> FloatArray:
-    """What a wave explains of a residual that has lost its straight line, shape (size/2,).
+    """Share of a detrended residual that a wave explains, shape (size/2,).
 
     Args:
         turning: The residual.

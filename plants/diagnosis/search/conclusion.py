@@ -89,7 +89,7 @@ def conclude(fitter: ModelFitter, found: SearchResult) -> Conclusion:
 def _reason(
     found: SearchResult, decision: Decision, base: ModelSummary, models: Sequence[ModelSummary]
 ) -> str:
-    """What the best named model explains, where it is not believed."""
+    """A sentence on the share that the best named model explains, where it is not believed."""
     if not decision.leading:
         return ""
     leading = next(m for m in models if m.names == decision.leading)

@@ -11,7 +11,7 @@ from plants.diagnosis.search.constants import CONSTANTS, Constants
 
 
 class Decision(NamedTuple):
-    """What is believed.
+    """The decision on the model.
 
     Attributes:
         verdict: `named`, `incomplete`, `ambiguous`, `unknown` or `none`.
@@ -124,7 +124,7 @@ def _member(models: Sequence[Model], c: Constants) -> Model | None:
 def probabilities(
     base: Model, models: Sequence[Model], c: Constants = CONSTANTS
 ) -> Mapping[Slugs, float]:
-    """How probable each model is: p ~ exp(-L/2), L = n ln(P + f (J0 - 1)) + k ln n."""
+    """Probability of each model: p ~ exp(-L/2), L = n ln(P + f (J0 - 1)) + k ln n."""
     all_ = [base, *models]
     n, slack = c.effective, c.form * (base.power - 1.0)
     L = [n * math.log(m.power + slack) + m.values * math.log(n) for m in all_]
@@ -133,7 +133,7 @@ def probabilities(
 
 
 def family_probabilities(models: Sequence[Model], p: Mapping[Slugs, float]) -> dict[str, float]:
-    """How probable it is that each family is there."""
+    """Probability that each family is there."""
     found: dict[str, float] = defaultdict(float)
     for one in models:
         for family in one.families:

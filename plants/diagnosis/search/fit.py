@@ -25,7 +25,7 @@ FINAL = 1e-5
 DEAD = 1e-9
 """A value whose derivative is below this share of the greatest does nothing where it is."""
 STRIDES = (1.0, 3.0)
-"""How much further along such a valley is tried, relative to the way of a round."""
+"""Further steps along such a valley, relative to the step of a round."""
 FLAT = 1e-10
 """Directions whose curvature is below this share of the greatest are left alone."""
 
@@ -154,7 +154,7 @@ class _Scale:
         return np.where(self.log, values[self.moves], 1.0)
 
     def unbounded(self, x: FloatArray, delta: FloatArray) -> FloatArray:
-        """What moves, after a change of what is searched."""
+        """The values that move, after a change of the searched coordinates."""
         # A logarithm may not move further than e^3 at once.
         grown = x * np.exp(np.where(self.log, np.clip(delta, -3.0, 3.0), 0.0))
         after: FloatArray = np.where(self.log, grown, x + delta)

@@ -1,4 +1,4 @@
-"""What the base model's residual suggests for frequencies and periods, before any fit."""
+"""Frequencies and periods suggested by the base model's residual, before any fit."""
 
 import math
 from collections import Counter
@@ -24,7 +24,7 @@ FEWEST = 4
 def record_scale(
     fitter: ModelFitter, where: ResidualLocation, values: Mapping[str, float]
 ) -> RecordScale:
-    """What the records show of the machine, and what the base model's residual follows.
+    """Scales of the machine in the records, and variables that the base residual follows.
 
     Args:
         fitter: Model and records.

@@ -1,4 +1,4 @@
-"""What these records cannot tell, said before anything else."""
+"""Limits of the records, stated before anything else."""
 
 import math
 from collections.abc import Sequence
@@ -27,7 +27,7 @@ def limitations(
     base: CandidateFit,
     scale: PlantScale,
 ) -> tuple[Limitation, ...]:
-    """What the records cannot tell, the gravest first."""
+    """Limits of the records, the gravest first."""
     found = []
     refused = len(_refused(findings))
     if refused:

@@ -18,7 +18,7 @@ from plants.diagnosis.search.constants import CONSTANTS
 MAINS_Hz, HARMONICS, OVERTONES = (50.0, 60.0), 3, (2, 3, 5)
 """Frequencies looked at, their multiples, and multiples of the one found that go with it."""
 TOLERANCE = 0.01
-"""What a mains frequency may be off by, as a share."""
+"""Relative tolerance of a mains frequency."""
 FINER = 8
 """Into so many parts a step of frequency is divided about the highest line."""
 BESIDE = (0.87, 0.9, 0.93, 1.07, 1.1, 1.13)
@@ -81,7 +81,7 @@ def find_mains_interference(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Line:
-    """What is left of one record's readings."""
+    """Remainder of one record's readings."""
 
     number: int
     time_s: FloatArray

@@ -266,7 +266,7 @@ class ModelFitter:
 
     @property
     def scale(self) -> RecordScale:
-        """What sizes of effects are measured against."""
+        """Scales that sizes of effects are judged by."""
         angle_rad, tension_N = self.floor.angle_rad, self.floor.tension_N
         model = self.model.calibrated({})
         given = pull_N_rad(model, self.measurements)
@@ -308,7 +308,7 @@ def _squares(
 
 
 def pull_N_rad(model: object, measurements: Sequence[MeasuredRecord]) -> FloatArray:
-    """What a model's cable pulls per angle at each record, N/rad; nan without a cable."""
+    """Tension per angle of a model's cable at each record, N/rad; nan without a cable."""
     numbers = [BaseNumbers.of(model, m) for m in measurements]
     return np.array([np.nan if b is None else b.tension_per_angle_N_rad for b in numbers])
 

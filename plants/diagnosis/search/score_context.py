@@ -1,4 +1,4 @@
-"""What sensitivity directions are compared with: a residual, and what base parameters can undo."""
+"""The residual that sensitivity directions are compared with, less what base parameters undo."""
 
 from typing import NamedTuple
 
@@ -14,7 +14,7 @@ SCREENED = 12_000
 
 
 class ScoreContext(NamedTuple):
-    """What directions are compared with.
+    """The residual that directions are compared with.
 
     Attributes:
         one: The fit so far.

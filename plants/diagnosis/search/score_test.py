@@ -23,7 +23,7 @@ DECADES = np.arange(-3.0, 4.0)
 """Sizes tried, in powers of ten of the usual one, between which one is found that moves the
 residual: less than the first moves it in proportion, and is not seen better."""
 MOVED = (0.5, 3.0)
-"""How far the sizes chosen move the residual, in its own size: a law that is bent points another
+"""Changes of the residual by the sizes chosen, in its own size: a law that is bent points another
 way when it acts strongly."""
 LEVELS, GRID, FREQUENCIES = 14, 7, 40
 """Values tried of a limit, of a shape, and of a frequency: those some 10 % apart, so that a
@@ -31,7 +31,7 @@ resonance damped as frames are is seen from the next one."""
 ROWS, MODES = 20, 100
 """Most combinations of shapes, and those where one is a frequency."""
 WIDE = 15.0
-"""How far from the usual value shapes reach, as a factor."""
+"""Range of shapes about the usual value, as a factor."""
 APART = 0.3
 """Logarithm of the ratio from which on two frequencies are worth a start each."""
 FURTHEST = 30.0
@@ -131,7 +131,7 @@ class _Probe:
         return kept
 
     def _changes(self, rows: FloatArray) -> FloatArray:
-        """What rows change in the residuals screened, shape (rows, screened)."""
+        """Changes of the residuals screened by rows of values, shape (rows, screened)."""
         found = self.predictor.residuals(rows, self.seen.entries) - self.here
         changes: FloatArray = np.where(np.isfinite(found), found, 0.0)
         return changes

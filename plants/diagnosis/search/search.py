@@ -73,7 +73,7 @@ class SearchResult:
 
 
 def summarise(one: CandidateFit, scale: RecordScale) -> ModelSummary:
-    """What a decision has to know of a fit."""
+    """The properties of a fit that a decision rests on."""
     values, rank = one.values, sum(len(e.parameters()) for e in one.effects)
     return ModelSummary(
         names=one.names,
@@ -190,7 +190,7 @@ def _fit_all(
 
 
 def _depth(effect: type[Effect]) -> int:
-    """How many effects an effect begins with, one within the other."""
+    """Number of effects that an effect begins with, one within the other."""
     return 0 if effect.extends is None else 1 + _depth(effect.extends)
 
 

@@ -1,4 +1,4 @@
-"""Where fits with one more effect begin, and how the best of many starts is found.
+"""Starts of fits with one more effect, and the choice of the best.
 
 Starts are laid over a grid of shapes, from the calibrations of the model as given and from those
 of the current one, which may have bent to make up for what is missing. Successive halving goes on

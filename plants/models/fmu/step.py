@@ -23,7 +23,7 @@ ANSWER = struct.Struct("<Bd")
 
 
 class FmuFacts(NamedTuple):
-    """What an FMU says of itself.
+    """Description of an FMU by itself.
 
     Attributes:
         version: `2.0` or `3.0`.
@@ -75,7 +75,7 @@ class FmuStep:
         return time_s + dt_s, child.exchange(REQUEST.pack(effort, dt_s))
 
     def facts(self) -> FmuFacts:
-        """What the unit says of itself.
+        """The unit's description of itself.
 
         Raises:
             InvalidInput: it cannot be used: no co-simulation, no such variable, no library for
