@@ -39,6 +39,24 @@ def test_constraint_margin_is_the_smallest_remaining_share(columns, share):
     assert constraint_margin(record(**columns), RIG) == pytest.approx(share)
 
 
+@pytest.mark.parametrize(("peak_V", "share"), [(2.0, 1.0), (7.0, 0.5), (12.0, 0.0)])
+def test_constraint_margin_of_an_effort_in_another_unit_is_relative_to_its_holding_value(
+    peak_V, share
+):
+    oven = replace(
+        RIG,
+        controller=replace(RIG.controller, output_min_N=-math.inf, output_max_N=12.0),
+        measurement="temperature, K",
+        command="voltage, V",
+    )
+    flat = record()
+    effort_V = np.where(flat.setpoint_N > 10.0, 2.0, 1.0)
+    effort_V[np.argmax(flat.setpoint_N)] = peak_V
+    assert constraint_margin(replace(flat, current_A=effort_V / 20.0), oven) == pytest.approx(
+        share
+    )
+
+
 def test_constraint_margin_ignores_unlimited_sides():
     tight = replace(RIG, limits=RigLimits(10.0, 20.0, 5.0))
     assert constraint_margin(record(tension_N=25.0), tight) == pytest.approx(1.0)

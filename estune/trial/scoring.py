@@ -12,6 +12,7 @@ from estune.core.metrics import (
     load_metrics,
     step_metrics,
 )
+from estune.core.quantities import FloatArray
 from estune.errors import RigError
 from estune.trial.description import RigDescription
 from estune.trial.profiles import StepProfile, load_step
@@ -45,31 +46,49 @@ def cost_of(
 
 
 def constraint_margin(record: TrialRecord, rig: RigDescription) -> float:
-    """Smallest constraint margin of a trial, relative to the distance of setpoint and limit.
+    """Smallest constraint margin of a trial, relative to the distance of reference and limit.
 
-    For the upper limits of tension and control effort the margin is
+    For the upper limits of measurement and control effort the margin is
 
-        (limit - greatest value) / (limit - greatest setpoint),
+        (limit - greatest value) / (limit - greatest reference),
 
-    likewise for the lower ones: 1 where the response stays within its setpoints, 0 at a limit. A
-    limit at a setpoint is left out.
+    likewise for the lower ones: 1 where the response stays within its references, 0 at a limit. A
+    limit at a reference is left out. The reference of the measurement is its setpoint; that of the
+    effort as well where both have one unit, for a reel at rest is driven with the tension it
+    holds; otherwise it is the effort that holds the plant before the step and at the end.
 
     Returns:
         The margin, below zero past a limit; infinite without a limit or a sample.
     """
     if not len(record.time_s):
         return math.inf
-    effort_N = record.current_A * rig.newtons_per_ampere
-    low, high = float(np.min(record.setpoint_N)), float(np.max(record.setpoint_N))
-    limits, controller = rig.limits, rig.controller
-    sides = (
-        (limits.tension_max_N - high, limits.tension_max_N - np.max(record.tension_N)),
-        (low - limits.tension_min_N, np.min(record.tension_N) - limits.tension_min_N),
-        (controller.output_max_N - high, controller.output_max_N - np.max(effort_N)),
-        (low - controller.output_min_N, np.min(effort_N) - controller.output_min_N),
-    )
-    margins = [float(left / room) for room, left in sides if 0.0 < room < math.inf]
+    effort = record.current_A * rig.newtons_per_ampere
+    setpoint = record.setpoint_N
+    limits, controller, signals = rig.limits, rig.controller, rig.signals
+    alike = signals.measurement_unit == signals.command_unit
+    held = setpoint if alike else _holding(setpoint, effort)
+    margins = [
+        *_room(setpoint, record.tension_N, limits.tension_min_N, limits.tension_max_N),
+        *_room(held, effort, controller.output_min_N, controller.output_max_N),
+    ]
     return min((margin for margin in margins if not math.isnan(margin)), default=math.inf)
+
+
+def _room(reference: FloatArray, values: FloatArray, low: float, high: float) -> list[float]:
+    """Margins of values to two limits, relative to that of their reference."""
+    sides = (
+        (high - np.max(reference), high - np.max(values)),
+        (np.min(reference) - low, np.min(values) - low),
+    )
+    return [float(left / room) for room, left in sides if 0.0 < room < math.inf]
+
+
+def _holding(setpoint: FloatArray, effort: FloatArray) -> FloatArray:
+    """Mean efforts at the end of the first and of the last setpoint, over a tenth of each."""
+    changes = np.flatnonzero(np.diff(setpoint)) + 1
+    stretches = np.split(effort, changes[[0, -1]]) if changes.size else [effort]
+    ends = (stretches[0], stretches[-1])
+    return np.array([np.mean(stretch[-max(1, stretch.size // 10) :]) for stretch in ends])
 
 
 def metrics_of(record: TrialRecord, step: StepProfile) -> StepMetrics:
