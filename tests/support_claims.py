@@ -35,19 +35,15 @@ def check_diagnosis(figures: Figures, targets: Figures) -> None:
 
 
 def check_tuner(figures: Figures, _targets: Figures) -> None:
-    """Searches and runs of the default tuner in `experiments.sample_efficiency`.
+    """Searches by the cost alone in `experiments.sample_efficiency`.
 
     Nine of ten searches come within 5 % of the optimum within 40 trials; one of a hundred has more
-    than one unsafe trial; 95 % intervals hold the truth in 93 % of the runs at least.
+    than one unsafe trial. `experiments.confirmation` has the coverage of the intervals.
     """
     own = [table["safe_bayesian"] for name, table in figures.items() if name in PROBLEMS]
     n = sum(table["seeds"] for table in own)
     assert sum(table["arrived"] for table in own) >= least_hits(n, 0.9)
     assert sum(table["unsafe_repeatedly"] for table in own) <= most_misses(n, 0.01)
-    runs = figures["stops"]["all"]
-    for name in ("change_coverage", "gain_coverage"):
-        # The gains of a run are not independent, so that its intervals count as one.
-        assert runs[name] * runs["runs"] >= least_hits(runs["runs"], 0.93), name
 
 
 def check_chaos(figures: Figures, targets: Figures) -> None:

@@ -3,29 +3,23 @@
 Every algorithm tunes the same problems from the same weak gains, in logarithms of the gains,
 within the same bounds, and with the same noise on each numbered trial. It is scored by the
 noise-free cost of the gains it recommends after each trial: its centre or mean, or else its best
-noisy trial. Settings were chosen on seeds below 100; the tables are of seeds from 1000 on. Rows
-are written as they are finished; `--rows` prints the tables of such a file.
+noisy trial. Settings were chosen on seeds below 100; the tables are of seeds from 1000 on.
 """
 
-import json
-import os
 import sys
 from collections.abc import Iterator
-from dataclasses import asdict
 from itertools import product
 from pathlib import Path
 
 from joblib import Parallel, delayed
 
 from experiments.results import command_line, print_results
-from experiments.sample_efficiency import figures, searches, tables
+from experiments.sample_efficiency import figures, searches
 from experiments.sample_efficiency.algorithms import ALGORITHMS, OURS
-from experiments.sample_efficiency.drawing import save_figure
-from experiments.sample_efficiency.figures import MORE_NOISE, NOISE, STOPPING
-from experiments.sample_efficiency.optimum import OUT, optimum
+from experiments.sample_efficiency.figures import MORE_NOISE, NOISE
+from experiments.sample_efficiency.optimum import optimum
 from experiments.sample_efficiency.problems import ALL_PROBLEMS, GAUGE, PROBLEMS
 from experiments.sample_efficiency.searches import COLD, WARM, Job, Row
-from experiments.sample_efficiency.stopping import StoppedRun, stopped_run
 
 HELD_OUT = range(1000, 1020)
 RECORDED = "model_based"
@@ -33,15 +27,11 @@ RECORDED_BUDGET = 40  # it stops by itself after 4 to 15 trials
 SLOW = "skopt GP"
 SLOW_SEEDS, SLOW_BUDGET = 3, 80  # a proposal takes most of a second
 SEEDS_BESIDE = 10  # with gauge noise; and of peers at 10 % noise and from a warm start
-STOP_NOISES = (0.01, NOISE, MORE_NOISE)
-ROWS = OUT / "sample_efficiency.jsonl"
-STOPS = OUT / "sample_efficiency_stops.jsonl"
-FIGURE = OUT / "sample_efficiency.png"
 
 
-def jobs(only: str | None, seeds: range) -> Iterator[Job]:
-    """Every search of the tables, or those of one algorithm."""
-    for name in ALGORITHMS if only is None else (only,):
+def jobs(seeds: range) -> Iterator[Job]:
+    """Every search of the tables."""
+    for name in ALGORITHMS:
         if name == SLOW:
             for seed, problem in product(seeds[:SLOW_SEEDS], PROBLEMS):
                 yield Job(problem, name, NOISE, COLD, seed, SLOW_BUDGET)
@@ -67,80 +57,37 @@ def quick_jobs() -> Iterator[Job]:
             yield Job(problem, name, NOISE, COLD, seed, 20 if name == RECORDED else 60)
 
 
-def run(todo: list[Job], workers: int, file: Path) -> list[Row]:
-    """Runs the searches, writing each row as it is finished."""
+def run(todo: list[Job], workers: int, file: Path | None) -> list[Row]:
+    """Runs the searches but those of a file, to which each row is added as it is finished."""
     for problem in ALL_PROBLEMS.values():
         optimum(problem)  # cached before the workers need it
-    file.parent.mkdir(exist_ok=True)
-    done = []
-    with file.open("a", encoding="utf-8") as rows:
-        made = Parallel(n_jobs=workers, return_as="generator_unordered")(
-            delayed(searches.search)(job) for job in todo
-        )
-        for row in made:
-            done.append(row)
-            rows.write(searches.written(row) + "\n")
-            rows.flush()
-            if len(done) % 100 == 0:
-                print(f"{len(done)} of {len(todo)} searches", file=sys.stderr, flush=True)
-    return done
-
-
-def stops(seeds: range, problems: list[str], workers: int, file: Path | None) -> list[StoppedRun]:
-    """Whole runs of safe_bayesian."""
-    made = Parallel(n_jobs=workers)(
-        delayed(stopped_run)(problem, STOPPING, noise, seed)
-        for noise, problem, seed in product(STOP_NOISES, problems, seeds)
+    rows = searches.read(file) if file else []
+    left = set(todo) - {row.job for row in rows}
+    made = Parallel(n_jobs=workers, return_as="generator_unordered")(
+        delayed(searches.search)(job) for job in todo if job in left
     )
-    if file is not None:
-        file.write_text("".join(json.dumps(asdict(one)) + "\n" for one in made), encoding="utf-8")
-    return list(made)
-
-
-def read_stops(file: Path) -> list[StoppedRun]:
-    """The runs of a file, if it exists."""
-    if not file.exists():
-        return []
-    rows = [json.loads(line) for line in file.read_text(encoding="utf-8").splitlines()]
-    return [StoppedRun(**{**row, "gains_inside": tuple(row["gains_inside"])}) for row in rows]
+    for row in made:
+        rows.append(row)
+        if file:
+            searches.add(row, file)
+        if len(rows) % 100 == 0:
+            print(f"{len(rows)} of {len(todo)} searches", file=sys.stderr, flush=True)
+    return rows
 
 
 def main() -> int:
     """Runs the searches and prints their tables; returns 1 if a target is missed."""
     parser = command_line(__doc__, quick="two problems, 60 trials, two seeds")
     parser.add_argument("--jobs", type=int, default=1, help="searches at a time")
+    parser.add_argument("--seeds", type=int, default=len(HELD_OUT), help="seeds of every search")
     parser.add_argument(
-        "--only", choices=[*ALGORITHMS, "stops"], help="run these rows again, keep the others"
+        "--rows", type=Path, help="keep finished searches in this file, and do not run them again"
     )
-    parser.add_argument("--seeds", type=int, help="seeds of every search; keep no rows")
-    parser.add_argument("--rows", type=Path, help="print the tables of this file, run nothing")
     options = parser.parse_args()
-    if options.rows:
-        rows, ends = searches.read(options.rows), read_stops(STOPS)
-    elif options.quick:
-        rows = run(list(quick_jobs()), options.jobs, Path(os.devnull))
-        ends = stops(range(2), ["8 Hz"], options.jobs, None)
-    elif options.seeds:
-        seeds = HELD_OUT[: options.seeds]
-        rows = run(list(jobs(options.only, seeds)), options.jobs, Path(os.devnull))
-        ends = stops(seeds, list(PROBLEMS), options.jobs, None)
-    else:
-        if options.only is None:
-            ROWS.unlink(missing_ok=True)
-        if options.only != "stops":
-            run(list(jobs(options.only, HELD_OUT)), options.jobs, ROWS)
-        if options.only in (None, STOPPING, "stops"):
-            stops(HELD_OUT, list(PROBLEMS), options.jobs, STOPS)
-        rows, ends = searches.read(ROWS), read_stops(STOPS)
-    compared, stopped = figures.of_all(rows), figures.of_stops(ends)
-    image = FIGURE.with_stem(f"{FIGURE.stem}_quick") if options.quick else FIGURE
-    save_figure(rows, image)
-    if not options.json:
-        for line in (*tables.lines(compared), *tables.stop_lines(stopped)):
-            print(line)
-        print(f"figure: {image}")
-    reached = figures.targets(compared, stopped)
-    return print_results({**compared, "stops": stopped}, reached, as_json=options.json)
+    todo = quick_jobs() if options.quick else jobs(HELD_OUT[: options.seeds])
+    compared = figures.of_all(run(list(todo), options.jobs, options.rows))
+    reached = figures.targets(compared)
+    return print_results(compared, reached, as_json=options.json, tables=True)
 
 
 if __name__ == "__main__":

@@ -1,23 +1,16 @@
-"""Figures of the rows per problem and algorithm, of complete runs, and the targets."""
+"""Figures of the rows per problem and algorithm, and the targets."""
 
 import math
 from collections.abc import Iterable, Sequence
 from typing import Any
 
-import numpy as np
-
-from experiments.results import Target, at_least, at_most, between
+from experiments.results import Target, at_least, at_most
 from experiments.sample_efficiency.algorithms import ALGORITHMS, OURS
 from experiments.sample_efficiency.problems import ALL_PROBLEMS, PROBLEMS
 from experiments.sample_efficiency.searches import COLD, WARM, Row, select
-from experiments.sample_efficiency.stopping import StoppedRun
 
 DEFAULT = OURS[0]
-STOPPING = "safe_bayesian"
-"""Tuner of the complete runs; those of the default are in `experiments.loop_claims`."""
-
 NOISE, MORE_NOISE = 0.03, 0.10
-ALL = "all"
 ARRIVAL_TRIALS = 40
 """Trials within which a search should come near the optimum."""
 
@@ -82,51 +75,14 @@ def of_all(rows: Sequence[Row]) -> dict[str, dict[str, dict[str, Any]]]:
     return {problem: own for problem, own in figures.items() if own}
 
 
-def peers_ahead(own: dict[str, dict[str, Any]], key: str = "first") -> dict[str, float]:
-    """Trials of the peers that need no more than the default tuner on a problem.
-
-    Args:
-        own: Figures of the problem's algorithms.
-        key: The count of trials to compare; peers that never arrive are left out.
-    """
-    ours = own[DEFAULT].get(key, -math.inf)
-    peers = {name: f[key] for name, f in own.items() if name not in OURS and key in f}
-    return {name: n for name, n in peers.items() if n <= ours and math.isfinite(n)}
-
-
 def is_won(own: dict[str, dict[str, Any]]) -> bool:
-    """Whether the default tuner arrives on a problem, and before every peer."""
-    return math.isfinite(own[DEFAULT].get("first", math.inf)) and not peers_ahead(own)
+    """Whether the default tuner arrives on a problem, and before every peer that arrives."""
+    ours = own[DEFAULT].get("first", math.inf)
+    peers = [f["first"] for name, f in own.items() if name not in OURS and "first" in f]
+    return math.isfinite(ours) and all(n > ours for n in peers)
 
 
-def of_stops(runs: Sequence[StoppedRun]) -> dict[str, dict[str, Any]]:
-    """Figures of complete runs, by noise and over all."""
-    groups = {
-        f"{noise:.0%}": [run for run in runs if run.noise == noise]
-        for noise in sorted({run.noise for run in runs})
-    }
-    return {name: _of_stops(group) for name, group in {**groups, ALL: list(runs)}.items() if group}
-
-
-def _of_stops(runs: Sequence[StoppedRun]) -> dict[str, Any]:
-    changes = [run.change_inside for run in runs if run.change_inside is not None]
-    gains = [inside for run in runs for inside in run.gains_inside]
-    return {
-        "runs": len(runs),
-        "by_itself": float(np.mean([run.by_itself for run in runs])),
-        "searched": median([run.searched for run in runs]),
-        "trials": median([run.trials for run in runs]),
-        "excess": median([run.excess for run in runs]),
-        "excess_worst": max(run.excess for run in runs),
-        "improved": float(np.mean([run.improved for run in runs])),
-        "change_coverage": float(np.mean(changes)) if changes else None,
-        "gain_coverage": float(np.mean(gains)) if gains else None,
-    }
-
-
-def targets(
-    figures: dict[str, dict[str, dict[str, Any]]], stops: dict[str, dict[str, Any]]
-) -> dict[str, Target]:
+def targets(figures: dict[str, dict[str, dict[str, Any]]]) -> dict[str, Target]:
     """Targets of the default tuner on the problems with noise on the cost."""
     families = {p: own for p, own in figures.items() if p in PROBLEMS and DEFAULT in own}
     rows: dict[str, Target] = {}
@@ -138,13 +94,6 @@ def targets(
     if compared:
         won = sum(map(is_won, compared)) / len(compared)
         rows["share of families on which every peer needs more trials"] = at_least(won, SHARE_WON)
-    usual, everything = stops.get(f"{NOISE:.0%}"), stops.get(ALL)
-    if usual and everything:
-        rows["excess at the stop, median"] = at_most(usual["excess"], 0.01)
-        rows["excess at the stop, worst run"] = at_most(usual["excess_worst"], 0.05)
-        for key, what in (("change", "the change"), ("gain", "each gain")):
-            share = everything[f"{key}_coverage"]
-            rows[f"coverage of the 95 % interval of {what}"] = between(share, 0.93, 0.97)
     return rows
 
 

@@ -39,7 +39,6 @@ class Problem:
 
     Attributes:
         name: Short name.
-        title: Description.
         build: Creates the plant.
         cost: Cost of a trial.
         start: Weak gains, five to seven times as costly as the optimum.
@@ -47,7 +46,6 @@ class Problem:
     """
 
     name: str
-    title: str
     build: Callable[[], Plant]
     cost: StepCost
     start: Gains
@@ -161,22 +159,20 @@ WEAK_ON_A_REEL = Gains(0.4, 4.0, 0.003, 0.03)
 slow response; but four logarithms and more away from it, as the other starts."""
 
 
-def _on_reel(
-    name: str, title: str, length_m: float, build: Callable[[], Plant] | None = None
-) -> Problem:
+def _on_reel(name: str, length_m: float, build: Callable[[], Plant] | None = None) -> Problem:
     """A problem on the reference reel, with the default cost of a tuning."""
     build = build or partial(plants.reference_reel, length_m)
     w = plants.reference_reel(length_m).natural_frequency_rad_s
     cost = default_cost(2.0 * math.pi / w)
-    return Problem(name, title, build, cost, WEAK_ON_A_REEL)
+    return Problem(name, build, cost, WEAK_ON_A_REEL)
 
 
 def _on_second_order(
-    name: str, title: str, plant: tuple[float, float, float], move_weight: float, start: Gains
+    name: str, plant: tuple[float, float, float], move_weight: float, start: Gains
 ) -> Problem:
     """A problem on a `second_order` plant, with times in units of the settling time, a period."""
     cost = StepCost(1.0 / plant[0], time_unit="settling_time", move_weight=move_weight)
-    return Problem(name, title, partial(second_order, *plant), cost, start)
+    return Problem(name, partial(second_order, *plant), cost, start)
 
 
 def _reel_with_friction() -> Plant:
@@ -184,28 +180,19 @@ def _reel_with_friction() -> Plant:
 
 
 _FAMILIES = (
-    _on_reel("reel 0.5 m", "the reference reel at its shortest cable", 0.5),
-    _on_reel("reel 1.4 m", "the reference reel at its longest cable", 1.4),
-    _on_second_order("8 Hz", "second order, damping 0.15",
-        (8.0, 0.15, 1.0), 2.0, Gains(0.12, 6.0, 0.0015, 0.05)),
-    _on_second_order("3 Hz", "slow and lightly damped, 0.06",
-        (3.0, 0.06, 1.0), 2.0, Gains(0.15, 3.0, 0.005, 0.1)),
-    _on_second_order("20 Hz", "fast and well damped, 0.7",
-        (20.0, 0.7, 1.0), 2.0, Gains(0.1, 12.0, 0.0004, 0.024)),
-    _on_second_order("dead time", "8 Hz, damping 0.15, a dead time of 12 samples",
-        (8.0, 0.15, 12.0), 5.0, Gains(0.08, 3.2, 0.002, 0.045)),
-    _on_reel("friction", "the reference reel with Coulomb friction of 0.05 N m",
-        0.8, _reel_with_friction),
-    Problem("K-K G1", "exp(-5 s)/(1 + 20 s) of Killingsworth & Krstic, with a move penalty",
-        first_plant_of_2006, default_cost(20.0), Gains(1.3, 0.035, 0.8, 1.0)),
-)  # fmt: skip
+    _on_reel("reel 0.5 m", 0.5),  # the shortest cable of the reference reel
+    _on_reel("reel 1.4 m", 1.4),  # its longest
+    _on_second_order("8 Hz", (8.0, 0.15, 1.0), 2.0, Gains(0.12, 6.0, 0.0015, 0.05)),
+    _on_second_order("3 Hz", (3.0, 0.06, 1.0), 2.0, Gains(0.15, 3.0, 0.005, 0.1)),
+    _on_second_order("20 Hz", (20.0, 0.7, 1.0), 2.0, Gains(0.1, 12.0, 0.0004, 0.024)),
+    _on_second_order("dead time", (8.0, 0.15, 12.0), 5.0, Gains(0.08, 3.2, 0.002, 0.045)),
+    _on_reel("friction", 0.8, _reel_with_friction),
+    Problem("K-K G1", first_plant_of_2006, default_cost(20.0), Gains(1.3, 0.035, 0.8, 1.0)),
+)
 PROBLEMS = {problem.name: problem for problem in _FAMILIES}
 """The families by name; their costs get noise of 3 % and 10 %."""
 
-GAUGE = replace(
-    _on_reel("gauge", "the reference reel, scored through the noise of its gauge", 0.8),
-    gauge_noise=True,
-)
-"""A problem with measurement noise in the loop."""
+GAUGE = replace(_on_reel("gauge", 0.8), gauge_noise=True)
+"""A problem with measurement noise in the loop: the reel scored through the noise of its gauge."""
 
 ALL_PROBLEMS = {**PROBLEMS, GAUGE.name: GAUGE}

@@ -5,9 +5,10 @@ import json
 import math
 import time
 import warnings
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -93,25 +94,20 @@ def search(job: Job) -> Row:
     return Row(job, tuple(np.round(excess, 6).tolist()), trials.unsafe, round(seconds, 3))
 
 
-def written(row: Row) -> str:
-    """A row as a line of a file."""
-    return json.dumps(asdict(row))
+def add(row: Row, file: Path) -> None:
+    """Adds a row to a file."""
+    with file.open("a", encoding="utf-8") as rows:
+        rows.write(f"{json.dumps(asdict(row))}\n")
 
 
 def read(file: Path) -> list[Row]:
-    """The rows of a file; of two for the same settings the later one."""
-    rows: dict[Job, Row] = {}
-    for line in _lines(file):
-        values = json.loads(line)
-        job = Job(**values.pop("job"))
-        rows[job] = Row(job, tuple(values.pop("excess")), **values)
-    return list(rows.values())
+    """The rows of a file; none where there is no file."""
+    lines = file.read_text(encoding="utf-8").splitlines() if file.exists() else []
+    return [_row(**json.loads(line)) for line in lines]
 
 
-def _lines(file: Path) -> Iterator[str]:
-    if file.exists():
-        with file.open(encoding="utf-8") as lines:
-            yield from lines
+def _row(job: dict[str, Any], excess: list[float], **others: Any) -> Row:
+    return Row(Job(**job), tuple(excess), **others)
 
 
 def select(rows: Iterable[Row], **values: object) -> list[Row]:
