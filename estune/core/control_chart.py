@@ -24,13 +24,13 @@ dozen or two check trials before there is time for one.
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from enum import StrEnum
 from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
 
 from estune.core.quantities import check_positive
+from estune.core.sentence_enum import SentenceEnum
 from estune.errors import InvalidInput
 
 BASELINE_MAX = 100
@@ -43,28 +43,14 @@ NODES = 64
 """Points of the Gauss-Legendre rule; they give the run length to more than six digits."""
 
 
-class ChartSignal(StrEnum):
+class ChartSignal(SentenceEnum):
     """Conclusion from the newest trial and those before it."""
 
-    STEADY = "steady"
-    SUSPECT = "suspect"
-    OUTLIER = "outlier"
-    WORSE = "worse"
-    BETTER = "better"
-
-    @property
-    def sentence(self) -> str:
-        """The conclusion as a sentence."""
-        return _SENTENCES[self]
-
-
-_SENTENCES = {
-    ChartSignal.STEADY: "the cost is unchanged",
-    ChartSignal.SUSPECT: "the cost is an outlier; the trial is repeated",
-    ChartSignal.OUTLIER: "the trial before was a single outlier and does not count",
-    ChartSignal.WORSE: "the cost has increased significantly",
-    ChartSignal.BETTER: "the cost has decreased significantly",
-}
+    STEADY = "steady", "the cost is unchanged"
+    SUSPECT = "suspect", "the cost is an outlier; the trial is repeated"
+    OUTLIER = "outlier", "the trial before was a single outlier and does not count"
+    WORSE = "worse", "the cost has increased significantly"
+    BETTER = "better", "the cost has decreased significantly"
 
 
 class ChartState(NamedTuple):

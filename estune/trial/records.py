@@ -1,7 +1,6 @@
 """Trial requests and trial records."""
 
 from dataclasses import dataclass
-from enum import StrEnum
 from typing import Literal
 
 import numpy as np
@@ -9,6 +8,7 @@ from numpy.typing import NDArray
 
 from estune.core.gains import Gains
 from estune.core.quantities import FloatArray
+from estune.core.sentence_enum import SentenceEnum
 from estune.trial.description import RigDescription
 from estune.trial.profiles import Kind, Loop, Profile
 
@@ -20,35 +20,20 @@ OPTIONAL_COLUMNS = ("reference_N", "drum_velocity_rad_s", "gravity_N", "friction
 """Columns that only some rigs record."""
 
 
-class Outcome(StrEnum):
+class Outcome(SentenceEnum):
     """End of a trial. Only `done` has a cost; void trials carry no information on the gains."""
 
-    DONE = "done"
-    DIVERGED = "diverged"
-    GUARD = "guard"
-    CANCELLED = "cancelled"
-    INTERRUPTED = "interrupted"
-    DECLINED = "declined"
-
-    @property
-    def sentence(self) -> str:
-        """The outcome in words."""
-        return _SENTENCES[self]
+    DONE = "done", "the trial ran to its end"
+    DIVERGED = "diverged", "the response left the finite range"
+    GUARD = "guard", "the rig's guard ended the trial at one of its limits"
+    CANCELLED = "cancelled", "the trial was stopped by the operator"
+    INTERRUPTED = "interrupted", "the rig stopped in the middle of the trial"
+    DECLINED = "declined", "the operator declined the trial"
 
     @property
     def is_void(self) -> bool:
         """Whether the trial carries no information on its gains and may be repeated."""
         return self in (Outcome.CANCELLED, Outcome.INTERRUPTED)
-
-
-_SENTENCES = {
-    Outcome.DONE: "the trial ran to its end",
-    Outcome.DIVERGED: "the response left the finite range",
-    Outcome.GUARD: "the rig's guard ended the trial at one of its limits",
-    Outcome.CANCELLED: "the trial was stopped by the operator",
-    Outcome.INTERRUPTED: "the rig stopped in the middle of the trial",
-    Outcome.DECLINED: "the operator declined the trial",
-}
 
 
 @dataclass(frozen=True, slots=True)

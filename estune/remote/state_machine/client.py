@@ -17,6 +17,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 from types import MappingProxyType
 
+from estune.core.sentence_enum import SentenceEnum
 from estune.errors import ProtocolError
 from estune.remote.state_machine.reply_codes import ReplyCode
 
@@ -33,32 +34,16 @@ class ClientStage(StrEnum):
     OVER = "over"
 
 
-class ClientInput(StrEnum):
+class ClientInput(SentenceEnum):
     """Input of a client besides a reply code."""
 
-    RECORD = "record"
-    SILENCE = "silence"
-    LEASED = "leased"
-    RESTARTED = "restarted"
-    EMPTIED = "emptied"
-    REPLACED = "replaced"
-    GONE = "gone"
-
-    @property
-    def sentence(self) -> str:
-        """Meaning of the input."""
-        return _SENTENCES[self]
-
-
-_SENTENCES = {
-    ClientInput.RECORD: "the record of the trial",
-    ClientInput.SILENCE: "no reply in time",
-    ClientInput.LEASED: "the lease was granted",
-    ClientInput.RESTARTED: "the rig was restarted with the same ledger",
-    ClientInput.EMPTIED: "a simulated rig was restarted with an empty ledger: nothing has moved",
-    ClientInput.REPLACED: "another ledger replies under the rig's name",
-    ClientInput.GONE: "no reply until the client's timeout",
-}
+    RECORD = "record", "the record of the trial"
+    SILENCE = "silence", "no reply in time"
+    LEASED = "leased", "the lease was granted"
+    RESTARTED = "restarted", "the rig was restarted with the same ledger"
+    EMPTIED = "emptied", "a simulated rig was restarted with an empty ledger: nothing has moved"
+    REPLACED = "replaced", "another ledger replies under the rig's name"
+    GONE = "gone", "no reply until the client's timeout"
 
 
 class Action(StrEnum):

@@ -3,6 +3,7 @@
 from enum import StrEnum
 from typing import NamedTuple
 
+from estune.core.sentence_enum import SentenceEnum
 from estune.remote.state_machine.reply_codes import ReplyCode
 
 LEASE_S = 1.0
@@ -12,34 +13,17 @@ RENEW_S = 0.2
 """Renewal interval of a lease, s."""
 
 
-class Mode(StrEnum):
+class Mode(SentenceEnum):
     """Activity of a rig: the columns of the transition table, in this order."""
 
-    IDLE = "idle"
-    LEASED = "leased"
-    TAKING = "taking"
-    ACCEPTED = "accepted"
-    RUNNING = "running"
-    ABORTING = "aborting"
-    SAFE = "safe"
-    CLOSED = "closed"
-
-    @property
-    def sentence(self) -> str:
-        """The mode in words."""
-        return _MODES[self]
-
-
-_MODES = {
-    Mode.IDLE: "no client holds the lease, nothing moves",
-    Mode.LEASED: "a client holds the lease; nothing moves, unless it sends setpoints",
-    Mode.TAKING: "a trial is being written to the ledger; its sender has no reply yet",
-    Mode.ACCEPTED: "a trial is in the ledger and has not started",
-    Mode.RUNNING: "a trial is running",
-    Mode.ABORTING: "a trial is being stopped and the live gains are being restored",
-    Mode.SAFE: "held in the safe state after an emergency stop, until cleared",
-    Mode.CLOSED: "shutting down",
-}
+    IDLE = "idle", "no client holds the lease, nothing moves"
+    LEASED = "leased", "a client holds the lease; nothing moves, unless it sends setpoints"
+    TAKING = "taking", "a trial is being written to the ledger; its sender has no reply yet"
+    ACCEPTED = "accepted", "a trial is in the ledger and has not started"
+    RUNNING = "running", "a trial is running"
+    ABORTING = "aborting", "a trial is being stopped and the live gains are being restored"
+    SAFE = "safe", "held in the safe state after an emergency stop, until cleared"
+    CLOSED = "closed", "shutting down"
 
 
 class GrantedLease(NamedTuple):
