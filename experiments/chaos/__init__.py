@@ -4,8 +4,8 @@
 and stalls the connections between them, kills and freezes both, sends commands twice, late and out
 of order, starts second rigs and second clients, floods the rig and fills its disk and the
 client's. Violations are counted from the rig's own log of its motions, from its ledger and from
-the client's journal. For comparison, the same faults meet a client that repeats a plain get until
-a reply arrives. A daemon that tunes repeatedly is killed, frozen, stopped, disconnected and denied
-its disk; the gains that were ever live are counted from the rig's log. Finally clients are killed
-and frozen during trials on the emulated hardware, and the time until the reel is safe is measured.
+the client's journal. Beside it a daemon that tunes repeatedly is killed, frozen, stopped,
+disconnected and denied its disk; the gains that were ever live are counted from the rig's log.
+Finally clients are killed and frozen during trials on the emulated hardware, and the time until
+the reel is safe is measured.
 """

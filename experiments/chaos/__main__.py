@@ -6,14 +6,11 @@ import signal
 import statistics
 import sys
 import tempfile
-import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from estune.remote import zenoh
-from experiments import benchmark_link
 from experiments.chaos import __doc__ as about
 from experiments.chaos import deadman, faults, supervised, verdict
 from experiments.chaos.campaign import Campaign, Diary
@@ -31,63 +28,45 @@ NONE = (
     *("gains_left", "other_proposals", "unfinished", "stuck", "twins_served", "unnamed_errors"),
     "dead_man_not_restored",
 )
-"""Counts that must be zero."""
+"""Counts that must be zero: see `verdict.WORDS`; times no trial ran without a fault, second
+processes admitted to the rig's ledger, clients that ended with an undocumented error."""
 
-WORDS = {
-    "faults": "faults",
-    **verdict.WORDS,
-    "stuck": "times no trial ran without a fault",
-    "twins_served": "second processes admitted to the rig's ledger",
-    "unnamed_errors": "clients that ended with an undocumented error",
-}
+NONE_IN_OUTAGES = ("run_twice", "lost_records", "gains_left")
 
 
 class Extent(NamedTuple):
-    """Numbers of faults, trials, clients lost on the emulated hardware, and emergency stops.
+    """Numbers of faults, trials, clients lost on the emulated hardware, tunings with an outage.
 
-    `pace` is the real time per time of a trial; `plain_share` divides both for the plain client.
+    `pace` is the real time per time of a trial.
     """
 
     faults: int
     trials: int
     pace: float
-    plain_share: int
     daemon_faults: int
     losses: int
-    stops: int
     outages: int
     durations: faults.Durations = faults.DURATIONS
 
 
-QUICK = Extent(
-    *(9, 20),
-    pace=0.05,
-    plain_share=9,
-    daemon_faults=3,
-    losses=1,
-    stops=50,
-    outages=1,
-    durations=faults.SHORT,
-)
+QUICK = Extent(*(9, 20), pace=0.05, daemon_faults=3, losses=1, outages=1, durations=faults.SHORT)
 
 
 def run_campaign(
-    extent: Extent, seed: int, folder: Path, *, plain: bool, report: Callable[[str], None]
+    extent: Extent, seed: int, folder: Path, report: Callable[[str], None]
 ) -> dict[str, Any]:
-    """Figures of one campaign; of estune's, tunings with outages of the network follow."""
-    share = extent.plain_share if plain else 1
-    trials = extent.trials // share
-    search = min(SEARCH_TRIALS, max(trials - BESIDE_SEARCH, 10))
-    count = extent.faults // share
-    schedule = faults.schedule(list(faults.Kind), PAUSES_TRIALS, count, seed, extent.durations)
-    with Stand(folder, plain=plain, pace=extent.pace) as stand:
+    """Figures of one campaign, and of the tunings with outages of the network that follow."""
+    search = min(SEARCH_TRIALS, max(extent.trials - BESIDE_SEARCH, 10))
+    kinds, durations = list(faults.Kind), extent.durations
+    schedule = faults.schedule(kinds, PAUSES_TRIALS, extent.faults, seed, durations)
+    with Stand(folder, extent.pace) as stand:
         campaign = Campaign(stand, schedule, search, seed)
-        campaign.run(-(-trials // (search + BESIDE_SEARCH)), report)
-        alone = None if plain else _suffer_outages(stand, extent, seed, report)
-    diary = campaign.diary
+        campaign.run(-(-extent.trials // (search + BESIDE_SEARCH)), report)
+        alone = _suffer_outages(stand, extent, seed, report)
+    diary, apart = campaign.diary, verdict.count_violations(stand, alone)
     for text in diary.unnamed:
         report(text)
-    figures = {
+    return {
         "faults": sum(diary.faults.values()),
         "faults_by_kind": dict(sorted(diary.faults.items())),
         "client_exits": {str(code): n for code, n in sorted(diary.exits.items())},
@@ -95,15 +74,12 @@ def run_campaign(
         "twins_served": diary.twins,
         "unnamed_errors": len(diary.unnamed),
         **verdict.count_violations(stand, diary),
-    }
-    if alone is not None:
-        violations = verdict.count_violations(stand, alone)
-        figures["outages"] = {
+        "outages": {
             "outages": alone.faults.total(),
             "finished_share": 1.0 - len(alone.given_up) / len(alone.errands),
-            **{name: violations[name] for name in ("run_twice", "lost_records", "gains_left")},
-        }
-    return figures
+            **{name: apart[name] for name in NONE_IN_OUTAGES},
+        },
+    }
 
 
 def _suffer_outages(
@@ -131,100 +107,45 @@ def lose_clients(times: int, folder: Path) -> dict[str, Any]:
     return figures
 
 
-def stop_under_load(turns: int, folder: Path) -> dict[str, float]:
-    """Reply time of an emergency stop while other clients query records at full rate."""
-    watch = benchmark_link.Stopwatch()
-    with (
-        benchmark_link.started("--serve", "--folder", str(folder)) as (endpoint, *_),
-        benchmark_link.started("--pull", endpoint),
-        zenoh.connect(endpoint) as rig,
-    ):
-        benchmark_link.stops(rig, watch, "stop", turns)
-    return {"stop_median_ms": watch.median_ms("stop"), "stop_p99_ms": watch.slow_ms("stop")}
-
-
 def targets_of(figures: dict[str, Any]) -> dict[str, Target]:
     """The targets."""
     limits: dict[str, float] = dict.fromkeys(NONE, 0)
     limits |= {name: deadman.LIMIT_S for name in figures if name.endswith("_restored_max_s")}
-    limits["stop_p99_ms"] = benchmark_link.STOP_LIMIT_MS
     targets = {name: at_most(figures[name], limit) for name, limit in limits.items()}
     daemon = {f"daemon_{name}": at_most(figures["daemon"][name], 0) for name in supervised.NONE}
-    outages = {
-        f"outages_{name}": at_most(figures["outages"][name], 0)
-        for name in ("run_twice", "lost_records", "gains_left")
-    }
+    outages = {f"outages_{name}": at_most(figures["outages"][name], 0) for name in NONE_IN_OUTAGES}
     finished = at_least(figures["outages"]["finished_share"], FINISHED_LEAST)
     return targets | daemon | outages | {"outages_finished_share": finished}
-
-
-def show(figures: dict[str, Any], seconds: float) -> None:
-    """Prints the tables."""
-    ours, theirs = figures, figures["plain"]
-    print(f"{'':56}{'estune':>10}{'plain':>10}")
-    for name, words in WORDS.items():
-        print(f"{words:56}{ours[name]:10}{theirs[name]:10}")
-    print("\nfaults:")
-    _show_kinds(ours)
-    alone = figures["outages"]
-    print(
-        f"{alone['outages']} tunings with an outage of the network each: "
-        f"{alone['finished_share']:.0%} finished by themselves"
-    )
-    codes = ", ".join(f"{n} with {code}" for code, n in ours["client_exits"].items())
-    print(f"clients by exit code: {codes}; {seconds:.0f} s in total")
-    print("\ndaemon that tunes repeatedly:")
-    for name, words in supervised.WORDS.items():
-        print(f"{words:68}{figures['daemon'][name]:10}")
-    _show_kinds(figures["daemon"])
-    print("\nclient lost during a trial on the emulated hardware: time until its own gains are")
-    print("live again, and until the reel has left the level of the trial")
-    for name in ("killed", "frozen"):
-        median, worst, left = (
-            figures[f"client_{name}_{what}_s"]
-            for what in ("restored_median", "restored_max", "left_max")
-        )
-        print(f"  {name}: median {median:.3f} s (at most {worst:.3f}), at most {left:.3f} s")
-    median, slow = figures["stop_median_ms"], figures["stop_p99_ms"]
-    print(
-        f"\nemergency stop under record load: median {median:.2f} ms, 99th centile {slow:.2f} ms"
-    )
-
-
-def _show_kinds(figures: dict[str, Any]) -> None:
-    for kind, count in figures["faults_by_kind"].items():
-        print(f"  {count:5}  {kind}")
 
 
 def measure(
     extent: Extent, seed: int, folder: Path, report: Callable[[str], None]
 ) -> dict[str, Any]:
-    """Figures of all parts, each in a folder of its own; estune's beside the next two."""
+    """Figures of all parts, each in a folder of its own; clients and daemon run side by side."""
 
-    def part(name: str, run: Callable[..., dict[str, Any]], *before: Any, **options: Any) -> Any:
+    def part(name: str, run: Callable[..., dict[str, Any]], *arguments: Any) -> dict[str, Any]:
         """Figures of a part; kept, for those of a long campaign must outlive a later fault."""
         (place := folder / name).mkdir(parents=True)
-        found = run(*before, folder=place, **options)
+        found = run(*arguments, folder=place)
         (place / "figures.json").write_text(json.dumps(found), encoding="utf-8")
         return found
 
-    of_both: dict[str, Any] = {"extent": extent, "seed": seed, "report": report}
-    with ThreadPoolExecutor(1) as beside:
-        ours = beside.submit(part, "estune", run_campaign, plain=False, **of_both)
-        plain = part("plain", run_campaign, plain=True, **of_both)
+    def daemon_part(folder: Path) -> dict[str, Any]:
         faults_of_daemon = (extent.daemon_faults, seed, QUICK.pace)
-        durations = extent.durations
-        daemon = part("daemon", supervised.run_campaign, *faults_of_daemon, durations=durations)
-        figures = ours.result() | {"plain": plain, "daemon": daemon}
-    figures |= part("hardware", lose_clients, extent.losses)
-    return dict(figures | part("stops", stop_under_load, extent.stops))
+        return supervised.run_campaign(*faults_of_daemon, folder, extent.durations)
+
+    def client_part(folder: Path) -> dict[str, Any]:
+        return run_campaign(extent, seed, folder, report)
+
+    with ThreadPoolExecutor(1) as beside:
+        clients = beside.submit(part, "client", client_part)
+        daemon = part("daemon", daemon_part)
+    return clients.result() | {"daemon": daemon} | part("hardware", lose_clients, extent.losses)
 
 
 def main() -> int:
     """Runs everything; returns 1 where a target is missed."""
-    parser = command_line(
-        about, quick="nine faults of estune, one of the plain client, three of the daemon"
-    )
+    parser = command_line(about, quick="nine faults of the link, three of the daemon")
     parser.add_argument("--faults", type=int, default=500)
     parser.add_argument("--trials", type=int, default=1000)
     parser.add_argument("--seed", type=int, default=1)
@@ -232,20 +153,17 @@ def main() -> int:
     arguments = parser.parse_args()
     extent = QUICK
     if not arguments.quick:
-        extent = Extent(arguments.faults, arguments.trials, 0.2, 4, 140, 20, 2000, 20)
+        extent = Extent(arguments.faults, arguments.trials, 0.2, 140, 20, 20)
 
     def report(text: str) -> None:
         print(text, file=sys.stderr, flush=True)
 
-    began_s = time.monotonic()
     with contextlib.ExitStack() as opened:
         folder = arguments.keep or Path(
             opened.enter_context(tempfile.TemporaryDirectory(prefix="estune-chaos-"))
         )
         figures = measure(extent, arguments.seed, folder, report)
-    if not arguments.json:
-        show(figures, time.monotonic() - began_s)
-    return print_results(figures, targets_of(figures), as_json=arguments.json)
+    return print_results(figures, targets_of(figures), as_json=arguments.json, tables=True)
 
 
 if __name__ == "__main__":

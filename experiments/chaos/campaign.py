@@ -12,8 +12,8 @@ from typing import NamedTuple
 
 from experiments.chaos import faults
 from experiments.chaos.client import INTERRUPTED
+from experiments.chaos.errand import Errand
 from experiments.chaos.faults import Fault, Kind
-from experiments.chaos.plain import Errand
 from experiments.chaos.processes import end, started
 from experiments.chaos.stand import NAME, Stand
 
@@ -96,7 +96,6 @@ class Campaign:
             tuner=TUNERS[number // 2 % 2],
             start=(factor * START[0], factor * START[1], START[2], START[3]),
             trials=self._search_trials,
-            plain=self._stand.plain,
             seed=number,
         )
 
@@ -187,7 +186,7 @@ class Campaign:
                     client.stdin.write(f"{fault.kind.name.lower()}\n".encode())
                     client.stdin.flush()
             case Kind.TWIN:
-                self.diary.twins += not (stand.plain or stand.is_twin_refused())
+                self.diary.twins += not stand.is_twin_refused()
             case _:
                 since_s = time.monotonic()
                 with self._lasting(fault.kind):

@@ -14,8 +14,8 @@ from estune.core.gains import Gains
 from estune.errors import EstuneError
 from estune.remote.zenoh.rig_connection import RigConnection
 from estune.run.journal import FILE_NAME
+from experiments.chaos.errand import Errand
 from experiments.chaos.mischief import Mischief, disturbed
-from experiments.chaos.plain import Errand, tune_plainly
 
 INTERRUPTED = 130
 
@@ -44,12 +44,9 @@ def main(text: str) -> int:
     errand = Errand(**json.loads(text))
     mischief = Mischief(errand.endpoint, errand.seed)
     try:
-        if errand.plain:
-            tune_plainly(errand, mischief)
-        else:
-            # All commands pass through this method.
-            RigConnection.ask = disturbed(RigConnection.ask, mischief)  # type: ignore[method-assign]
-            tune(errand)
+        # All commands pass through this method.
+        RigConnection.ask = disturbed(RigConnection.ask, mischief)  # type: ignore[method-assign]
+        tune(errand)
     except EstuneError as error:
         print(error, file=sys.stderr)
         return error.exit_code

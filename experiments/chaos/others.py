@@ -1,6 +1,6 @@
 """Further processes on the network: a router, a second client, a slow consumer.
 
-python -m experiments.chaos.others router|rival|rival-plainly|slow ENDPOINT [NAME]
+python -m experiments.chaos.others router|rival|slow ENDPOINT [NAME]
 """
 
 import json
@@ -17,7 +17,6 @@ from estune.remote.zenoh import connect
 from estune.remote.zenoh.zenoh_session import open_session
 from estune.trial import TrialRequest
 from experiments.chaos.processes import ready
-from experiments.chaos.rig import PLAIN_KEY
 
 GENTLE = Gains(0.2, 6.0, 0.005, 0.05)
 QUERIES = 300
@@ -43,13 +42,6 @@ def rival(endpoint: str, name: str) -> None:
         print(rig.run(TrialRequest(name, 0, GENTLE, rig.describe().step)).outcome, flush=True)
 
 
-def rival_plainly(endpoint: str, name: str) -> None:
-    """Requests a trial of its own by a plain get."""
-    fields = {"run": name, "number": 0, "gains": GENTLE.as_tuple()}
-    with open_session("client", connect=(endpoint,), message_max_bytes=2**24) as session:
-        list(session.get(PLAIN_KEY, payload=json.dumps(fields).encode(), timeout=2.0))
-
-
 def slow(endpoint: str) -> None:
     """Queries more than it receives, until killed."""
     keys = messages.Keys("reel")
@@ -65,12 +57,7 @@ def slow(endpoint: str) -> None:
 
 
 if __name__ == "__main__":
-    parts: dict[str, Callable[..., None]] = {
-        "router": router,
-        "rival": rival,
-        "rival-plainly": rival_plainly,
-        "slow": slow,
-    }
+    parts: dict[str, Callable[..., None]] = {"router": router, "rival": rival, "slow": slow}
     ready()
     try:
         parts[sys.argv[1]](*sys.argv[2:])

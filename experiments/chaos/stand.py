@@ -11,7 +11,6 @@ from estune.remote.zenoh.endpoints import with_port
 from experiments.chaos.faults import frozen
 from experiments.chaos.motions import Log
 from experiments.chaos.processes import end, started
-from experiments.chaos.rig import PLAIN
 from experiments.chaos.wire import Wire
 
 NAME = "reel"
@@ -31,9 +30,8 @@ class Stand:
         namesakes: Process ids of further rigs of the same name.
     """
 
-    def __init__(self, folder: Path, *, plain: bool, pace: float) -> None:
+    def __init__(self, folder: Path, pace: float) -> None:
         self.folder = folder
-        self.plain = plain
         self.ledger = folder / "rig.ledger"
         self.log = Log()
         self.namesakes: set[int] = set()
@@ -86,7 +84,7 @@ class Stand:
 
     def rival(self, name: str) -> contextlib.AbstractContextManager[object]:
         """A second client that submits a trial of that name."""
-        return self.other("rival-plainly" if self.plain else "rival", self.direct, name)
+        return self.other("rival", self.direct, name)
 
     @contextlib.contextmanager
     def slow(self) -> Iterator[None]:
@@ -117,9 +115,8 @@ class Stand:
         return rig
 
     def _start(self, endpoint: str, ledger: Path, router: str) -> subprocess.Popen[bytes]:
-        book = PLAIN if self.plain else str(ledger)
         errors = self.folder / "rig.err"
-        rig = started("rig", NAME, endpoint, book, str(self._pace), router, errors=errors)
+        rig = started("rig", NAME, endpoint, str(ledger), str(self._pace), router, errors=errors)
         if rig.stdout:
             self.log.follow(rig.stdout)
         return rig

@@ -40,21 +40,6 @@ PAUSES_TRIALS = (0, 1, 3, 8, 20)
 NONE = (*("run_twice", "other_gains", "other_proposals", "stuck", "died", "not_home"),)
 """Counts that must be zero."""
 
-WORDS = {
-    "faults": "faults",
-    "trials": "trials reported to the daemon",
-    "motions": "trials started on the rig",
-    "tunings": "tunings started",
-    "accepted": "gains accepted",
-    "interrupted": "trials interrupted, and reported as such",
-    "run_twice": "trials started more than once",
-    "other_gains": "times gains were live that were neither the rig's own nor accepted",
-    "other_proposals": "proposals that differ from the undisturbed run",
-    "stuck": "times no trial ran without a fault",
-    "died": "times the daemon ended by itself",
-    "not_home": "proper ends without the nominal gains on the rig",
-}
-
 CONFIG = """
 stop_within_s = 10.0
 [service]
@@ -86,7 +71,7 @@ class Kind(StrEnum):
 
 @dataclass
 class Diary:
-    """Course of a campaign, counted as in `WORDS`; faults by kind."""
+    """Course of a campaign, counted as in `count_violations`; faults by kind."""
 
     faults: Counter[str] = field(default_factory=Counter)
     stuck: int = 0
@@ -205,7 +190,14 @@ def runs(state: Path) -> Iterator[Journal]:
 
 
 def count_violations(stand: Stand, daemon: SupervisedStand) -> dict[str, Any]:
-    """The counts of `WORDS`, once no process runs any more."""
+    """Counts by name, once no process runs any more.
+
+    Trials reported to the daemon, motions: trials started on the rig, tunings started, gains
+    accepted; trials interrupted, and reported as such, trials started more than once, times gains
+    were live that were neither the rig's own nor accepted, proposals that differ from the
+    undisturbed run; times no trial ran without a fault, times the daemon ended by itself, proper
+    ends without the nominal gains on the rig.
+    """
     motions = stand.log.motions()
     begun = Counter(motion.trial_id for motion in motions if motion.what == "begin")
     with contextlib.closing(DaemonStore.open(daemon.state / NAME, NAME)) as store:
@@ -255,7 +247,7 @@ def run_campaign(
     count: int, seed: int, pace: float, folder: Path, durations: Durations
 ) -> dict[str, Any]:
     """Figures of one campaign."""
-    with Stand(folder, plain=False, pace=pace) as stand:
+    with Stand(folder, pace) as stand:
         daemon = SupervisedStand(stand, seed)
         try:
             daemon.await_trials(1)

@@ -7,7 +7,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from estune.errors import ProtocolError
 from estune.remote.ledger import LEDGER
 from estune.remote.state_machine.trials import TrialState
 from estune.run import loop
@@ -15,9 +14,9 @@ from estune.run.journal import Journal
 from estune.support.sqlite import SqliteFile
 from estune.trial import Outcome, TrialRecord, record_frame
 from experiments.chaos.campaign import Absence, Diary
+from experiments.chaos.errand import Errand
 from experiments.chaos.faults import LEASE_S
 from experiments.chaos.motions import Motion
-from experiments.chaos.plain import Errand, read
 from experiments.chaos.rig import reference_rig
 from experiments.chaos.stand import Stand
 
@@ -68,9 +67,8 @@ def count_violations(stand: Stand, diary: Diary) -> dict[str, int]:
         counts["unfinished"] += [r[:2] for r in actual.values()] != [
             r[:2] for r in expected.values()
         ]
-        if not errand.plain:
-            counts["lost_records"] += _count_lost(errand, stand.ledger)
-            counts["interrupted"] += _count_void(errand)
+        counts["lost_records"] += _count_lost(errand, stand.ledger)
+        counts["interrupted"] += _count_void(errand)
     own = next(motion.live for motion in motions)
     foreign = sum(motion.live != own for motion in motions)
     counts |= {
@@ -100,24 +98,11 @@ def undisturbed(errand: Errand) -> dict[int, Result]:
 
 def results(errand: Errand) -> Iterator[tuple[int, Result]]:
     """The results of an errand's clients, void trials excepted."""
-    if errand.plain:
-        for line in read(errand.journal / "trials.jsonl"):
-            record = _stored(errand.journal / f"{errand.run}-{line.number:05d}.frame")
-            if record is not None:
-                yield line.number, Result(tuple(line.gains), line.cost, record)
-        return
     with Journal.open(errand.journal) as journal:
         for entry in journal.entries():
             if entry.outcome is not None and not entry.outcome.is_void:
                 record = journal.record(entry.trial_id)
                 yield entry.number, Result(entry.gains.as_tuple(), entry.cost, record)
-
-
-def _stored(path: Path) -> TrialRecord | None:
-    try:
-        return record_frame.decode(path.read_bytes())
-    except (OSError, ProtocolError):
-        return None
 
 
 def _count_void(errand: Errand) -> int:
