@@ -12,9 +12,7 @@ ROOT = Path(__file__).parents[1]
 TIMED = {
     "benchmark_link",
     "benchmark_trials",
-    "catenary",
     "diagnosis_scale",
-    "effects",
     "emergency_stop",
     "jitter",
     "live_page",
@@ -41,7 +39,6 @@ NIGHTLY = {
     "diagnosis_scale",
     "hidden_effects",
     "jitter",
-    "joint_tuning",
     "live_page",
     "sample_efficiency",
     "soak",

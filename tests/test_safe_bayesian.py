@@ -21,7 +21,6 @@ from estune.tuners.observation import Observation
 from estune.tuners.remaining_improvement import sample_quadratics
 from estune.tuners.safe_bayesian import SafeBayesianTuner
 from estune.tuners.search_space import SearchSpace
-from experiments.joint_schedule import ScheduleSpace
 
 SPACE = SearchSpace.around(Gains(0.5, 10.0, 0.005, 0.02))
 TUNER = SafeBayesianTuner(SPACE)
@@ -315,7 +314,7 @@ def test_gaussian_process_is_the_posterior_of_its_prior():
         draws.normal(size=8),
     )
 
-    prior = cost_prior((((1.0, 0.0, 0.0, 0.0), (0.0, 1.0, 0.0, 0.0), (0.0, 0.0, 1.0, 0.0)),))
+    prior = cost_prior(((1.0, 0.0, 0.0, 0.0), (0.0, 1.0, 0.0, 0.0), (0.0, 0.0, 1.0, 0.0)))
 
     def k(a, b):  # independent implementation of the covariance, point by point
         slopes = (a @ prior.slope) @ (b @ prior.slope)
@@ -366,22 +365,6 @@ def test_cost_prior_agrees_between_forms_and_parameter_subsets():
     space = SearchSpace(names, start, (0.1, 0.001), (5.0, 0.05), fixed=(("I", 10.0),))
     fewer = prior_covariance(cost_prior(space.directions), few[:, ::2], few[:, ::2])
     assert fewer == pytest.approx(prior_covariance(parallel, few, few))
-
-
-def test_schedule_cost_prior_is_the_mean_over_both_ends():
-    gains = Gains(0.5, 10.0, 0.005, 0.02)
-    one = cost_prior(SearchSpace.around(gains).directions)
-    both = cost_prior(ScheduleSpace.over(gains, (0.5, 1.4)).directions)
-    draws = np.random.default_rng(19)
-    x, y = draws.normal(size=(2, 5, 4))
-
-    def on_both(x):  # equal I at the short and the long end
-        return x[:, [0, 1, 1, 2, 3]]
-
-    same = prior_covariance(one, x, y)
-    assert prior_covariance(both, on_both(x), on_both(y)) == pytest.approx(same)
-    ends = np.array([[0.0, 0.4, -0.4, 0.0, 0.0]])
-    assert 0.5 * ends @ both.curvature @ ends.T == pytest.approx(0.08 * one.curvature[1, 1])
 
 
 def test_local_cubic_recovers_a_cubic_with_drift():

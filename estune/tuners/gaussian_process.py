@@ -20,7 +20,6 @@ its own. `experiments.loop_prior` draws others, fits the numbers again and measu
 worth.
 """
 
-import math
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -105,28 +104,20 @@ PIDF_LOOP_PRIOR = CostPrior(
 
 
 @lru_cache(maxsize=64)
-def cost_prior(directions: tuple[Directions, ...]) -> CostPrior:
-    """Prior of the mean cost of loops whose parameters have these directions.
+def cost_prior(directions: Directions) -> CostPrior:
+    """Prior of the cost of a loop whose parameters have these directions.
 
     A parameter is a direction in the four logarithms of the gains, see `SearchSpace.directions`.
-    So the prior holds for either form of the gains, for fewer parameters, and for several loops
-    tuned as one.
+    So the prior holds for either form of the gains, and for fewer parameters.
     """
-    tables = [np.array(table) for table in directions]
-
-    def beside(matrix: FloatArray) -> FloatArray:
-        return np.hstack([table @ matrix for table in tables]) / math.sqrt(len(tables))
-
-    def mean(matrix: FloatArray) -> FloatArray:
-        return np.asarray(sum(table @ matrix @ table.T for table in tables)) / len(tables)
-
+    table = np.array(directions)
     return CostPrior(
-        slope=beside(PIDF_LOOP_PRIOR.slope),
-        quadratic=beside(PIDF_LOOP_PRIOR.quadratic),
-        inverse_length=beside(PIDF_LOOP_PRIOR.inverse_length),
+        slope=table @ PIDF_LOOP_PRIOR.slope,
+        quadratic=table @ PIDF_LOOP_PRIOR.quadratic,
+        inverse_length=table @ PIDF_LOOP_PRIOR.inverse_length,
         remainder_sd=PIDF_LOOP_PRIOR.remainder_sd,
-        mean_rise=mean(PIDF_LOOP_PRIOR.mean_rise),
-        curvature=mean(PIDF_LOOP_PRIOR.curvature),
+        mean_rise=table @ PIDF_LOOP_PRIOR.mean_rise @ table.T,
+        curvature=table @ PIDF_LOOP_PRIOR.curvature @ table.T,
     )
 
 

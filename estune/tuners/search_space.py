@@ -174,9 +174,9 @@ class SearchSpace:
         return _clip(tuple([float(f"{value:.6g}") for value in exact]), self.low, self.high)
 
     @property
-    def directions(self) -> tuple[Directions, ...]:
-        """Directions of the parameters, one table for each loop that the gains are for."""
-        return (tuple([_DIRECTIONS[name] for name in self.names]),)
+    def directions(self) -> Directions:
+        """Directions of the parameters."""
+        return tuple([_DIRECTIONS[name] for name in self.names])
 
     def gains(self, point: Point) -> Gains:
         """The controller gains of a point.
