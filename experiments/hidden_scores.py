@@ -205,7 +205,7 @@ def _gap_alone(task: Task, name: str) -> float:
     """Gap that one of the effects hidden makes where it acts without the other, in floors."""
     case, _ = hidden_machines.draw(task.seed, task.variant, task.effect, only=name)
     records = [measurement(record) for record in case.records]
-    return float(plants.explain(model(case), records, effects=[]).ratio_before)
+    return float(plants.explain(model(case), records, effects=[]).before.ratio)
 
 
 def score(answer: Any, secret: hidden_machines.Secret, row: Row) -> Row:
@@ -225,10 +225,10 @@ def score(answer: Any, secret: hidden_machines.Secret, row: Row) -> Row:
         right_family=exact and _families(found) in families,
         both_found=bool(secret.names) and set(secret.names) <= set(named),
         wrong_name=_is_wrong(answer.verdict, named, accepted, secret.names),
-        ratio_before=float(answer.ratio_before),
-        ratio_after=float(answer.ratio_after),
+        ratio_before=float(answer.before.ratio),
+        ratio_after=float(answer.after.ratio),
         closure=float(answer.closure),
-        rms_ratio=float(answer.rms_after / answer.rms_before),
+        rms_ratio=float(answer.after.rms / answer.before.rms),
         stated=_stated(answer, accepted),
         accepted=accepted,
         models=answer.models,
@@ -278,13 +278,17 @@ def _intervals(answer: Any, secret: hidden_machines.Secret) -> tuple[Held, ...]:
 def _calibrations(answer: Any, secret: hidden_machines.Secret) -> tuple[Held, ...]:
     """Of the machine's own numbers, as fitted with the effects.
 
-    Without an encoder they are but ratios to the stiffness given, which the verdict says.
+    Without an encoder they are but ratios to the stiffness given, which the verdict says. A gain
+    that is wrong and not named as an effect is the machine's own.
     """
     if any(one.kind == "no_encoder" for one in answer.limitations):
         return ()
+    true = dict(secret.calibrations)
+    if "gain_error" not in [effect.name for effect in answer.effects] and true:
+        true["torque_gain"] *= 1.0 + secret.parameters.get("gain_error", {}).get("error", 0.0)
     return tuple(
-        Held(one.name, secret.calibrations[one.name], at.value, at.low, at.high)
+        Held(one.name, true[one.name], at.value, at.low, at.high)
         for one in answer.calibrations
-        if one.name in secret.calibrations
+        if one.name in true
         for at in [one.with_effects]
     )

@@ -7,6 +7,8 @@ import numpy as np
 
 Kind = Literal["reel", "unloaded", "stage"]
 GRAVITY = 9.81
+CURRENT_LOOP_s = (6e-5, 1.2e-4)
+"""Least and greatest lag of the current loop of a sound drive, of which no owner knows."""
 
 
 @dataclass(frozen=True)

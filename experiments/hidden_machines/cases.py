@@ -172,7 +172,7 @@ def draw(
             accepted = (*accepted, ("coulomb_friction",))
     secret = Secret(
         there,
-        {one.name: one.truth for one in hidden},
+        {one.name: _measurable(one.truth, actual) for one in hidden},
         bases.facts(actual),
         named=all(one.name not in OUTSIDE for one in hidden),
         accepted=accepted,
@@ -195,6 +195,17 @@ def _taken(
         taken, warmth = record(chance, bench, plan, length, number=number, warmth=warmth)
         records.append(taken)
     return tuple(records)
+
+
+def _measurable(truth: dict[str, float], actual: Base) -> dict[str, float]:
+    """Parameters of an effect as records show them.
+
+    Without a gauge nothing but the drive's own current measures a torque: it is known relative to
+    the gain of the drive.
+    """
+    gain = 1.0 if actual.kind == "reel" else actual.gain
+    torques = ("_Nm", "_Nms")
+    return {name: x / gain if name.endswith(torques) else x for name, x in truth.items()}
 
 
 def _without_play(effect: Hidden) -> Hidden:

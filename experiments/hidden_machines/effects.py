@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from experiments.hidden_machines.bases import Base
+from experiments.hidden_machines.bases import Base, CURRENT_LOOP_s
 
 Rng = np.random.Generator
 
@@ -32,6 +32,8 @@ class Hidden:
 
 
 Draw = Callable[[Rng, Base], Hidden]
+SOUND_LAG_s = float(np.mean(CURRENT_LOOP_s))
+"""Lag of a sound current loop: the owner's model has none, so that a drive is late by it, too."""
 
 
 def force(base: Base) -> float:
@@ -116,7 +118,7 @@ def dead_time(rng: Rng, base: Base) -> Hidden:
     return Hidden(
         "dead_time",
         {"+delay": (1.0 - electronics) * more, "chain": electronics * more},
-        truth={"delay_s": more},
+        truth={"delay_s": more + SOUND_LAG_s},
     )
 
 
@@ -367,7 +369,7 @@ def current_lag(rng: Rng, base: Base) -> Hidden:
     return Hidden(
         "current_lag",
         {"lag": (1.0 - electronics) * lag, "chain": electronics * lag},
-        truth={"lag_s": lag},
+        truth={"lag_s": lag + SOUND_LAG_s},
     )
 
 

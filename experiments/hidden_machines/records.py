@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from experiments.hidden_machines import instruments
-from experiments.hidden_machines.bases import Base
+from experiments.hidden_machines.bases import Base, CURRENT_LOOP_s
 from experiments.hidden_machines.batteries import Plan
 from experiments.hidden_machines.effects import Hidden
 from experiments.hidden_machines.machine import Drive, Run, run
@@ -88,7 +88,7 @@ def record(
     zero = float(rng.uniform(-2.0, 2.0))
     settings = machine(base, bench.hidden, length_m) | {"encoder_zero": zero}
     settings.setdefault("gauge_step", 2.0 ** -int(rng.choice([12, 16])) * 64.0)
-    settings["lag"] = settings.get("lag", 0.0) + float(rng.uniform(6e-5, 1.2e-4))
+    settings["lag"] = settings.get("lag", 0.0) + float(rng.uniform(*CURRENT_LOOP_s))
     settings |= _controller(base, plan, bench.gains)
     drive = Drive(
         setpoint=plan.setpoint,
