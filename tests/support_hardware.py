@@ -3,6 +3,7 @@
 import copy
 import os
 import tomllib
+from types import SimpleNamespace
 
 import plants
 from estune.core import pidf
@@ -12,7 +13,7 @@ from estune.hardware.controller import PlainController
 from estune.hardware.driver import Reading
 from estune.hardware.loop_messages import Begin
 from estune.hardware.reel_state_machine import ReelStateMachine
-from estune.hardware.shared_memory import Memory, Word, make_file
+from estune.hardware.shared_memory import Memory, MotionPhase, SensorLevels, Word, make_file
 from plants.emulator import RIG_FILE
 from plants.emulator.board import Board, Electronics
 
@@ -51,6 +52,19 @@ def quick(**changes) -> RigConfig:
         "step__duration_s": 0.15,
     }
     return config(**(short | changes))
+
+
+def loop_state(rig) -> SimpleNamespace:
+    """What the loop of a rig on hardware does now, and its latest readings."""
+    words, levels = rig._memory.words, rig._memory.levels
+    return SimpleNamespace(
+        phase=MotionPhase(words[Word.PHASE]).name.lower(),
+        latched=bool(words[Word.LATCHED] or words[Word.ESTOP]),
+        in_position=bool(words[Word.IN_POSITION]),
+        tension_N=levels[SensorLevels.TENSION_N],
+        current_A=levels[SensorLevels.CURRENT_A],
+        angle_rad=levels[SensorLevels.ANGLE_rad],
+    )
 
 
 class VirtualLoop:

@@ -306,13 +306,6 @@ def test_serve_of_a_moving_rig_without_a_ledger_is_refused():
         zenoh.serve(ScriptedRig(simulated=False))
 
 
-def test_exception_of_the_rig_reaches_the_client():
-    with served("broken") as server, zenoh.connect(server.endpoint) as client:
-        for _ in range(2):
-            with pytest.raises(RigError, match="ZeroDivisionError: no answer to 0"):
-                client.run(trial())
-
-
 # --- end of a process ---
 
 

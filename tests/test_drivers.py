@@ -380,7 +380,7 @@ def test_missing_interface_and_part_of_the_wrong_kind_are_refused(bus):
     with pytest.raises(RigError, match=r"no CAN interface nocan0.*ip link set nocan0 up"):
         CanSocket("nocan0", 0, 1)
     settings = {"interface": bus[0], "identifier": 1}
-    with pytest.raises(InvalidInput, match="is no drive: it has no enable"):
+    with pytest.raises(InvalidInput, match="is no drive: it has no disable, enable, position"):
         load_part("can-gauge", settings, Drive)
     with pytest.raises(InvalidInput, match="no installed package offers a driver 'odriv'"):
         load_part("odriv", {}, Driver)

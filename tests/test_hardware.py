@@ -18,7 +18,7 @@ from estune.hardware import HardwareRig
 from estune.trial import Outcome, Setpoint, TrialRequest
 from plants.emulator import EmulatedDriver
 from plants.emulator.driver import emulated_hardware
-from tests.support_hardware import quick
+from tests.support_hardware import loop_state, quick
 
 ROOT = Path(__file__).parents[1]
 GAINS = Gains(0.7, 12.0, 0.004, 0.01)
@@ -118,7 +118,7 @@ def test_rig_is_unpowered_before_the_first_trial_and_after_close(hardware):
         assert not truth().powered
         assert rig.run(ask(rig)).outcome is Outcome.DONE
         assert truth().powered
-        assert rig.state().phase == "hold"
+        assert loop_state(rig).phase == "hold"
     assert not truth().powered
     assert truth().current_A == 0.0
 
@@ -130,7 +130,7 @@ def test_record_holds_what_the_hardware_did(rig, hardware):
     assert spacing.min() > 0.0  # time stamp of the reading, not of its deadline
     assert spacing.std() > 0.0
     assert record.tension_N[:20].mean() == pytest.approx(15.0, abs=1.0)
-    eventually(lambda: abs(rig.state().tension_N - hardware[1]().tension_N) < 0.5)
+    eventually(lambda: abs(loop_state(rig).tension_N - hardware[1]().tension_N) < 0.5)
 
 
 def test_telemetry_shows_a_trial_while_it_runs(rig):
@@ -152,7 +152,7 @@ def test_apply_changes_gains_while_the_reel_is_held(rig, hardware):
     for P in (0.2, 0.8, 0.4):
         rig.apply(Gains(P, 12.0, 0.01, 0.03))
     assert rig.describe().gains.P == 0.4
-    assert rig.state().phase == "hold"
+    assert loop_state(rig).phase == "hold"
     assert hardware[1]().tripped == 0
 
 
@@ -163,7 +163,7 @@ def test_killed_loop_leaves_the_reel_to_the_hardwares_watchdog(hardware):
         os.kill(rig._loop.process.pid, signal.SIGKILL)
         eventually(lambda: truth().tripped == 1)
         assert truth().current_A == 0.0
-        for call in (rig.describe, rig.state, lambda: rig.run(ask(rig, 1)), rig.abort):
+        for call in (rig.describe, rig.timing, lambda: rig.run(ask(rig, 1)), rig.abort):
             with pytest.raises(RigError, match="loop has ended"):
                 call()
 
@@ -173,7 +173,7 @@ def test_loop_killed_or_hung_in_a_trial_is_a_permanent_error(hardware, number):
     address, truth = hardware
     with HardwareRig(configuration(address)) as rig:
         with in_background(lambda: rig.run(ask(rig, duration_s=8.0))) as results:
-            eventually(lambda: rig.state().phase == "trial")
+            eventually(lambda: loop_state(rig).phase == "trial")
             os.kill(rig._loop.process.pid, number)
         (error,) = results
         assert isinstance(error, RigError)
@@ -261,7 +261,7 @@ def test_failing_driver_ends_motion_and_is_reported(hardware):
 
 def test_estop_acts_at_once_and_stays_until_cleared(rig, hardware):
     with in_background(lambda: rig.run(ask(rig, duration_s=8.0))) as results:
-        eventually(lambda: rig.state().phase == "trial")
+        eventually(lambda: loop_state(rig).phase == "trial")
         rig.estop("a hand in the cable")
         eventually(lambda: not hardware[1]().powered)
     (record,) = results
@@ -269,7 +269,7 @@ def test_estop_acts_at_once_and_stays_until_cleared(rig, hardware):
         Outcome.CANCELLED,
         "emergency stop: a hand in the cable",
     )
-    assert rig.state().latched
+    assert loop_state(rig).latched
     for call in (lambda: rig.run(ask(rig, 1)), lambda: rig.apply(GAINS)):
         with pytest.raises(RigError, match="a hand in the cable"):
             call()
@@ -282,7 +282,7 @@ def test_setpoints_are_followed_until_they_stop_or_the_rig_is_stopped(rig):
         return rig.follow(Setpoint(20.0))
 
     eventually(lambda: abs(follow().tension_N - 20.0) < 0.5)
-    eventually(lambda: abs(rig.state().tension_N - 15.0) < 0.5)  # no more setpoints
+    eventually(lambda: abs(loop_state(rig).tension_N - 15.0) < 0.5)  # no more setpoints
     with pytest.raises(InvalidInput, match="no position controller"):
         rig.follow(Setpoint(20.0, 1.0))
     with pytest.raises(InvalidInput, match="outside the rig's range"):
@@ -295,7 +295,7 @@ def test_setpoints_are_followed_until_they_stop_or_the_rig_is_stopped(rig):
 def test_close_ends_a_trial_under_way(hardware):
     rig = HardwareRig(configuration(hardware[0]))
     with in_background(lambda: rig.run(ask(rig, duration_s=8.0))) as results:
-        eventually(lambda: rig.state().phase == "trial")
+        eventually(lambda: loop_state(rig).phase == "trial")
         rig.close()
     assert results[0].outcome is Outcome.CANCELLED
     assert not hardware[1]().powered

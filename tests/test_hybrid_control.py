@@ -18,7 +18,7 @@ from estune.reel.hybrid import HybridCoefficients, HybridSignals, HybridState
 from estune.support import c_compiler
 from estune.trial import Setpoint, TrialRequest
 from plants.emulator.virtual_loop import virtual_rig
-from tests.support_hardware import config
+from tests.support_hardware import config, loop_state
 
 HYBRID = {
     "tension_min_N": 8.0,
@@ -119,7 +119,7 @@ class Followed:
             if setpoint is not None and k % 32 == 0:
                 self.rig.follow(setpoint)
             self.loop.sample()
-            state = self.rig.state()
+            state = loop_state(self.rig)
             rows.append((state.tension_N, state.current_A, state.angle_rad, state.in_position))
         return np.array(rows).T
 

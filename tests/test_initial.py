@@ -11,7 +11,6 @@ from estune.core import pidf
 from estune.core.gains import Gains
 from estune.core.initial import (
     RULES,
-    SensitivityLimits,
     imc,
     pole_placement,
     propose,
@@ -21,6 +20,7 @@ from estune.core.initial import (
 from estune.core.margins import controller_response
 from estune.core.pidf import ControllerSettings
 from estune.core.second_order import GaugeMode, SecondOrder
+from estune.core.sensitivity import NOISE_GAIN_MAX, SENSITIVITY_MAX, SETPOINT_PEAK_MAX
 from estune.errors import InvalidInput, UnsafeStart
 from plants.models.reel import reference_reel
 
@@ -88,29 +88,26 @@ def simulated_loop(model, gains, samples, sampling=SETTINGS):
 @given(model=MODELS)
 @example(model=SecondOrder(1.0, 30.8359375, 0.25))  # a grid point of the mode beside zero
 def test_sensitivity_limited_keeps_its_limits_for_any_plant(model):
-    limits = SensitivityLimits(sensitivity=1.7, setpoint_peak=1.05, noise_gain=6.0)
-    gains = sensitivity_limited(model, SETTINGS, limits)
+    gains = sensitivity_limited(model, SETTINGS)
     sensitivity, setpoint, noise = peaks(model, gains)
     # The rule enforces them on its own grid; between its points they may be exceeded slightly.
-    assert sensitivity < 1.7 * 1.01
-    assert setpoint < 1.05 * 1.01
-    assert noise < 6.0 * 1.001
+    assert sensitivity < SENSITIVITY_MAX * 1.01
+    assert setpoint < SETPOINT_PEAK_MAX * 1.01
+    assert noise < NOISE_GAIN_MAX * 1.001
     assert propose(model, SETTINGS, "sensitivity_limited").margins.stable
 
 
 @pytest.mark.parametrize("length", [0.5, 1.4])
 def test_sensitivity_limited_has_the_largest_integral_gain_nearby(length):
-    model, limits = reel_model(length), SensitivityLimits()
-    best = sensitivity_limited(model, SETTINGS, limits)
+    model = reel_model(length)
+    best = sensitivity_limited(model, SETTINGS)
     draw = np.random.default_rng(0)
     for _ in range(300):
         P, D = best.P * draw.uniform(0.9, 1.1), best.D * draw.uniform(0.9, 1.1)
         I = best.I * 1.02
         sensitivity, setpoint, noise = peaks(model, Gains(P, I, D, P / I))
         assert (
-            sensitivity > limits.sensitivity
-            or setpoint > limits.setpoint_peak
-            or noise > limits.noise_gain
+            sensitivity > SENSITIVITY_MAX or setpoint > SETPOINT_PEAK_MAX or noise > NOISE_GAIN_MAX
         )
 
 
@@ -188,5 +185,3 @@ def test_unsafe_gains_and_invalid_models_are_refused():
         pole_placement(reel_model(0.8), SETTINGS, 5.0)
     with pytest.raises(InvalidInput, match="damping ratio is nan"):
         SecondOrder(1.0, 50.0, math.nan)
-    with pytest.raises(InvalidInput, match="it must be finite and above 1"):
-        SensitivityLimits(sensitivity=0.9)

@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 
 from estune.core.gains import Gains
-from estune.errors import ProtocolError, RigError
+from estune.errors import RigError
 from estune.remote.ledger import FileLedger, MemoryLedger
-from estune.remote.messages import VERBS, Answer, Inquire, Status, decode_part, digest
-from estune.remote.messages.commands import Cancel, Clear, Estop, Lease, SetGains, Submit, Void
+from estune.remote.messages import VERBS, Answer, Inquire, Status, digest
+from estune.remote.messages.commands import Cancel, Clear, Estop, Lease, Submit, Void
 from estune.remote.state_machine.reply_codes import ReplyCode
 from estune.remote.state_machine.state import LEASE_S, Mode
 from estune.remote.state_machine.trials import TrialState
@@ -154,20 +154,6 @@ def test_result_is_withheld_until_the_next_trial_can_start():
         assert isinstance(following, bytes) or following.verdict is ReplyCode.ACCEPTED
 
 
-def test_result_with_length_returns_parts_of_the_frame():
-    with handling(ScriptedRig()) as handler:
-        handler.begin(trial())
-        handler.wait()
-        whole, parts = handler.ask(trial()), b""
-        while len(parts) < len(whole):
-            part = decode_part(handler.ask(trial(), offset=len(parts), length=1000))
-            assert (part.total, part.offset) == (len(whole), len(parts))
-            parts += part.data
-        assert parts == whole
-        with pytest.raises(ProtocolError, match="none there"):
-            handler.ask(trial(), offset=len(whole), length=1)
-
-
 def test_end_of_a_trial_calls_changed():
     rig = HeldRig()
     with handling(rig) as handler:
@@ -217,25 +203,6 @@ def test_request_under_a_used_id_is_refused_and_not_run():
         ):
             assert (answer.verdict, answer.error) == (ReplyCode.REFUSED, "RigError")
     assert rig.requests == [trial()]
-
-
-def test_submit_and_gains_during_a_trial_reply_busy():
-    rig = HeldRig()
-    with handling(rig) as handler:
-        handler.begin(trial())
-        for answer in (
-            handler.begin(trial(1)),
-            handler.gains(SetGains(MINE, replace(GAINS, P=2.0))),
-        ):
-            assert (answer.verdict, answer.trial_id) == (ReplyCode.BUSY, trial().trial_id)
-            assert trial().trial_id in answer.sentence
-        assert handler.now.trial_id == trial().trial_id
-        rig.go.set()
-        handler.wait()
-        handler.begin(trial(1))
-        handler.wait()
-        assert handler.now.ended == 2
-    assert rig.requests == [trial(), trial(1)]
 
 
 def test_describe_during_a_trial_returns_the_rig_at_rest():
@@ -351,55 +318,7 @@ def test_void_during_the_note_of_a_trial_prevents_it(prompt):
     assert rig.requests == []
 
 
-def test_void_trial_never_runs():
-    rig = ScriptedRig()
-    with handling(rig) as handler:
-        void = Void(MINE, trial().trial_id, digest(trial()))
-        assert handler.void(void).verdict is ReplyCode.VOID
-        assert handler.begin(trial()).verdict is ReplyCode.VOID
-        assert handler.ask(trial()).verdict is ReplyCode.VOID
-        handler.begin(trial(1))
-        handler.wait()
-        ended = Void(MINE, trial(1).trial_id, digest(trial(1)))
-        assert handler.void(ended).verdict is ReplyCode.ENDED
-    assert rig.requests == [trial(1)]
-
-
 # --- the lease ---
-
-
-def test_commands_without_the_lease_are_refused_with_the_holder():
-    rig = ScriptedRig()
-    with handling(rig) as handler:
-        void = Void(OTHERS, trial().trial_id, digest(trial()))
-        for answer in (
-            *(handler.acquire(OTHERS), handler.lease(Lease("renew", OTHERS))),
-            *(handler.begin(trial(), OTHERS), handler.void(void)),
-            handler.gains(SetGains(OTHERS, GAINS)),
-        ):
-            assert answer.verdict is ReplyCode.HELD
-            assert "holder of mine" in answer.sentence
-        assert handler.lease(Lease("release", MINE)).verdict is ReplyCode.ACCEPTED
-        assert handler.acquire(OTHERS).verdict is ReplyCode.ACCEPTED
-        assert handler.now.holder == "holder of others"
-        assert handler.begin(trial()).verdict is ReplyCode.HELD
-        assert rig.requests == []
-
-
-def test_lease_not_renewed_stops_the_trial_with_the_reason():
-    rig = ScriptedRig(duration_s=60.0)
-    with handling(rig) as handler:
-        began_s = time.monotonic()
-        handler.begin(trial())
-        while handler.now.trial_id:
-            time.sleep(0.001)
-        assert time.monotonic() - began_s >= 0.9 * LEASE_S
-        record = record_frame.decode(handler.ask(trial()))
-        assert record.outcome is Outcome.CANCELLED
-        assert "no renewal by holder of mine for 1 s" in record.reason
-        assert handler.now.mode is Mode.IDLE
-        assert handler.begin(trial(1)).verdict is ReplyCode.NO_LEASE
-    assert rig.requests == [trial()]
 
 
 def test_lease_renewed_stays_in_force():
@@ -407,15 +326,6 @@ def test_lease_renewed_stays_in_force():
         handler.begin(trial())
         handler.wait()
         assert record_frame.decode(handler.ask(trial())).outcome is Outcome.DONE
-
-
-def test_lease_released_during_a_trial_stops_it():
-    with handling(ScriptedRig(duration_s=60.0)) as handler:
-        handler.begin(trial())
-        handler.lease(Lease("release", MINE))
-        while handler.now.trial_id:
-            time.sleep(0.001)
-        assert "released the lease" in record_frame.decode(handler.ask(trial())).reason
 
 
 # --- stopping ---
@@ -434,17 +344,6 @@ def test_cancel_before_the_start_prevents_the_trial():
         assert record.gains == rig.describe().gains
         assert record.time_s.size == 0
     assert rig.requests == []
-
-
-def test_cancel_applies_to_the_named_trial_only():
-    rig = ScriptedRig(duration_s=60.0)
-    with handling(rig) as handler:
-        handler.begin(trial())
-        while handler.cancel(Cancel(MINE, trial().trial_id)).trial_id:
-            time.sleep(0.001)
-        handler.begin(trial(1))
-        assert handler.cancel(Cancel(MINE, trial().trial_id)) == Answer(ReplyCode.ACCEPTED)
-        assert handler.now.trial_id == trial(1).trial_id
 
 
 def test_close_stops_the_active_trial_and_accepts_no_more():
@@ -468,26 +367,6 @@ def test_cancel_reports_that_the_rig_cannot_be_stopped():
         rig.go.set()
         handler.wait()
         assert handler.cancel(Cancel(MINE)) == Answer(ReplyCode.ACCEPTED)
-
-
-def test_estop_stops_the_trial_and_holds_until_clear():
-    rig = ScriptedRig(duration_s=60.0)
-    with handling(rig) as handler:
-        handler.begin(trial())
-        while not rig.requests:
-            time.sleep(0.001)
-        assert handler.stop("smoke").verdict is ReplyCode.ACCEPTED
-        handler.wait()
-        record = record_frame.decode(handler.ask(trial()))
-        assert (record.outcome, record.reason) == (Outcome.CANCELLED, "emergency stop: smoke")
-        assert (handler.now.mode, handler.now.latched) == (Mode.SAFE, "smoke")
-        for answer in (handler.begin(trial(1)), handler.gains(SetGains(MINE, GAINS))):
-            assert answer.verdict is ReplyCode.SAFE
-            assert "smoke" in answer.sentence
-        with pytest.raises(RigError, match="safe state"):
-            rig.run(trial(2))
-        assert handler.reset().verdict is ReplyCode.ACCEPTED
-        assert handler.begin(trial(1)).verdict is ReplyCode.ACCEPTED
 
 
 def test_estop_waits_for_neither_trial_nor_disk(tmp_path):

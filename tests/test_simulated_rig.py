@@ -73,41 +73,6 @@ def test_number_of_stored_records_is_bounded():
     assert np.array_equal(again.tension_N, first.tension_N)
 
 
-def test_trial_does_not_change_the_live_gains():
-    rig = plants.reference_reel().rig()
-    before = rig.describe().gains
-    rig.run(ask())
-    assert rig.describe().gains == before
-    rig.apply(GAINS)
-    assert rig.describe().gains == GAINS
-    assert plants.reference_reel().rig(gains=GAINS).describe().gains == GAINS
-
-
-@pytest.mark.parametrize(
-    "step",
-    [
-        StepProfile(2.0, 10.0, 0.2, 1.0),
-        StepProfile(35.0, 10.0, 0.2, 1.0),
-        StepProfile(15.0, -12.0, 0.2, 1.0),
-        StepProfile(15.0, 10.0, 0.2, 100.0),
-    ],
-)
-def test_request_outside_the_limits_is_rejected(step):
-    rig = plants.reference_reel().rig()
-    with pytest.raises(InvalidInput):
-        rig.run(ask(profile=step))
-    assert rig.run(ask()).outcome is Outcome.DONE  # the id was not used up
-
-
-def test_closed_rig_rejects_calls():
-    rig = plants.reference_reel().rig(name="left")
-    rig.close()
-    rig.close()
-    for call in (rig.describe, rig.abort, lambda: rig.run(ask()), lambda: rig.apply(GAINS)):
-        with pytest.raises(RigError, match="left is closed"):
-            call()
-
-
 def test_divergence_is_an_outcome():
     plant = plants.linear_plant(control.tf([1.0], [1.0, -1.0]), 0.0, 20.0)
     rig = plant.rig(gains=Gains(3.0, 1.0, 0.0, 0.0))
@@ -136,12 +101,6 @@ def test_abort_ends_a_paced_trial():
     assert len(record.time_s) < step.samples(632.0)
     assert rig.run(ask(profile=step)) is record
     assert rig.run(ask(1, profile=StepProfile(15.0, 10.0, 0.01, 0.02))).outcome is Outcome.DONE
-
-
-def test_abort_without_a_trial_does_not_affect_the_next():
-    rig = plants.reference_reel().rig(pace=0.001)
-    assert rig.abort() == rig.describe()
-    assert rig.run(ask()).outcome is Outcome.DONE
 
 
 def test_paced_trial_takes_its_duration():

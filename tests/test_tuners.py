@@ -1,16 +1,14 @@
 """Properties of every tuner, and the update law of each."""
 
-import json
 import math
-import pickle
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from pydantic import TypeAdapter
 from scipy import signal
 
+from estune.conformance.tuner import TunerConformance
 from estune.core.gains import Gains
 from estune.errors import InvalidInput
 from estune.tuners import TUNERS, Observation, SearchSpace, create_tuner
@@ -67,6 +65,12 @@ def dither(tuner, state):
 # Every tuner.
 
 
+class TestEveryTuner(TunerConformance):
+    @pytest.fixture(params=ALL)
+    def tuner(self, request):
+        return ALL[request.param]
+
+
 @every_tuner
 @given(observed=observations)
 def test_proposals_stay_within_the_bounds_for_any_observations(tuner, observed):
@@ -76,25 +80,6 @@ def test_proposals_stay_within_the_bounds_for_any_observations(tuner, observed):
             rows = zip(tuner.space.low, point, tuner.space.high, strict=True)
             assert all(low <= value <= high for low, value, high in rows)
         state = tuner.tell(state, observation)
-
-
-@every_tuner
-@given(observed=observations, cut=st.integers(0, 60))
-def test_restored_state_continues_bit_for_bit(tuner, observed, cut):
-    state = stored = tuner.start()
-    for k, observation in enumerate(observed):
-        if k == cut:
-            stored = pickle.loads(pickle.dumps(stored))  # noqa: S301  our own bytes
-        state, stored = tuner.tell(state, observation), tuner.tell(stored, observation)
-    assert stored == state
-    assert tuner.ask(stored) == tuner.ask(state)
-
-
-@every_tuner
-def test_settings_survive_json(tuner):
-    kind = TypeAdapter(type(tuner))
-    stored = json.loads(json.dumps(kind.dump_python(tuner, mode="json")))
-    assert kind.validate_python(stored) == tuner
 
 
 @every_tuner

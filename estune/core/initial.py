@@ -10,7 +10,6 @@ All rules set the setpoint filter's time constant to P/I, which cancels the zero
 path `C_r = P + I/s`, (33).
 """
 
-import contextlib
 import math
 from collections.abc import Callable
 from typing import Literal, NamedTuple, Self, get_args
@@ -22,7 +21,7 @@ from estune.core.margins import Margins, SampledPlant, loop_margins, sample_plan
 from estune.core.pidf import ControllerSettings
 from estune.core.quantities import check_positive
 from estune.core.second_order import SecondOrder
-from estune.core.sensitivity import SensitivityLimits, largest_integral_gain
+from estune.core.sensitivity import largest_integral_gain
 from estune.errors import InvalidInput, UnsafeStart
 
 Rule = Literal["sensitivity_limited", "imc", "pole_placement", "ziegler_nichols"]
@@ -64,15 +63,6 @@ class Proposal(NamedTuple):
             f"the gains by {self.rule} are no safe start: {how}; use sensitivity_limited, or "
             "check the model"
         )
-
-
-def proposals(model: SecondOrder, settings: ControllerSettings) -> tuple[Proposal, ...]:
-    """The proposal of each rule that applies, in the order of `RULES`."""
-    made = []
-    for rule in RULES:
-        with contextlib.suppress(InvalidInput):
-            made.append(propose(model, settings, rule))
-    return tuple(made)
 
 
 def propose(model: SecondOrder, settings: ControllerSettings, rule: Rule) -> Proposal:
@@ -192,11 +182,7 @@ def pole_placement(
     return Gains(float(P), float(I), float(D), float(P / I))
 
 
-def sensitivity_limited(
-    model: SecondOrder,
-    settings: ControllerSettings,
-    limits: SensitivityLimits | None = None,
-) -> Gains:
+def sensitivity_limited(model: SecondOrder, settings: ControllerSettings) -> Gains:
     """The largest integral gain within limits of sensitivity, setpoint response and noise.
 
     See `estune.core.sensitivity`, which is for any linear plant.
@@ -204,7 +190,7 @@ def sensitivity_limited(
     Raises:
         InvalidInput: no gains keep the limits, as for a model near instability.
     """
-    return largest_integral_gain(_sampled(model, settings), settings, limits)
+    return largest_integral_gain(_sampled(model, settings), settings)
 
 
 def _with_filter(K: float, Ti: float, Td: float) -> Gains:

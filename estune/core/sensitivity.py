@@ -18,39 +18,19 @@ import numpy as np
 from estune.core.gains import Gains
 from estune.core.margins import SampledPlant, controller_response, is_stable
 from estune.core.pidf import ControllerSettings
-from estune.core.quantities import ComplexArray, FloatArray, check_positive
+from estune.core.quantities import ComplexArray, FloatArray
 from estune.errors import InvalidInput
 
 GRID_POINTS = 600
 """Frequencies at which the sensitivity is constrained."""
 ROUNDS = 60
 
-
-@dataclass(frozen=True, slots=True)
-class SensitivityLimits:
-    """Limits of `largest_integral_gain`.
-
-    Attributes:
-        sensitivity: Greatest |1/(1 + L)|: 1.4 is robust, 2 aggressive.
-        setpoint_peak: Greatest |T|, from setpoint to output through the filter: 1 is no resonance.
-        noise_gain: Greatest C_y at half the sampling rate, N of effort per N of noise.
-
-    Raises:
-        InvalidInput: a value is out of its range.
-    """
-
-    sensitivity: float = 1.6
-    setpoint_peak: float = 1.02
-    noise_gain: float = 8.0
-
-    def __post_init__(self) -> None:
-        for what, value in (
-            ("sensitivity limit", self.sensitivity),
-            ("setpoint peak", self.setpoint_peak),
-        ):
-            if not (math.isfinite(value) and value > 1.0):
-                raise InvalidInput(f"{what} is {value}; it must be finite and above 1")
-        check_positive("noise gain limit", self.noise_gain)
+SENSITIVITY_MAX = 1.6
+"""M_s, the greatest |1/(1 + L)|: 1.4 is robust, 2 aggressive."""
+SETPOINT_PEAK_MAX = 1.02
+"""M_t, the greatest |T| from setpoint to output through the filter: 1 is no resonance."""
+NOISE_GAIN_MAX = 8.0
+"""Greatest C_y at half the sampling rate, N of effort per N of noise."""
 
 
 class _SlowestMode(NamedTuple):
@@ -82,15 +62,12 @@ class _SlowestMode(NamedTuple):
         return cls(gain, abs(mode) / sample_s, max(-mode.real / abs(mode), 0.0))
 
 
-def largest_integral_gain(
-    plant: SampledPlant, settings: ControllerSettings, limits: SensitivityLimits | None = None
-) -> Gains:
+def largest_integral_gain(plant: SampledPlant, settings: ControllerSettings) -> Gains:
     """The gains with the largest I within the limits; the setpoint filter is P/I.
 
     Args:
         plant: Any linear plant from effort to output, sampled as the controller is.
         settings: Sampling rate and derivative filter.
-        limits: Of sensitivity, setpoint response and noise.
 
     Raises:
         InvalidInput: no gains keep the limits, or the plant is unstable by itself or has no
@@ -98,9 +75,8 @@ def largest_integral_gain(
     """
     from scipy.optimize import linprog  # noqa: PLC0415  slow to import
 
-    limits = limits or SensitivityLimits()
     slowest = _SlowestMode.of(plant, 1.0 / settings.sampling_Hz)
-    constraints = _Constraints.of(plant, slowest, settings, limits)
+    constraints = _Constraints.of(plant, slowest, settings)
     # P stays above zero, so that it has a logarithm even where the best is none.
     least = 0.01 * slowest.damping
     x = np.array([least, 0.01 * least, 0.0])
@@ -114,8 +90,8 @@ def largest_integral_gain(
         )
         if not solution.success:
             raise InvalidInput(
-                f"no gains keep the sensitivity at {limits.sensitivity:g} for a damping ratio of "
-                f"{slowest.damping:.3g}; raise the limit, or use another rule"
+                f"no gains keep the sensitivity at {SENSITIVITY_MAX:g} for a damping ratio of "
+                f"{slowest.damping:.3g}; use another rule"
             )
         x, last = solution.x, x
         if x[1] - last[1] < 1e-4 * x[1]:
@@ -133,31 +109,23 @@ class _Constraints:
         loop: L per unit of each gain, shape (frequencies, 3).
         setpoint: |G/s| per unit of the integral gain, over M_t, shape (frequencies,).
         noise: C_y at half the sampling rate per unit of each gain, shape (3,).
-        limits: The limits.
     """
 
     scale: FloatArray
     loop: ComplexArray
     setpoint: FloatArray
     noise: FloatArray
-    limits: SensitivityLimits
 
     @classmethod
-    def of(
-        cls,
-        plant: SampledPlant,
-        slowest: _SlowestMode,
-        settings: ControllerSettings,
-        limits: SensitivityLimits,
-    ) -> Self:
+    def of(cls, plant: SampledPlant, slowest: _SlowestMode, settings: ControllerSettings) -> Self:
         theta = _grid(plant)
         controller = np.column_stack([_unit_response(n, settings, theta) for n in range(3)])
         w = slowest.frequency_rad_s
         scale = np.array([1.0, w, 1.0 / w]) / slowest.gain
         loop = plant.response(theta)[:, None] * controller * scale
         # The filter takes the zero out of C_r = (P s + I)/s, so that |T| = |I G/s| / |1 + L|.
-        setpoint = np.abs(loop[:, 1]) / limits.setpoint_peak
-        return cls(scale, loop, setpoint, controller[-1].real * scale, limits)
+        setpoint = np.abs(loop[:, 1]) / SETPOINT_PEAK_MAX
+        return cls(scale, loop, setpoint, controller[-1].real * scale)
 
     def tangent(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
         """The half spaces `rows x <= room` tangent to the constraints at these gains."""
@@ -168,7 +136,7 @@ class _Constraints:
         with_setpoint = away + np.outer(self.setpoint, [0.0, 1.0, 0.0])
         return (
             np.vstack([away, with_setpoint, self.noise]),
-            np.concatenate([room - 1.0 / self.limits.sensitivity, room, [self.limits.noise_gain]]),
+            np.concatenate([room - 1.0 / SENSITIVITY_MAX, room, [NOISE_GAIN_MAX]]),
         )
 
 

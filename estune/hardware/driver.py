@@ -86,51 +86,14 @@ class Gauge(Protocol):
         ...
 
 
-class Drive(Protocol):
-    """Amplifier and encoder without a gauge; its methods are those of `Driver` but for reading."""
+class Amplifier(Protocol):
+    """Power and current of a motor: what a drive and a driver of a whole reel have in common.
 
-    def enable(self) -> None:
-        """As of `Driver`."""
-        ...
-
-    def request(self) -> None:
-        """Asks for the encoder; returns at once."""
-        ...
-
-    def position(self) -> int:
-        """The encoder's counts, unwrapped; raises where they do not come in time."""
-        ...
-
-    def write(self, current_counts: int) -> None:
-        """As of `Driver`."""
-        ...
-
-    def disable(self) -> None:
-        """As of `Driver`."""
-        ...
-
-    def safe_state(self) -> None:
-        """As of `Driver`."""
-        ...
-
-    def close(self) -> None:
-        """As of `Driver`."""
-        ...
-
-
-class Driver(Protocol):
-    """Hardware of one reel. A context manager: leaving it closes it.
-
-    `read` and `write` return within a small part of the sampling period, or raise. Any exception
-    ends motion: the loop calls `safe_state` and gives the hardware up.
+    Any exception ends motion: the loop calls `safe_state` and gives the hardware up.
     """
 
     def enable(self) -> None:
         """Gives the amplifier power, at the current written last. May take its time."""
-        ...
-
-    def read(self) -> Reading:
-        """Reads gauge and encoder."""
         ...
 
     def write(self, current_counts: int) -> None:
@@ -147,6 +110,29 @@ class Driver(Protocol):
 
     def close(self) -> None:
         """Closes the hardware, without power. May be called again."""
+        ...
+
+
+class Drive(Amplifier, Protocol):
+    """Amplifier and encoder without a gauge."""
+
+    def request(self) -> None:
+        """Asks for the encoder; returns at once."""
+        ...
+
+    def position(self) -> int:
+        """The encoder's counts, unwrapped; raises where they do not come in time."""
+        ...
+
+
+class Driver(Amplifier, Protocol):
+    """Hardware of one reel. A context manager: leaving it closes it.
+
+    `read` and `write` return within a small part of the sampling period, or raise.
+    """
+
+    def read(self) -> Reading:
+        """Reads gauge and encoder."""
         ...
 
     def __enter__(self) -> Self:
@@ -188,8 +174,8 @@ def load_part(use: str, settings: Mapping[str, Any], kind: type[Any]) -> Any:
             )
         reference = offered[use].value
     part = load(reference, settings)
-    methods = [name for name, value in vars(kind).items() if inspect.isfunction(value)]
-    missing = [name for name in methods if name != "__init__" and not hasattr(part, name)]
+    methods = inspect.getmembers(kind, inspect.isfunction)
+    missing = [name for name, _ in methods if not hasattr(part, name)]
     if missing:
         getattr(part, "close", lambda: None)()
         what = kind.__name__.lower()

@@ -19,13 +19,7 @@ from estune.errors import InvalidInput, RigError
 from estune.hardware.config import RigConfig
 from estune.hardware.loop_messages import Begin, Done, Ended, LoopPlan, ResetEstop, SetLiveGains
 from estune.hardware.process import ANSWER_WITHIN_s, LoopProcess, RunningLoop
-from estune.hardware.shared_memory import (
-    HardwareStatus,
-    MotionPhase,
-    SensorLevels,
-    Timing,
-    Word,
-)
+from estune.hardware.shared_memory import MotionPhase, SensorLevels, Timing, Word
 from estune.trial import (
     Feedback,
     Outcome,
@@ -37,6 +31,7 @@ from estune.trial import (
 )
 from estune.trial.executed_trials import ExecutedTrials, stopped_trial
 from estune.trial.profiles import Profile, StepProfile
+from estune.trial.records import record_of
 
 JUMP_s = 1.0
 """Jump of the time of day between two trials that is logged."""
@@ -214,11 +209,6 @@ class HardwareRig:
         columns = (np.array(source[first:measured], np.float64) for source in sources)
         return Telemetry(trial_id, first, self._config.sampling_Hz, *columns)
 
-    def state(self) -> HardwareStatus:
-        """Status of the rig now."""
-        self._check_alive()
-        return self._memory.status()
-
     def timing(self) -> Timing:
         """Timing of the loop since it started."""
         self._check_alive()
@@ -296,19 +286,9 @@ class HardwareRig:
         age = 0.0 if math.isnan(ended.first_s) else time.monotonic() - ended.first_s
         self._check_clock()
         started = datetime.fromtimestamp(time.time() - age, UTC)
-        return TrialRecord(
-            trial_id=request.trial_id,
-            rig=self._description.name,
-            sampling_Hz=self._config.sampling_Hz,
-            cable_length_m=self._current_description().cable_length_m,
-            preload_N=request.profile.preload_N,
-            gains=request.gains,
-            outcome=ended.outcome,
-            reason=ended.reason,
-            started_at=started.isoformat(timespec="milliseconds"),
-            software=self._description.software,
-            loop=request.profile.loop,
-            profile=request.profile.kind,
+        return record_of(
+            *(request, self._current_description(), ended.outcome, ended.reason),
+            started.isoformat(timespec="milliseconds"),
             **self._memory.columns(ended.samples, self._optional_columns),
         )
 

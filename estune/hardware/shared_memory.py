@@ -64,30 +64,6 @@ class SensorLevels(IntEnum):
     SCHEDULED_N = 6  # tension of that operating point
 
 
-class HardwareStatus(NamedTuple):
-    """Status of a rig on hardware.
-
-    Attributes:
-        phase: Name of the `MotionPhase`, in lower case.
-        reason: Why it last stopped; empty where it did not, or was cleared.
-        latched: Whether it takes no trial until it is cleared.
-        tension_N: Latest tension.
-        setpoint_N: Setpoint between trials.
-        current_A: Latest current command.
-        angle_rad: Latest angle.
-        in_position: Whether position control is selected.
-    """
-
-    phase: str
-    reason: str
-    latched: bool
-    tension_N: float
-    setpoint_N: float
-    current_A: float
-    angle_rad: float
-    in_position: bool
-
-
 class Timing(NamedTuple):
     """Timing of the loop since it started.
 
@@ -185,20 +161,6 @@ class Memory:
         for array in made.values():
             array.flags.writeable = False
         return made
-
-    def status(self) -> HardwareStatus:
-        """Status of the rig."""
-        words, levels = self.words, self.levels
-        return HardwareStatus(
-            phase=MotionPhase(words[Word.PHASE]).name.lower(),
-            reason=self.reason,
-            latched=bool(words[Word.LATCHED] or words[Word.ESTOP]),
-            tension_N=levels[SensorLevels.TENSION_N],
-            setpoint_N=levels[SensorLevels.SETPOINT_N],
-            current_A=levels[SensorLevels.CURRENT_A],
-            angle_rad=levels[SensorLevels.ANGLE_rad],
-            in_position=bool(words[Word.IN_POSITION]),
-        )
 
     def timing(self) -> Timing:
         """Timing of the loop."""

@@ -40,28 +40,29 @@ class DriverTable(PartTable):
         }
 
 
-class _CalibrationTable(TomlTable):
-    """A calibration: a JSON file, or numbers with their range."""
+class FileOrNumbers(TomlTable):
+    """A JSON file, or in its place all of the keys that are None by default."""
 
     file: Path | None = Field(default=None, strict=False)
 
     @model_validator(mode="after")
     def _one_way(self) -> Self:
-        names = [name for name in type(self).model_fields if name != "file"]
+        fields = type(self).model_fields.items()
+        names = [name for name, field in fields if name != "file" and field.default is None]
         present = [getattr(self, name) is not None for name in names]
         if any(present) != all(present) or all(present) == (self.file is not None):
             raise ValueError(f"give either file, or {', '.join(names)}")
         return self
 
 
-class GaugeTable(_CalibrationTable):
+class GaugeTable(FileOrNumbers):
     """C2: a JSON file of `GaugeCalibration.as_dict`, or a polynomial."""
 
     counts_of_force: list[float] | None = None
     range_N: Annotated[Range | None, Field(strict=False)] = None
 
 
-class CurrentTable(_CalibrationTable):
+class CurrentTable(FileOrNumbers):
     """C1: a JSON file of `CurrentCalibration.as_dict`, or a polynomial."""
 
     amperes_of_command: list[float] | None = None

@@ -73,12 +73,6 @@ def dark_colour(light: str) -> str:
     return "#" + "".join(f"{round(255.0 * float(value)):02x}" for value in coded)
 
 
-def contrast(one: str, other: str) -> float:
-    """Contrast of two colours, 1 to 21."""
-    low, high = sorted(_luminance(_linear(colour)) + 0.05 for colour in (one, other))
-    return high / low
-
-
 def _linear(colour: str) -> NDArray[np.float64]:
     """Linear red, green and blue of #rrggbb, by sRGB."""
     coded = np.array([int(colour[i : i + 2], 16) / 255.0 for i in (1, 3, 5)])

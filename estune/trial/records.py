@@ -1,7 +1,7 @@
 """Trial requests and trial records."""
 
-from dataclasses import dataclass
-from typing import Literal
+from dataclasses import dataclass, replace
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -134,31 +134,40 @@ class TrialRecord:
         return bool(self.flags.size) and int(self.flags[-1]) & (LATE | GUARD) == LATE | GUARD
 
 
-def empty_record(
-    request: TrialRequest, rig: RigDescription, outcome: Outcome, reason: str, at: str
+def record_of(
+    request: TrialRequest,
+    rig: RigDescription,
+    outcome: Outcome,
+    reason: str,
+    at: str,
+    **columns: Any,
 ) -> TrialRecord:
-    """The record of a trial without samples, with the live gains; `at` is its time of day."""
-    nothing = np.empty(0)
+    """The record of a trial with the requested gains; `at` is its time of day."""
     return TrialRecord(
         trial_id=request.trial_id,
         rig=rig.name,
         sampling_Hz=rig.controller.sampling_Hz,
         cable_length_m=rig.cable_length_m,
         preload_N=request.profile.preload_N,
-        gains=rig.gains,
+        gains=request.gains,
         outcome=outcome,
         reason=reason,
         started_at=at,
         software=rig.software,
-        time_s=nothing,
-        setpoint_N=nothing,
-        tension_N=nothing,
-        current_A=nothing,
-        angle_rad=nothing,
-        flags=np.empty(0, np.uint8),
         loop=request.profile.loop,
         profile=request.profile.kind,
+        **columns,
     )
+
+
+def empty_record(
+    request: TrialRequest, rig: RigDescription, outcome: Outcome, reason: str, at: str
+) -> TrialRecord:
+    """The record of a trial without samples, with the live gains; `at` is its time of day."""
+    names = ("time_s", "setpoint_N", "tension_N", "current_A", "angle_rad")
+    columns: dict[str, Any] = dict.fromkeys(names, np.empty(0)) | {"flags": np.empty(0, np.uint8)}
+    record = record_of(request, rig, outcome, reason, at, **columns)
+    return replace(record, gains=rig.gains)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -11,9 +11,10 @@ from estune.core.quantities import check_not_negative
 from estune.errors import RigError
 from estune.trial import Outcome, RigDescription, Telemetry, TrialRecord, TrialRequest
 from estune.trial.executed_trials import ExecutedTrials, stopped_trial
+from estune.trial.records import record_of
 from plants.simulation.batch import Response, simulate
 from plants.simulation.noise import NoiseSource
-from plants.simulation.plant import SOFTWARE, Plant, drive_of
+from plants.simulation.plant import Plant, drive_of
 
 _COLUMNS = ("time_s", "setpoint_N", "tension_N", "angle_rad", "flags", "reference_N")
 
@@ -160,20 +161,9 @@ class SimulatedRig:
                 outcome, reason = Outcome.CANCELLED, Outcome.CANCELLED.sentence
         columns = {name: getattr(response, name) for name in _COLUMNS}
         columns["current_A"] = response.effort_N / self._plant.newtons_per_ampere
-        return TrialRecord(
-            trial_id=request.trial_id,
-            rig=self._description.name,
-            sampling_Hz=rate,
-            cable_length_m=self._description.cable_length_m,
-            preload_N=request.profile.preload_N,
-            gains=request.gains,
-            outcome=outcome,
-            reason=reason,
-            started_at=started_at,
-            software=SOFTWARE,
+        return record_of(
+            *(request, self._description, outcome, reason, started_at),
             **{name: _read_only(column, samples) for name, column in columns.items()},
-            loop=request.profile.loop,
-            profile=request.profile.kind,
         )
 
     def _stop_running(self) -> None:

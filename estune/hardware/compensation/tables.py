@@ -2,19 +2,16 @@
 
 import json
 import math
-from pathlib import Path
-from typing import Annotated, Self
+from typing import Annotated
 
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from estune.errors import InvalidInput
 from estune.hardware.compensation.plan import CompensationPlan, Gravity
+from estune.hardware.tables import FileOrNumbers, NotNegative, Positive
 from estune.reel.friction import FeedForward, StribeckFriction
 from estune.reel.velocity import Windows
 from estune.support.toml_file import TomlTable
-
-Positive = Annotated[float, Field(gt=0.0)]
-NotNegative = Annotated[float, Field(ge=0.0)]
 
 INTERVALS_MAX = 200
 """Longest window: 0.3 s at 632 Hz, and 10 kB of a board's memory."""
@@ -33,22 +30,13 @@ class VelocityTable(TomlTable):
     strong: float = 2.0
 
 
-class FrictionTable(TomlTable):
+class FrictionTable(FileOrNumbers):
     """Friction of (10) at the drum: numbers, or a JSON file of them; a share is fed forward."""
 
-    file: Path | None = Field(default=None, strict=False)
     coulomb_Nm: NotNegative | None = None
     static_Nm: NotNegative | None = None
     stribeck_rad_s: Positive | None = None
     fraction: Annotated[float, Field(ge=0.0, lt=1.0)] = 0.8
-
-    @model_validator(mode="after")
-    def _one_way(self) -> Self:
-        given = (self.coulomb_Nm, self.static_Nm, self.stribeck_rad_s)
-        present = [number is not None for number in given]
-        if any(present) != all(present) or all(present) == (self.file is not None):
-            raise ValueError("give either file, or coulomb_Nm, static_Nm, stribeck_rad_s")
-        return self
 
     @property
     def friction(self) -> StribeckFriction:

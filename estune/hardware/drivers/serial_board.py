@@ -57,15 +57,10 @@ def sealed(packet: bytes) -> bytes:
 
 
 class AnswerStream:
-    """Answers in a stream of bytes, in which some may be missing, doubled or damaged.
-
-    Attributes:
-        damaged: Bytes that belonged to no valid answer.
-    """
+    """Answers in a stream of bytes, in which some may be missing, doubled or damaged."""
 
     def __init__(self) -> None:
         self._bytes = b""
-        self.damaged = 0
 
     def feed(self, data: bytes) -> list[Answer]:
         """The valid answers that these bytes complete."""
@@ -78,7 +73,6 @@ class AnswerStream:
                 self._bytes = self._bytes[size:]
             else:
                 self._bytes = self._bytes[1:]
-                self.damaged += 1
         return found
 
 
@@ -109,11 +103,6 @@ class SerialBoard:
             raise RigError(
                 f"no board answers at {port}; check its program and the rate"
             ) from error
-
-    @property
-    def damaged(self) -> int:
-        """Bytes received so far that belonged to no valid answer."""
-        return self._stream.damaged
 
     @property
     def waited_s(self) -> float:

@@ -6,7 +6,7 @@ import threading
 import time
 from dataclasses import replace
 from datetime import UTC, datetime
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +20,7 @@ from estune.hardware.config import RigConfig
 from estune.hardware.trial_board.link import REASONS, BoardLink, BoardStatus
 from estune.trial import SATURATED, Outcome, RigDescription, TrialRecord, TrialRequest
 from estune.trial.executed_trials import ExecutedTrials, stopped_trial
+from estune.trial.records import record_of
 
 DRIVER = "trial-board"
 """Name of the driver in a rig's file by which the loop is the board's."""
@@ -205,19 +206,10 @@ class BoardRig:
     ) -> TrialRecord:
         rows = self._rows(status.done)
         outcome = _OUTCOMES[status.outcome]
-        return TrialRecord(
-            trial_id=request.trial_id,
-            rig=self._description.name,
-            sampling_Hz=self._config.sampling_Hz,
-            cable_length_m=self._description.cable_length_m,
-            preload_N=request.profile.preload_N,
-            gains=request.gains,
-            outcome=outcome,
-            reason="" if outcome is Outcome.DONE else REASONS[status.reason],
-            started_at=began.isoformat(timespec="milliseconds"),
-            software=self._description.software,
-            loop=request.profile.loop,
-            profile=request.profile.kind,
+        return record_of(
+            *(request, self._description, outcome),
+            "" if outcome is Outcome.DONE else REASONS[status.reason],
+            began.isoformat(timespec="milliseconds"),
             time_s=np.arange(rows.size) / self._config.sampling_Hz,
             setpoint_N=setpoint[: rows.size].copy(),
             tension_N=rows["tension"].copy(),
@@ -237,7 +229,7 @@ class BoardRig:
             data += self._link.exchange(b"r", struct.pack("<IB", first, at_once))[4:]
         return np.frombuffer(data, row)
 
-    def _compensations(self, rows: NDArray[np.void]) -> dict[str, FloatArray]:
+    def _compensations(self, rows: NDArray[np.void]) -> dict[str, Any]:
         """The columns of the compensations that are on."""
         if self._config.compensation is None:
             return {}

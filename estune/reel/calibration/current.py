@@ -1,7 +1,7 @@
 """Calibration of the current controller, C1, from current to commanded counts and back."""
 
-from dataclasses import asdict, dataclass
-from typing import Any, Self
+from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 from numpy.polynomial import polynomial
@@ -20,11 +20,11 @@ from estune.reel.calibration.monotone import (
     invert,
     on_scale,
 )
-from estune.reel.calibration.regression import Regression, from_stored, regress
+from estune.reel.calibration.regression import Regression, Stored, regress
 
 
 @dataclass(frozen=True, slots=True)
-class CurrentCalibration:
+class CurrentCalibration(Stored):
     """The current controller C1: motor current as a polynomial of the commanded counts.
 
     Attributes:
@@ -127,19 +127,6 @@ class CurrentCalibration:
         slope = polynomial.polyder(np.asarray(self.regression.coefficients))
         u = invert(self._curve, lambda u: np.asarray(polynomial.polyval(u, slope)), current, reach)
         return scalar_or_array(self.command.natural(u))
-
-    def as_dict(self) -> dict[str, Any]:
-        """Plain numbers, lists and dictionaries, for JSON."""
-        return asdict(self)
-
-    @classmethod
-    def from_dict(cls, stored: dict[str, Any]) -> Self:
-        """The calibration of the values that `as_dict` gave.
-
-        Raises:
-            InvalidInput: a value is missing, of the wrong type, or the curve is not monotone.
-        """
-        return from_stored(cls, stored)
 
     def _curve(self, u: FloatArray) -> FloatArray:
         return np.asarray(polynomial.polyval(u, np.asarray(self.regression.coefficients)))

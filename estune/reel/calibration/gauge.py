@@ -1,7 +1,7 @@
 """Calibration of the strain gauge, C2, from counts to force and back."""
 
-from dataclasses import asdict, dataclass
-from typing import Any, Self
+from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 from numpy.polynomial import polynomial
@@ -19,11 +19,11 @@ from estune.reel.calibration.monotone import (
     extremes,
     on_scale,
 )
-from estune.reel.calibration.regression import Regression, from_stored, regress
+from estune.reel.calibration.regression import Regression, Stored, regress
 
 
 @dataclass(frozen=True, slots=True)
-class GaugeCalibration:
+class GaugeCalibration(Stored):
     """The strain gauge: counts as a polynomial of second order in force, of order N in position.
 
     Without a position it is the quadratic C2. With one, it is the 2 x N polynomial for a cable
@@ -174,19 +174,6 @@ class GaugeCalibration:
         # This form of the quadratic's root neither cancels nor fails for a straight line.
         u = 2.0 * (counts - zero) / (one + np.copysign(root, one))
         return scalar_or_array(self.force.natural(np.clip(u, -reach, reach)))
-
-    def as_dict(self) -> dict[str, Any]:
-        """Plain numbers, lists and dictionaries, for JSON."""
-        return asdict(self)
-
-    @classmethod
-    def from_dict(cls, stored: dict[str, Any]) -> Self:
-        """The calibration of the values that `as_dict` gave.
-
-        Raises:
-            InvalidInput: a value is missing, of the wrong type, or the curve is not monotone.
-        """
-        return from_stored(cls, stored)
 
     def _matrix(self) -> FloatArray:
         return np.asarray(self.regression.coefficients).reshape(3, -1)

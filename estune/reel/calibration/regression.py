@@ -2,16 +2,14 @@
 
 import math
 from collections.abc import Iterable
-from dataclasses import dataclass
-from typing import Any, Self, TypeVar
+from dataclasses import asdict, dataclass
+from typing import Any, Self
 
 import numpy as np
 from pydantic import TypeAdapter, ValidationError
 
 from estune.core.quantities import FloatArray
 from estune.errors import InvalidInput
-
-_Calibration = TypeVar("_Calibration")
 
 _CONDITION_MAX = 1e7
 """Of the design with columns of equal length: coefficients keep half of the digits."""
@@ -100,18 +98,29 @@ class Regression:
         )
 
 
-def from_stored(kind: type[_Calibration], stored: dict[str, Any]) -> _Calibration:
-    """The calibration of the values that `dataclasses.asdict` gave, as read from JSON.
+@dataclass(frozen=True, slots=True)
+class Stored:
+    """Base of the calibrations: their form in JSON."""
 
-    Raises:
-        InvalidInput: a value is missing, of the wrong type, or refused by the calibration.
-    """
-    try:
-        return TypeAdapter(kind).validate_python(stored)
-    except ValidationError as error:
-        faults = error.errors(include_url=False, include_context=False)
-        listed = "; ".join(f"{'.'.join(map(str, f['loc']))}: {f['msg']}" for f in faults)
-        raise InvalidInput(f"stored calibration is damaged: {listed}; calibrate again") from None
+    def as_dict(self) -> dict[str, Any]:
+        """Plain numbers, lists and dictionaries, for JSON."""
+        return asdict(self)
+
+    @classmethod
+    def from_dict(cls, stored: dict[str, Any]) -> Self:
+        """The calibration of the values that `as_dict` gave.
+
+        Raises:
+            InvalidInput: a value is missing, of the wrong type, or the curve is not monotone.
+        """
+        try:
+            return TypeAdapter(cls).validate_python(stored)
+        except ValidationError as error:
+            faults = error.errors(include_url=False, include_context=False)
+            listed = "; ".join(f"{'.'.join(map(str, f['loc']))}: {f['msg']}" for f in faults)
+            raise InvalidInput(
+                f"stored calibration is damaged: {listed}; calibrate again"
+            ) from None
 
 
 def regress(design: FloatArray, response: FloatArray, settings: FloatArray) -> Regression:
