@@ -1,20 +1,24 @@
-"""Finished runs whose tuner is of another version.
+"""Finished runs as their journals state them.
 
 A run resumes by a replay of its trials through its tuner, which needs the tuner of that version.
-The result of a finished run needs no tuner: its gains, phases, costs and intervals are stored.
+The result of a finished run needs neither: its gains, phases, costs and intervals are stored.
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from operator import attrgetter
 from typing import Any, NamedTuple, Never
 
 from estune.core.comparison import InterleavedRepeats
-from estune.errors import JournalError
+from estune.core.gains import Gains
+from estune.errors import EstuneError, JournalError
 from estune.run import loop
 from estune.run.journal import Journal, JournalEntry
 from estune.run.loop import TuningRun
+from estune.run.plan import Plan
 from estune.run.planning import description_from_json, plan_from_json
-from estune.run.session import Phase, Session, is_censored, is_unsafe, new_session
+from estune.run.session import Phase, Session, is_censored, is_safe, new_session
 from estune.run.summary import summarise
 from estune.trial import Outcome
 from estune.tuners import Observation, Point, SearchSpace, tuner_name, tuner_space
@@ -27,11 +31,19 @@ _REMEDY = (
 
 def finished(run: TuningRun) -> dict[str, Any]:
     """Facts of a finished run for the journal, with which `load_finished` works."""
+    session = run.session
+    compared = session.choice, session.confirmation
     return {
         "status": "finished",
-        "search_end": run.session.search_end,
-        "intervals": summarise(run.session).intervals,
+        "search_end": session.search_end,
+        "intervals": summarise(session).intervals,
+        "compared": [[g.as_tuple() for g in r.gains] if r else [] for r in compared],
     }
+
+
+def is_stored(journal: Journal) -> bool:
+    """Whether the journal has all facts of a finished run; those of early versions lack some."""
+    return journal.fact("status") == "finished" and journal.fact("compared") is not None
 
 
 def load_finished(journal: Journal) -> TuningRun:
@@ -41,19 +53,25 @@ def load_finished(journal: Journal) -> TuningRun:
         JournalError: the run is not finished, so that only its own version can resume it; or its
             plan or its rig cannot be read.
     """
-    values = journal.fact("plan")
-    tuner = UnavailableTuner(tuner_name(values["tuner"]), tuner_space(values["tuner"]))
-    # Approval needs a tuner with predictions; a finished run asks for none.
-    plan = plan_from_json({**values, "ask_first": False}, tuner)
+    plan = _plan(journal.fact("plan"))
     tuning = loop.start(plan, description_from_json(journal.fact("rig")), journal)
-    entries = [entry for entry in journal.entries() if entry.outcome is not None]
-    tuning.entries.extend(entries)
-    tuning.session = _session(new_session(plan), entries, journal.fact("search_end"))
+    tuning.entries = [entry for entry in journal.entries() if entry.outcome is not None]
+    tuning.session = _session(new_session(plan), tuning.entries, journal)
     tuning.intervals = tuple((n, low, high) for n, low, high in journal.fact("intervals") or ())
     if journal.fact("status") != "finished" or tuning.session.phase is not None:
         raise JournalError(f"{journal.folder}: the run was not finished, and {_REMEDY}")
     loop.read_kept_records(tuning, journal)
     return tuning
+
+
+def _plan(values: dict[str, Any]) -> Plan:
+    """The plan of a run, whether there is still such a tuner or not."""
+    try:
+        return plan_from_json(values)
+    except EstuneError:
+        tuner = UnavailableTuner(tuner_name(values["tuner"]), tuner_space(values["tuner"]))
+        # Approval needs a tuner with predictions; a finished run asks for none.
+        return plan_from_json({**values, "ask_first": False}, tuner)
 
 
 class _BestTrial(NamedTuple):
@@ -87,36 +105,45 @@ class UnavailableTuner:
         return state.best_point
 
 
-def _session(session: Session, entries: list[JournalEntry], search_end: str | None) -> Session:
+def _session(session: Session, entries: list[JournalEntry], journal: Journal) -> Session:
     """The session at the end of a run, from the phases of its trials."""
-    plan = session.plan
-    costs = {phase: [e for e in entries if e.phase is phase and _counts(e)] for phase in Phase}
+    counted = [e for e in entries if e.outcome and not e.outcome.is_void]
+    phases: dict[Phase, list[JournalEntry]] = {phase: [] for phase in Phase}
+    for entry in counted:
+        phases[entry.phase].append(entry)
+    search = phases[Phase.SEARCH]
     session = replace(
         session,
-        number=len({e.number for e in entries if _counts(e)}),
-        baseline=tuple(e.cost for e in costs[Phase.BASELINE]),
-        search_trials=len(costs[Phase.SEARCH]),
-        search_end=search_end or f"the search took {len(costs[Phase.SEARCH])} trials",
+        number=len(counted),
+        baseline=tuple(e.cost for e in phases[Phase.BASELINE]),
+        search_trials=len(search),
+        search_end=journal.fact("search_end") or f"the search took {len(search)} trials",
     )
-    safe = [e for e in costs[Phase.SEARCH] if not _censored(session, e)]
+    eta_max = session.eta_max
+    safe = [e for e in search if e.outcome and is_safe(e.outcome, e.cost, eta_max)]
     if safe:
-        best = min(safe, key=lambda e: e.cost)
-        point = plan.tuner.space.point_of(best.gains)
+        best = min(safe, key=attrgetter("cost"))
+        point = session.plan.tuner.space.point_of(best.gains)
         state = session.tuner_state._replace(best_point=point, best_cost=best.cost)
         session = replace(session, tuner_state=state)
-    counted = [e for e in entries if _counts(e)]
+    declined = sum(e.outcome is Outcome.DECLINED for e in counted)
+    censored = len(search) - len(safe)
+    censored += sum(_censored(session, e) for e in counted if e.phase is not Phase.SEARCH)
+    choice, confirmation = journal.fact("compared") or ((), ())
     return replace(
         session,
-        unsafe=sum(is_unsafe(session, e.outcome, e.cost) for e in counted if e.outcome),
-        declined=sum(e.outcome is Outcome.DECLINED for e in counted),
-        choice=_repeats(session, costs[Phase.CHOOSE]),
-        confirmation=_repeats(session, costs[Phase.CONFIRM]),
+        unsafe=censored - declined,
+        declined=declined,
+        choice=_repeats(session, phases[Phase.CHOOSE], choice),
+        confirmation=_repeats(session, phases[Phase.CONFIRM], confirmation),
     )
 
 
-def _repeats(session: Session, entries: list[JournalEntry]) -> InterleavedRepeats | None:
-    """Interleaved repeats, in the order in which their gains first came."""
-    gains = tuple(dict.fromkeys(e.gains for e in entries))
+def _repeats(
+    session: Session, entries: list[JournalEntry], compared: Sequence[Sequence[float]]
+) -> InterleavedRepeats | None:
+    """Interleaved repeats of the gains compared; in early versions of those that were tried."""
+    gains = tuple(Gains(*g) for g in compared) or tuple(dict.fromkeys(e.gains for e in entries))
     if len(gains) < 2:
         return None
     costs = tuple(
@@ -124,10 +151,6 @@ def _repeats(session: Session, entries: list[JournalEntry]) -> InterleavedRepeat
         for g in gains
     )
     return InterleavedRepeats(gains, max(map(len, costs)), costs)
-
-
-def _counts(entry: JournalEntry) -> bool:
-    return entry.outcome is not None and not entry.outcome.is_void
 
 
 def _censored(session: Session, entry: JournalEntry) -> bool:

@@ -14,6 +14,7 @@ from estune.core.gains import Gains
 from estune.errors import JournalError, ProtocolError
 from estune.run.compressed_frame import compress, decompress
 from estune.run.session import Phase
+from estune.support.garbage import collection_paused
 from estune.support.sqlite import FileKind, SqliteFile, has_writer
 from estune.trial import Outcome, TrialRecord, TrialRequest, record_frame
 
@@ -209,16 +210,17 @@ class Journal:
 
     def entries(self, skip: int = 0) -> list[JournalEntry]:
         """Every requested trial, in order, but for the first ones."""
-        rows = self._file.rows(  # trials are requested in the order of their rows
-            "SELECT number, attempt, trial_id, phase, P, I, D, setpoint_filter_s,"
-            " outcome, reason, cost, margin FROM trial ORDER BY rowid LIMIT -1 OFFSET ?",
-            skip,
-        )
         nan, entries = math.nan, []
-        for n, attempt, name, phase, P, I, D, filter_s, outcome, reason, cost, margin in rows:
-            ending = _OUTCOMES[outcome], reason or "", nan if cost is None else cost, margin
-            gains = P, I, D, filter_s
-            entries.append(JournalEntry(n, attempt, name, _PHASES[phase], gains, *ending))
+        with collection_paused():
+            rows = self._file.rows(  # trials are requested in the order of their rows
+                "SELECT number, attempt, trial_id, phase, P, I, D, setpoint_filter_s,"
+                " outcome, reason, cost, margin FROM trial ORDER BY rowid LIMIT -1 OFFSET ?",
+                skip,
+            )
+            for n, attempt, name, phase, P, I, D, filter_s, outcome, reason, cost, margin in rows:
+                ending = _OUTCOMES[outcome], reason or "", nan if cost is None else cost, margin
+                gains = P, I, D, filter_s
+                entries.append(JournalEntry(n, attempt, name, _PHASES[phase], gains, *ending))
         return entries
 
     def record(self, trial_id: str) -> TrialRecord:

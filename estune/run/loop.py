@@ -151,8 +151,8 @@ def replay(plan: Plan, description: RigDescription, journal: Journal) -> TuningR
     tuning.session = session or tuning.session
     for entry in entries[replayed:]:
         request = next_request(tuning.session)
-        requested = request and (request.trial_id, request.gains)
-        if requested != (entry.trial_id, entry.gains):
+        requested = request and (request.trial_id, request.gains.as_tuple())
+        if requested != (entry.trial_id, entry.gain_values):
             raise JournalError(
                 f"{journal.folder}: trial {entry.trial_id} with {entry.gains} is not what the "
                 f"plan asks for ({requested}); the journal is of another version or was changed"

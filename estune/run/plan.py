@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 from estune.core.cost import StepCost
@@ -30,7 +31,7 @@ CONFIRMATION_REPEATS_MAX = 10
 """Maximum repeats of each gains in a confirmation, unless the plan asks for more."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Plan:
     """Everything that determines the trials of a run.
 
@@ -105,7 +106,7 @@ class Plan:
         """Maximum number of trials, void ones excluded."""
         return self.trials + 3 * self.repeats + 2 * max(CONFIRMATION_REPEATS_MAX, self.repeats)
 
-    @property
+    @cached_property
     def uses_records(self) -> bool:
         """Whether the tuner identifies the loop from the records."""
         return isinstance(self.tuner, RecordUsingTuner)

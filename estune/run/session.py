@@ -108,6 +108,13 @@ class Session:
         return self.plan.trials - self.search_trials + 5 * repeats - len(self.baseline)
 
     @property
+    def recommendation(self) -> Gains:
+        """The gains that the tuner recommended at the end of its search; else the initial ones."""
+        if self.choice is not None:
+            return self.choice.gains[0]
+        return self.candidate or self.plan.start
+
+    @property
     def candidate(self) -> Gains | None:
         """The gains in confirmation, or confirmed; None if there are none."""
         return None if self.confirmation is None else self.confirmation.gains[1]

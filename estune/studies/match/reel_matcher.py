@@ -155,7 +155,7 @@ class ReelMatcher:
         result = self._run(reel, stage, {**options, "step": step, "cost": cost})
         if isinstance(result, EstuneError):
             return reel.with_failure(f"not matched: {result}")
-        gains = tuner.space.gains(tuner.recommend(result.session.tuner_state))
+        gains = result.session.recommendation
         # This run's repeats of the tuned gains were not used to choose them.
         tuned_cost, matched_cost = _cost_of(result, tuned), _cost_of(result, gains)
         outcome, reason = classify(matched_cost, target, self.settings.tolerance)
