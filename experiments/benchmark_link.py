@@ -8,6 +8,10 @@ limit of the link, to the decoded record, is three times the plain get. The comm
 it compresses the record, which takes the longest with noise, as no record is. A trial from a rig
 with its ledger on disk shows the cost of surviving a power cut.
 
+Printed are medians, ms: `trial` is what a tuner waits for, of which `link` is submit, reply and
+decoding, `commit` that of the record and the next request to the journal; `noted link` has the
+rig's ledger on disk; `codec` and `compression` of the record are repeated in this process.
+
 Then emergency stops are called repeatedly, while another process queries records at full rate. The
 figure is the 99th centile of the time until the rig has replied.
 """
@@ -17,7 +21,6 @@ import logging
 import os
 import secrets
 import statistics
-import subprocess
 import sys
 import tempfile
 import threading
@@ -38,6 +41,7 @@ from estune.remote.zenoh.zenoh_session import COMMANDS_MAX_BYTES, open_session
 from estune.run.compressed_frame import compress
 from estune.run.journal import CompletedTrial, Journal
 from estune.run.session import Phase
+from estune.support.child_process import child_process, next_line
 from estune.trial import (
     Outcome,
     TrialRecord,
@@ -55,16 +59,7 @@ PULLERS = 3
 GAINS = Gains(1.0, 50.0, 0.01, 0.02)
 STEP = StepProfile(15.0, 5.0, 0.1, SAMPLES / SAMPLING_HZ)
 PLAIN_KEY = "plain/record"
-PARTS = {
-    "trial": "total time a tuner waits:",
-    "link": "  submit, reply, decoding of the record",
-    "commit": "  commit of the record and the next request to the journal",
-    "noted link": "the link, with the rig's ledger on disk",
-    "plain get": "plain Zenoh get of as many bytes",
-    "plain write": "append of as many bytes to a file, with fdatasync",
-    "codec": "encoding and decoding, repeated in this process",
-    "compression": "compression of the record, repeated in this process",
-}
+THIS = "experiments.benchmark_link"
 
 
 def record() -> TrialRecord:
@@ -121,22 +116,6 @@ def pull(endpoint: str) -> None:
                 thread.join()
 
 
-@contextmanager
-def started(*arguments: str) -> Iterator[list[str]]:
-    """This module in a process of its own; the words of the first line it prints."""
-    command = [sys.executable, "-m", "experiments.benchmark_link", *arguments]
-    with subprocess.Popen(  # noqa: S603  starts this file
-        command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
-    ) as process:
-        try:
-            line = process.stdout.readline() if process.stdout else ""
-            if not line:
-                sys.exit(f"the process {' '.join(arguments)} has failed")
-            yield line.split()
-        finally:
-            process.kill()
-
-
 class Stopwatch:
     """Durations of the parts of a trial, s, one per turn."""
 
@@ -163,9 +142,8 @@ def measure(turns: int, warm_up: int, folder: Path) -> tuple[Stopwatch, int]:
     """Durations of interleaved trials, plain gets and writes, then of stops; size of a frame."""
     watch = Stopwatch()
     with ExitStack() as stack:
-        endpoint, noted_endpoint, plain_endpoint = stack.enter_context(
-            started("--serve", "--folder", str(folder))
-        )
+        serving = child_process(THIS, "--serve", "--folder", str(folder))
+        endpoint, noted_endpoint, plain_endpoint = next_line(stack.enter_context(serving)).split()
         remote = stack.enter_context(zenoh.connect(endpoint))
         noted = stack.enter_context(zenoh.connect(noted_endpoint))
         plain = stack.enter_context(
@@ -204,7 +182,7 @@ def measure(turns: int, warm_up: int, folder: Path) -> tuple[Stopwatch, int]:
                 compress(frame)
         remote.release()
         stops(remote, watch, "idle stop", turns)
-        stack.enter_context(started("--pull", endpoint))
+        next_line(stack.enter_context(child_process(THIS, "--pull", endpoint)))
         stops(remote, watch, "stop", turns)
     return watch, len(data)
 
@@ -216,15 +194,6 @@ def stops(remote: zenoh.RemoteRig, watch: Stopwatch, part: str, turns: int) -> N
         with watch.part(part):
             remote.estop("benchmark")
         remote.clear()
-
-
-def show(watch: Stopwatch) -> None:
-    """Prints the tables."""
-    for name, what in PARTS.items():
-        print(f"  {name:12} {watch.median_ms(name):7.3f} ms  {what}")
-    print("\nan emergency stop, until the reply (median, 99th centile)\n")
-    for name, what in (("idle stop", "without load"), ("stop", "under full record load")):
-        print(f"  {watch.median_ms(name):7.3f} {watch.slow_ms(name):7.3f} ms  {what}")
 
 
 def main() -> int:
@@ -252,10 +221,7 @@ def main() -> int:
         "overhead_ratio": Target(ratio, LIMIT, ratio < LIMIT),
         "stop_p99_ms": Target(stop_ms, STOP_LIMIT_MS, stop_ms < STOP_LIMIT_MS),
     }
-    if not arguments.json:
-        print(f"{turns} trials over loopback, records of {size} bytes; medians\n")
-        show(watch)
-    return print_results(figures, targets, as_json=arguments.json)
+    return print_results(figures, targets, as_json=arguments.json, tables=True)
 
 
 if __name__ == "__main__":

@@ -6,20 +6,19 @@ the reply. Three schedules: both processes ordinary, the rig's server in real ti
 """
 
 import argparse
-import contextlib
 import logging
 import os
 import statistics
-import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator
 from pathlib import Path
-from typing import IO, NamedTuple
+from typing import NamedTuple
 
 from estune.hardware.real_time import request_priority
 from estune.remote import zenoh
+from estune.support.child_process import child_process, next_line
+from experiments.busy import busy
 from experiments.inert_rig import DESCRIBED, RECORD, InertRig
 from experiments.results import at_most, command_line, print_results
 
@@ -75,50 +74,20 @@ def stop(endpoint: str, priority: int, turns: int) -> None:
             print(began, time.monotonic(), flush=True)
 
 
-@contextlib.contextmanager
-def busy(processes: int) -> Iterator[None]:
-    """So many processes that never wait."""
-    with contextlib.ExitStack() as stack:
-        for _ in range(processes):
-            command = [sys.executable, "-c", "while True: pass"]
-            process = stack.enter_context(subprocess.Popen(command))  # noqa: S603  ourselves
-            stack.callback(process.kill)
-        yield
-
-
-@contextlib.contextmanager
-def started(*arguments: str) -> Iterator["subprocess.Popen[str]"]:
-    """This experiment in another role."""
-    command = [sys.executable, "-m", "experiments.emergency_stop", *arguments]
-    with subprocess.Popen(  # noqa: S603  starts this file
-        command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
-    ) as process:
-        try:
-            yield process
-        finally:
-            process.kill()
-
-
-def output(process: "subprocess.Popen[str]") -> IO[str]:
-    """Output of a process."""
-    if process.stdout is None:
-        sys.exit("a part of the measurement has no output")
-    return process.stdout
-
-
 def measure(schedule: str, processes: int, turns: int) -> Times:
     """Stops under a schedule, beside so many busy processes."""
     server_priority, client_priority = map(str, SCHEDULES[schedule])
-    with started("--serve", server_priority) as server:
-        endpoint, *_ = output(server).readline().split()
-        with started("--stop", endpoint, client_priority, str(turns)) as client:
-            output(client).readline()
+    this = "experiments.emergency_stop"
+    with child_process(this, "--serve", server_priority) as server:
+        endpoint, *_ = next_line(server).split()
+        with child_process(this, "--stop", endpoint, client_priority, str(turns)) as client:
+            next_line(client)
             with busy(processes):  # only now, for programs start slowly on a busy machine
                 print(file=client.stdin, flush=True)
-                lines = [tuple(map(float, line.split())) for line in output(client)]
+                lines = [tuple(map(float, next_line(client).split())) for _ in range(turns)]
         reached: dict[str, float] = {}
         while str(turns - 1) not in reached:  # a stop that is slow to be answered is repeated
-            stamp, reason = output(server).readline().split()
+            stamp, reason = next_line(server).split()
             reached.setdefault(reason, float(stamp))
     stamps = [reached[str(turn)] for turn in range(turns)]
     return Times(

@@ -1,4 +1,4 @@
-"""Rigs without motion, and an example of a record and of a description."""
+"""A rig without motion, and an example of a record and of a description."""
 
 from dataclasses import replace
 
@@ -43,15 +43,26 @@ DESCRIBED = RigDescription(
 )
 
 
-class MotionlessRig:
-    """All of `estune.trial.Rig` but `run`, of a rig that has nothing to stop, apply or close."""
+class InertRig:
+    """Answers every trial at once with the same samples; implements `estune.trial.Rig`.
 
-    def __init__(self, description: RigDescription) -> None:
+    Attributes:
+        requests: The trials it has run.
+    """
+
+    def __init__(self, description: RigDescription, record: TrialRecord) -> None:
         self._description = replace(description, simulated=True)
+        self.requests: list[TrialRequest] = []
+        self._record = replace(record, rig=description.name)
 
     def describe(self) -> RigDescription:
         """Description of the rig."""
         return self._description
+
+    def run(self, request: TrialRequest) -> TrialRecord:
+        """The record under the requested id, with the requested gains."""
+        self.requests.append(request)
+        return replace(self._record, trial_id=request.trial_id, gains=request.gains)
 
     def apply(self, gains: Gains) -> None:
         """Does nothing: there are no live gains."""
@@ -68,21 +79,3 @@ class MotionlessRig:
 
     def close(self) -> None:
         """Does nothing: nothing is open."""
-
-
-class InertRig(MotionlessRig):
-    """Answers every trial at once with the same samples; implements `estune.trial.Rig`.
-
-    Attributes:
-        requests: The trials it has run.
-    """
-
-    def __init__(self, description: RigDescription, record: TrialRecord) -> None:
-        super().__init__(description)
-        self.requests: list[TrialRequest] = []
-        self._record = replace(record, rig=description.name)
-
-    def run(self, request: TrialRequest) -> TrialRecord:
-        """The record under the requested id, with the requested gains."""
-        self.requests.append(request)
-        return replace(self._record, trial_id=request.trial_id, gains=request.gains)

@@ -8,21 +8,20 @@ At last the reel is held through the drivers of the serial board and of the ODri
 """
 
 import argparse
-import contextlib
 import os
 import signal
 import statistics
-import subprocess
 import sys
 import time
 import tomllib
-from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 from estune.hardware import HardwareRig, RigConfig
 from estune.hardware.config import config_from
 from estune.hardware.shared_memory import BIN_s, Timing, quantile_s
+from estune.support.child_process import child_process, next_line
 from estune.trial import TrialRequest
+from experiments.busy import busy
 from experiments.results import Target, at_most, command_line, print_results
 from plants.emulator import RIG_FILE, EmulatedDriver
 from plants.emulator.devices import GAUGE, CanDevices
@@ -105,18 +104,6 @@ class Condition(NamedTuple):
         return {f"{self.name}_{key}": value for key, value in made.items()}
 
 
-@contextlib.contextmanager
-def others_busy() -> Iterator[int]:
-    """Keeps every core but one busy; the number of busy ones."""
-    cores = len(os.sched_getaffinity(0))
-    command = [sys.executable, "-c", "while True: pass"]
-    with contextlib.ExitStack() as stack:
-        for _ in range(cores - 1):
-            process = stack.enter_context(subprocess.Popen(command))  # noqa: S603  ourselves
-            stack.callback(process.kill)
-        yield cores - 1
-
-
 def drivers(seconds: float) -> list[Condition]:
     """Timing of the loop with each driver on an otherwise idle machine."""
     found = []
@@ -167,17 +154,10 @@ def stopped_by_hand_ms(rig: HardwareRig, driver: EmulatedDriver, times: int) -> 
 
 def supervisor_lost_ms(address: str, driver: EmulatedDriver, number: int) -> float:
     """Time from a signal to the supervising program to the loss of the current, ms."""
-    command = [sys.executable, "-m", "experiments.jitter", "--supervise", address]
-    with subprocess.Popen(  # noqa: S603  starts this file
-        command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
-    ) as process:
-        try:
-            if not process.stdout or not process.stdout.readline():
-                sys.exit("the supervising process has failed")
-            process.send_signal(number)
-            return until_dead_ms(driver, time.monotonic())
-        finally:
-            process.kill()
+    with child_process("experiments.jitter", "--supervise", address) as process:
+        next_line(process)
+        process.send_signal(number)
+        return until_dead_ms(driver, time.monotonic())
 
 
 def supervise(address: str) -> None:
@@ -190,6 +170,7 @@ def supervise(address: str) -> None:
 
 def measure(seconds: float, times: int) -> tuple[list[Condition], dict[str, Any]]:
     """Measures everything; the timing of the loop by load, and the other figures."""
+    others = len(os.sched_getaffinity(0)) - 1
     with (
         emulated_hardware({"electronics": {"watchdog_s": 1.0}}) as address,
         EmulatedDriver(address) as driver,
@@ -197,7 +178,7 @@ def measure(seconds: float, times: int) -> tuple[list[Condition], dict[str, Any]
         with HardwareRig(configuration(address)) as rig:
             hold(rig)
             conditions = [Condition("idle", *observe(rig, seconds))]
-            with others_busy() as busy:
+            with busy(others):
                 conditions.append(Condition("loaded", *observe(rig, seconds)))
             stops = stopped_by_hand_ms(rig, driver, times)
         repeats = range(max(times // 5, 1))
@@ -208,7 +189,7 @@ def measure(seconds: float, times: int) -> tuple[list[Condition], dict[str, Any]
     conditions += drivers(seconds)
     figures: dict[str, Any] = {
         "seconds": seconds,
-        "busy_cores": busy,
+        "busy_cores": others,
         "not_granted": list(rig.notes),
         "estop_median_ms": statistics.median(stops),
         "estop_max_ms": max(stops),

@@ -48,7 +48,7 @@ def figures(data: Path) -> dict[str, Any]:
         "silverbox_nrmse_given": _nrmse(model, aside),
         "silverbox_nrmse_before": _nrmse(answer.base_model, aside),
         "silverbox_nrmse_after": _nrmse(answer.augmented, aside),
-        "silverbox_free_run_ratio": answer.rms_after / answer.rms_before,
+        "silverbox_free_run_ratio": answer.after.rms / answer.before.rms,
     }
 
 
@@ -135,10 +135,7 @@ def main() -> int:
     parser.add_argument("--data", type=Path, help="folder that holds silverbox/Silverbox.mat")
     options = parser.parse_args()
     values = figures(folder(options.data))
-    if not options.json:
-        for name, value in values.items():
-            print(f"{name:30s} {value if isinstance(value, str) else f'{value:.4g}'}")
-    return print_results(values, targets(values), as_json=options.json)
+    return print_results(values, targets(values), as_json=options.json, tables=True)
 
 
 if __name__ == "__main__":

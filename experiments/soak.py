@@ -9,18 +9,17 @@ import argparse
 import os
 import shutil
 import statistics
-import subprocess
 import sys
 import tempfile
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple, Self
 
 from estune import api
 from estune.remote.ledger import FRAMES_MAX_BYTES
 from estune.run.journal import FILE_NAME
+from estune.support.child_process import child_process, next_line
 from experiments.results import at_most, command_line, print_results
 
 DAY = 100_000
@@ -82,39 +81,19 @@ def work(endpoint: str, folder: Path, trials: int, per_run: int) -> None:
             return
 
 
-@contextmanager
-def process(*arguments: str) -> Iterator[subprocess.Popen[str]]:
-    """A Python process, ended with the block."""
-    with subprocess.Popen(  # noqa: S603  our own interpreter and modules
-        [sys.executable, "-m", *arguments],
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        text=True,
-        env=os.environ | ONE_ARENA,
-    ) as started:
-        try:
-            yield started
-        finally:
-            if started.stdin:
-                started.stdin.close()  # which ends both
-            try:
-                started.wait(10.0)
-            except subprocess.TimeoutExpired:
-                started.kill()
-
-
 def soak(trials: int, per_run: int, folder: Path) -> Iterator[Sample]:
     """Runs so many trials; yields a sample after each tuning."""
     ledger = folder / "rig.ledger"
     serving = ("estune.cli", "serve", "--ledger", str(ledger), "--stop-on-eof")
-    with process(*serving) as rig:
-        endpoint = line(rig).split()[-1]
+    settings: dict[str, Any] = {"end_within_s": 10.0, "env": os.environ | ONE_ARENA}
+    with child_process(*serving, **settings) as rig:
+        endpoint = next_line(rig).split()[-1]
         tuning = ("experiments.soak", "--client", endpoint, "--folder", str(folder))
         counts = ("--trials", str(trials), "--per-run", str(per_run))
-        with process(*tuning, *counts) as client:
+        with child_process(*tuning, *counts, **settings) as client:
             began_s, total = time.monotonic(), 0
             for _ in range(trials // per_run):
-                count, size = map(int, line(client).split())
+                count, size = map(int, next_line(client).split())
                 total += count
                 yield Sample(
                     total,
@@ -126,14 +105,6 @@ def soak(trials: int, per_run: int, folder: Path) -> Iterator[Sample]:
                 if client.stdin:
                     client.stdin.write("\n")
                     client.stdin.flush()
-
-
-def line(process: subprocess.Popen[str]) -> str:
-    """The next line a process prints."""
-    text = process.stdout.readline() if process.stdout else ""
-    if not text:
-        sys.exit(f"a process has ended: {process.args!r}, exit code {process.wait()}")
-    return text
 
 
 def growth(values: list[int], settled: int) -> float:

@@ -24,7 +24,7 @@ import tempfile
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import AbstractContextManager, ExitStack, contextmanager
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -35,6 +35,7 @@ import plants
 from estune import tune
 from estune.remote import zenoh
 from estune.remote.zenoh.daemon_service import DaemonClient
+from estune.support.child_process import child_process
 from estune.web.reader import LINGER_S
 from experiments.live_page.browser import Seen, look_at
 from experiments.results import (
@@ -64,17 +65,10 @@ tolerance = 0.0
 """
 
 
-@contextmanager
-def command(*arguments: object) -> Iterator["subprocess.Popen[str]"]:
+def command(*arguments: object) -> AbstractContextManager["subprocess.Popen[str]"]:
     """A command of estune in a process, killed at the end."""
-    line = [sys.executable, "-m", "estune.cli", *map(str, arguments)]
-    with subprocess.Popen(  # noqa: S603  our own command
-        line, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
-    ) as process:
-        try:
-            yield process
-        finally:
-            process.kill()
+    words = map(str, arguments)
+    return child_process("estune.cli", *words, stderr=subprocess.DEVNULL)
 
 
 def printed(process: "subprocess.Popen[str]", begin: str) -> str:
@@ -241,8 +235,6 @@ def main() -> int:
             "stop_p99_ms": p99[0],
             "stop_p99_with_pages_ms": p99[1],
         }
-        for label, value in figures.items():
-            print(f"{label:<26} {value:10.4g}")
         for fault in (*seen.faults, *seen.complaints, *seen.elsewhere):
             print(fault)
     targets: dict[str, Target] = {
@@ -255,7 +247,7 @@ def main() -> int:
         "rate_share": at_least(ratio, 0.98),
         "stop_p99_with_pages_ms": at_most(p99[1], 5.0),
     }
-    return print_results(figures, targets, as_json=options.json)
+    return print_results(figures, targets, as_json=options.json, tables=True)
 
 
 if __name__ == "__main__":

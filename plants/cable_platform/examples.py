@@ -1,11 +1,9 @@
 """A platform held by four reels and a two-reel bench, and the process that serves their reels."""
 
-import subprocess
-import sys
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 
-from estune.errors import RigError
+from estune.support.child_process import child_process, next_line
 from plants.cable_platform.mechanism import Mechanism, bench_carriage, planar_platform
 from plants.models.reel import reference_reel
 from plants.two_reel_bench import attenuation
@@ -41,33 +39,15 @@ EXAMPLES: Mapping[str, Callable[[], tuple[Mechanism, tuple[str, ...]]]] = {
 def served(name: str) -> Iterator[dict[str, str]]:
     """Serves the reels of an example in a process of its own, for the duration of the block.
 
+    Ctrl-C does not reach them.
+
     Yields:
         Their endpoints by name.
 
     Raises:
         RigError: the process ends at once.
     """
-    process = subprocess.Popen(  # noqa: S603  our own interpreter and module
-        [sys.executable, "-P", "-m", "plants.cable_platform", name],
-        stdin=subprocess.PIPE,  # closes however this process ends, and the other ends with it
-        stdout=subprocess.PIPE,
-        text=True,
-        start_new_session=True,  # Ctrl-C must not reach the rigs
-    )
-    try:
-        lines = [process.stdout.readline().split() for _ in EXAMPLES[name]()[1]]  # type: ignore[union-attr]
-        if not all(lines):
-            raise RigError(
-                f"the process that serves the reels ended at once (exit code {process.wait()}); "
-                f"run it by itself: python -m plants.cable_platform {name}"
-            )
+    module = ("plants.cable_platform", name)
+    with child_process(*module, end_within_s=_END_WITHIN_S, start_new_session=True) as process:
+        lines = [next_line(process).split() for _ in EXAMPLES[name]()[1]]
         yield {words[1]: words[-1] for words in lines}
-    finally:
-        for stream in (process.stdin, process.stdout):
-            if stream:
-                stream.close()
-        try:
-            process.wait(_END_WITHIN_S)
-        except subprocess.TimeoutExpired:
-            process.kill()
-            process.wait()

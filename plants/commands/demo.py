@@ -1,7 +1,5 @@
 """`estune demo`: a simulated reel in another process, tuned over Zenoh."""
 
-import subprocess
-import sys
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -10,8 +8,8 @@ from pathlib import Path
 from estune import api
 from estune.cli.tune import finish
 from estune.cli.values import TunerName
-from estune.errors import RigError
 from estune.run.loop import Stopped
+from estune.support.child_process import child_process, next_line
 from estune.tuners import DEFAULT_TUNER
 
 _START_S = 60.0
@@ -67,45 +65,16 @@ def served_reel(seed: int, pace: float) -> Iterator[str]:
     Raises:
         RigError: the process ends, or does not serve the reel in time.
     """
-    # -P: a folder of the working directory must not hide an installed package.
-    command = [sys.executable, "-P", "-m", "estune.cli", "serve", "--stop-on-eof"]
-    command += ["--ledger", "memory", "--seed", str(seed), "--pace", str(pace)]
-    process = subprocess.Popen(  # noqa: S603  our own interpreter and module
-        command,
-        stdin=subprocess.PIPE,  # closes however this process ends, and the other ends with it
-        stdout=subprocess.PIPE,
-        text=True,
-        start_new_session=True,  # Ctrl-C must not reach the rig, which restores its gains
-    )
-    try:
-        yield _endpoint(process)
-    finally:
-        _end(process)
-
-
-def _endpoint(process: "subprocess.Popen[str]") -> str:
-    """Waits for the first line of `estune serve`: rig NAME at ENDPOINT."""
-    late = threading.Timer(_START_S, process.kill)
-    late.start()
-    try:
-        line = process.stdout.readline() if process.stdout else ""
-    finally:
-        late.cancel()
-    words = line.split()
-    if not words:
-        raise RigError(
-            f"the process that serves the reel ended at once (exit code {process.wait()}); "
-            "run it by itself: estune serve"
-        )
-    return words[-1]
-
-
-def _end(process: "subprocess.Popen[str]") -> None:
-    for stream in (process.stdin, process.stdout):
-        if stream:
-            stream.close()
-    try:
-        process.wait(_STOP_S)
-    except subprocess.TimeoutExpired:
-        process.kill()
-        process.wait()
+    arguments = ["serve", "--stop-on-eof", "--ledger", "memory"]
+    arguments += ["--seed", str(seed), "--pace", str(pace)]
+    # In a session of its own, Ctrl-C does not reach the rig, which restores its gains.
+    with child_process(
+        "estune.cli", *arguments, end_within_s=_STOP_S, start_new_session=True
+    ) as process:
+        late = threading.Timer(_START_S, process.kill)
+        late.start()
+        try:
+            endpoint = next_line(process).split()[-1]  # rig NAME at ENDPOINT
+        finally:
+            late.cancel()
+        yield endpoint

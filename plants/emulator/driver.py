@@ -4,7 +4,6 @@ import contextlib
 import json
 import socket
 import subprocess
-import sys
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
@@ -12,6 +11,7 @@ from typing import Any, Self
 
 from estune.errors import RigError
 from estune.hardware.driver import Reading
+from estune.support.child_process import child_process
 from plants.emulator import wire
 from plants.emulator.wire import Truth
 
@@ -123,26 +123,15 @@ def emulated_hardware(settings: Mapping[str, Any]) -> Iterator[str]:
     """
     with tempfile.TemporaryDirectory(prefix="estune-reel-") as folder:
         address = str(Path(folder) / "reel")
-        process = subprocess.Popen(  # noqa: S603  our own interpreter and module
-            [sys.executable, "-P", "-m", "plants.emulator", address, json.dumps(dict(settings))],
-            stdin=subprocess.PIPE,  # closes with this process, and ends the hardware
-            stdout=subprocess.PIPE,
+        arguments = ("plants.emulator", address, json.dumps(dict(settings)))
+        with child_process(
+            *arguments,
+            end_within_s=_END_WITHIN_s,
             stderr=subprocess.PIPE,
-            text=True,
             start_new_session=True,
-        )
-        try:
+        ) as process:
             assert process.stdout and process.stderr  # noqa: S101, PT018  asked for above
             if not (reached := process.stdout.readline().strip()):
                 errors = process.stderr.read().strip().splitlines() or ["no message"]
                 raise RigError(f"the emulated hardware does not start: {errors[-1]}")
             yield reached
-        finally:
-            for stream in (process.stdin, process.stdout, process.stderr):
-                if stream:
-                    stream.close()
-            try:
-                process.wait(_END_WITHIN_s)
-            except subprocess.TimeoutExpired:
-                process.kill()
-                process.wait()
