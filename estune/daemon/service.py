@@ -120,7 +120,7 @@ class DaemonService:
             self._server.serve(self._supervised, announced=not self._config.shared)
             for supervisor in self._supervisors:
                 supervisor.start()
-            self._notifier.notify(READY=1, STATUS=self._summary())
+            self._notifier.notify(READY=1, STATUS=_summary(self.statuses()))
             is_stopping = False
             while not all(supervisor.join(0.0) for supervisor in self._supervisors):
                 self._report()
@@ -140,14 +140,12 @@ class DaemonService:
         """Adjusts the load, publishes changed states, writes metrics, feeds the watchdog."""
         self._admission.adjust()
         statuses = self.statuses()
-        # Without the time to the next check, which changes by itself.
-        lasting = {status.rig: replace(status, next_check_s=None) for status in statuses}
-        changed = [s for s in statuses if lasting[s.rig] != self._published.get(s.rig)]
+        changed = [s for s in statuses if _lasting(s) != self._published.get(s.rig)]
         for status in changed:
-            self._published[status.rig] = lasting[status.rig]
+            self._published[status.rig] = _lasting(status)
             self._server.show(status)
         if changed:
-            self._notifier.notify(STATUS=self._summary())
+            self._notifier.notify(STATUS=_summary(statuses))
         now_s = time.monotonic()
         metrics = self._config.metrics
         if metrics.file is not None and now_s - self._written_at_s >= metrics.every_s:
@@ -168,11 +166,6 @@ class DaemonService:
             self._watched_at_s = now_s
             self._notifier.notify(WATCHDOG=1)
 
-    def _summary(self) -> str:
-        return "; ".join(
-            f"{s.rig}: {s.mode}, {s.live or 'unknown'} gains live" for s in self.statuses()
-        )
-
     def _check_ends(self) -> None:
         faults = []
         for supervisor in self._supervisors:
@@ -190,6 +183,15 @@ class DaemonService:
             self._server.show(event.as_message())
         except EstuneError as error:
             _log.debug("event not published: %s", error)
+
+
+def _lasting(status: DaemonStatus) -> DaemonStatus:
+    """A status without the time to the next check, which changes by itself."""
+    return status if status.next_check_s is None else replace(status, next_check_s=None)
+
+
+def _summary(statuses: list[DaemonStatus]) -> str:
+    return "; ".join(f"{s.rig}: {s.mode}, {s.live or 'unknown'} gains live" for s in statuses)
 
 
 def _allow_open_files() -> None:

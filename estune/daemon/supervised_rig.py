@@ -9,6 +9,7 @@ import math
 import threading
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 from estune.core.control_chart import ChartSignal
 from estune.core.gains import Gains
@@ -103,8 +104,7 @@ class SupervisedRig:
         self._since = now()
         self._lock = threading.RLock()
         self._state = next_state(store.state, SupervisorEvent.BOOT)
-        self._status: DaemonStatus | None = None
-        self._status_of: tuple[object, ...] = ()
+        self._status: tuple[object, DaemonStatus | None] = None, None
 
     @property
     def state(self) -> SupervisorState:
@@ -130,45 +130,52 @@ class SupervisedRig:
         return CommandAnswer(result.done, result.sentence)
 
     def status(self) -> DaemonStatus:
-        """Mode, gain sets, costs and drift; made anew where something has changed."""
-        session = self.session
-        made_of = (
-            *(self.store.changes, self._state, self.live, self.cost, self.refused),
-            *(self.waits_for, session and (session.plan.run, session.number)),
-        )
-        if self._status is None or made_of != self._status_of:
-            self._status, self._status_of = self._make_status(), made_of
-        if self._status.next_check_s is None:
-            return self._status
-        return replace(self._status, next_check_s=self.checks.wait_s(self._state.home))
+        """Mode, gain sets, costs and drift; what is stored is read again where it has changed."""
+        session, state = self.session, self._state
+        made_of, made = self._status
+        if made is None or made_of != (self.store.changes, state):
+            made_of = self.store.changes, state
+            made = self._stored_status(state)
+        present: dict[str, Any] = {
+            "sentence": self.refused or self.waits_for or state.mode.sentence,
+            "live": self.live.value if self.live else "",
+            "trials": session.number if session else self._earlier_trials[0],
+            "trials_max": session.plan.max_trials if session else self._earlier_trials[1],
+            "cost": self.cost,
+        }
+        if made.next_check_s is not None:
+            present["next_check_s"] = self.checks.wait_s(state.home)
+        if any(getattr(made, name) != value for name, value in present.items()):
+            made = replace(made, **present)
+        self._status = made_of, made  # at once: several threads ask
+        return made
 
-    def _make_status(self) -> DaemonStatus:
+    def _stored_status(self, state: SupervisorState) -> DaemonStatus:
+        """The status, complete but for what is not stored."""
         with self._lock:
-            state, gains = self._state, self.store.gains()
-            chart = self.checks.chart(state.home)
+            gains, candidate = self.store.gains(), GainSet.CANDIDATE
+            chart, checks = self.checks.chart(state.home), self.store.checks(1)
             is_watched = state.mode is SupervisorMode.WATCHING and chart is not None
-            session, candidate = self.session, GainSet.CANDIDATE
-            checks = self.store.checks(1)
             return DaemonStatus(
                 rig=self.name,
                 instance=self._instance,
                 mode=state.mode.value,
-                sentence=self.refused or self.waits_for or state.mode.sentence,
+                sentence="",
                 paused=state.paused,
                 trouble=state.trouble,
-                live=self.live.value if self.live else "",
+                live="",
                 home=state.home.value,
                 why=state.why,
                 gains={name.value: values for name, values in gains.items()},
                 found=self.store.why(candidate) if candidate in gains else "",
                 run=self.tuning_runs.name,
-                trials=session.number if session else self._earlier_trials[0],
-                trials_max=session.plan.max_trials if session else self._earlier_trials[1],
+                trials=0,
+                trials_max=0,
                 baseline_cost=None if chart is None else math.exp(chart.mean),
-                cost=self.cost,
+                cost=None,
                 drift=self.checks.drift(state.home),
                 checks=checks[0].number + 1 if checks else 0,
-                next_check_s=self.checks.wait_s(state.home) if is_watched else None,
+                next_check_s=0.0 if is_watched else None,
                 since=self._since,
             )
 

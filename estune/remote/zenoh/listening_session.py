@@ -99,6 +99,7 @@ class ListeningSession:
         self._threads: list[threading.Thread] = []
         self._lanes: list[Lane] = []
         self._queryables: list[zenoh.Queryable[None]] = []
+        self._audiences: list[zenoh.MatchingListener[None]] = []
         self._tokens: dict[str, zenoh.LivelinessToken] = {}
 
     def lane(self, threads: int = 1) -> Lane:
@@ -176,6 +177,20 @@ class ListeningSession:
                 congestion_control=zenoh.CongestionControl.DROP,
                 attachment=self.instance,
             )
+
+    def audience(self, key: str, changed: Callable[[], None]) -> Callable[[], bool]:
+        """A function that tells whether anyone subscribes to a key, or to some of a wildcard.
+
+        `changed` is called whenever that changes, in a thread of the network that must not wait.
+        """
+        publisher = self._session.declare_publisher(key)
+
+        def receive(_: zenoh.MatchingStatus) -> None:
+            changed()
+
+        callback = zenoh.handlers.Callback(receive, indirect=False)
+        self._audiences.append(publisher.declare_matching_listener(callback))
+        return lambda: publisher.matching_status.matching  # type: ignore[attr-defined]
 
     def start(self, work: Callable[[], None]) -> None:
         """Starts a thread that ends by itself when the session is being closed."""

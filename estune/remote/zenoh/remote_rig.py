@@ -156,8 +156,8 @@ class RemoteRig:
         self._connection = connection
         self._lease = ClientLease(connection, network.renewal, holder)
         self._stop_session = _StopSession(partial(network.open, endpoint))
-        self._changed = threading.Event()
-        wake = zenoh.handlers.Callback(_setter(self._changed), indirect=False)
+        self._at_rest = threading.Event()
+        wake = zenoh.handlers.Callback(_setter(self._at_rest), indirect=False)
         status = connection.session.declare_subscriber(connection.keys.status, wake)
         ends = [self._lease.release, self._stop_session.close, connection.close]
         # Closes all of it, too, when this object is deleted or the interpreter ends.
@@ -165,6 +165,7 @@ class RemoteRig:
             self, _close, [*ends, status.undeclare, partial(network.leave, endpoint)]
         )
         self._unanswered: tuple[str, str] | None = None
+        self._last_trial_s = 0.0
         try:
             self.describe()
         except BaseException:
@@ -191,9 +192,13 @@ class RemoteRig:
             RigError: no record can be had; where the trial may have run, the message contains it.
         """
         trial_id = check_name("trial id", request.trial_id)
-        exchange = TrialExchange(self._connection, self._lease, request, self._changed)
+        exchange = TrialExchange(
+            *(self._connection, self._lease, request, self._at_rest, self._last_trial_s)
+        )
         self._unanswered = trial_id, exchange.digest
+        asked_s = time.monotonic()
         result = exchange.run()
+        self._last_trial_s = time.monotonic() - asked_s
         self._unanswered = None
         if isinstance(result, TrialRecord):
             return result
@@ -385,9 +390,15 @@ def _live(sample: zenoh.Sample) -> Telemetry:
 
 
 def _setter(event: threading.Event) -> Callable[[zenoh.Sample], None]:
-    """A callback that refers to the event only: not to the rig, which it would keep alive."""
+    """A callback at each status of a rig without an active trial.
 
-    def set_event(_: zenoh.Sample) -> None:
+    It refers to the event only: not to the rig, which it would keep alive.
+    """
+
+    def set_event(sample: zenoh.Sample) -> None:
+        with suppress(ProtocolError):
+            if messages.decode(Status, sample.payload.to_bytes()).trial_id:
+                return
         event.set()
 
     return set_event

@@ -4,7 +4,7 @@ import atexit
 import logging
 import secrets
 import threading
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from functools import partial
 from pathlib import Path
 from typing import Self
@@ -157,17 +157,19 @@ class RigServer:
             keys.describe, lambda _, reply: handler.query(handler.describe, reply), queries
         )
         session.serve_below(keys.result("").rstrip("/"), result, queries)
-        session.start(partial(self._publish, handler))
+        is_watched = session.audience(keys.telemetry("*"), self._status_changed.set)
+        session.start(partial(self._publish, handler, is_watched))
         session.announce(keys.alive(self.instance))
 
-    def _publish(self, handler: RequestHandler) -> None:
-        """Publishes changes of the status, and during a trial its samples.
+    def _publish(self, handler: RequestHandler, is_watched: Callable[[], bool]) -> None:
+        """Publishes changes of the status, and during a trial its samples, if anyone subscribes.
 
         Of changes within a few milliseconds, the last is published.
         """
         shown, after = "", 0
         while not self._closing.is_set():
-            if self._status_changed.wait(SHOW_S if handler.is_showing else None):
+            is_shown = handler.is_showing and is_watched()
+            if self._status_changed.wait(SHOW_S if is_shown else None):
                 self._status_changed.clear()
                 self._session.publish(self._keys.status, messages.encode(handler.status()))
                 self._closing.wait(_STATUS_REST_S)
@@ -176,6 +178,10 @@ class RigServer:
                 samples = handler.telemetry(after)
                 if samples is not None and samples.trial_id != shown:
                     shown, after = samples.trial_id, 0
+                    samples = handler.telemetry(after)
+                # A subscriber that comes late is shown the newest samples.
+                if samples is not None and samples.tension_N.size > messages.LIVE_MAX_SAMPLES:
+                    after += samples.tension_N.size - messages.LIVE_MAX_SAMPLES
                     samples = handler.telemetry(after)
             except EstuneError as error:
                 _log.debug("no live samples: %s", error)

@@ -21,7 +21,8 @@ from estune.trial import TrialRecord, TrialRequest
 from estune.trial.record_frame import decode
 
 # Between a status that is lost and the next query; a rig publishes its status when a trial ends.
-# Queries are a third of what a daemon of many rigs computes for a trial: few in one of a second.
+# The first query comes after as long as the last trial took: then most trials need none. Ten a
+# trial were a third of what a daemon of many rigs computed.
 _POLL_FIRST_S, _POLL_MAX_S, _POLL_GROWTH = 0.004, 0.5, 4.0
 
 
@@ -40,20 +41,29 @@ class TrialExchange:
         connection: RigConnection,
         lease: ClientLease,
         request: TrialRequest,
-        changed: threading.Event,
+        at_rest: threading.Event,
+        expected_s: float,
     ) -> None:
-        """`changed` is set whenever the rig publishes its status."""
+        """Prepares the request.
+
+        Args:
+            connection: Connection to the rig.
+            lease: Its lease.
+            request: The trial.
+            at_rest: Set whenever the rig publishes that no trial is active.
+            expected_s: Time that the trial is expected to take; zero if it is not known.
+        """
         self.digest = messages.digest(request)
         self._connection = connection
         self._lease = lease
         self._request = request
-        self._changed = changed
+        self._at_rest = at_rest
         self._step = machine.START
         self._answer = Answer(ReplyCode.UNKNOWN)
         self._record: TrialRecord | None = None
         self._silent_since_s: float | None = None
         self._explanation = ""
-        self._pause_s = _POLL_FIRST_S
+        self._pause_s = min(max(expected_s, _POLL_FIRST_S), _POLL_MAX_S)
 
     def run(self) -> TrialRecord | NoRecord:
         """Follows the trial to its end.
@@ -69,8 +79,8 @@ class TrialExchange:
                     self._inquire()
                 case Action.WAIT:
                     # The rig publishes its status when a trial ends; else it is queried again.
-                    self._changed.wait(self._pause_s)
-                    self._changed.clear()
+                    self._at_rest.wait(self._pause_s)
+                    self._at_rest.clear()
                     self._pause_s = min(self._pause_s * _POLL_GROWTH, _POLL_MAX_S)
                     self._inquire()
                 case Action.LEASE:
@@ -82,7 +92,7 @@ class TrialExchange:
     def _submit(self) -> None:
         lease = self._lease.hold()
         command = Submit(lease, self._request, self.digest)
-        self._changed.clear()
+        self._at_rest.clear()
         self._step = machine.sent(self._step)
         key = self._connection.command_key(command)
         self._receive(self._connection.ask(key, messages.encode(command)), lease)
