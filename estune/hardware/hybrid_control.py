@@ -47,6 +47,24 @@ class HybridControl:
         """Selects tension control, alone; the position controller begins at rest next time."""
         self.in_tension, self._tracks = True, False
 
+    def select(
+        self, tension_N: float, setpoint_N: float, held_N: float, *, solved: bool
+    ) -> tuple[bool, float]:
+        """Whether tension is to be controlled, and its setpoint, N.
+
+        Args:
+            tension_N: Measured tension, N.
+            setpoint_N: Present setpoint, N.
+            held_N: Setpoint from which tension control begins, N.
+            solved: Whether no source asks for position control.
+        """
+        in_tension = bool(self.plan.rules.select(self.in_tension, tension_N, solved))
+        if not in_tension or (solved and not self.in_tension):
+            return in_tension, held_N
+        if solved:
+            return True, setpoint_N
+        return True, self.plan.rules.tension_setpoint_N(0.0, solved=False)
+
     def step(self, signals: HybridSignals, feed_forward_N: float, *, in_tension: bool) -> float:
         """One sample; the effort of the selected controller, N.
 

@@ -13,19 +13,18 @@ rig takes no trial until an operator has cleared it.
 """
 
 import math
-from dataclasses import replace
 
 from estune.core.pidf import Coefficients
 from estune.hardware.compensation.plan import NO_COMPENSATION, CompensationTerms
 from estune.hardware.compensation.runtime import Compensation
 from estune.hardware.controller import Controller
 from estune.hardware.driver import Reading
+from estune.hardware.guard_watch import GuardWatch
 from estune.hardware.hybrid_control import HybridControl
 from estune.hardware.live_gains import LiveGains
 from estune.hardware.loop_messages import Begin, Ended, LoopPlan, Refused
 from estune.hardware.shared_memory import Memory, MotionPhase, SensorLevels, Word
-from estune.reel import guard
-from estune.reel.guard import GuardState, GuardTrip, Limits, Reason
+from estune.reel.guard import GuardTrip, Reason, Sample
 from estune.reel.hybrid import HybridSignals
 from estune.trial import GUARD, LATE, SATURATED, SETPOINT_S, Outcome
 
@@ -63,10 +62,7 @@ class ReelStateMachine:
         self._forward_N = 0.0
         self._live = LiveGains(plan.live, plan.length_source)
         self._angle_rad = 0.0
-        self._limits_take_up, self._limits_recovering = _relaxed(plan)
-        self._limits = plan.guard
-        self._guard: GuardState | None = None
-        self._recover_until_s = -math.inf
+        self._guard = GuardWatch(plan, memory)
         self._latched = False
         self._effort_N = 0.0
         self._setpoint_N = plan.motion.hold_N
@@ -78,7 +74,6 @@ class ReelStateMachine:
         self._trial: Begin | None = None
         self._k = 0
         self._first_s = math.nan
-        self._cost = 0.0
         self._ramp_step_N = 0.0
         self._limited = False
         controller.use(plan.live)
@@ -104,7 +99,7 @@ class ReelStateMachine:
         self._trial = trial
         self._memory.words[Word.PROGRESS] = 0
         if self.phase is not MotionPhase.HOLD:
-            self.phase, self._guard = MotionPhase.TAKE_UP, None
+            self._begin_take_up()
         self._settled = self._at_preload = 0
 
     def set_live_gains(self, live: Coefficients) -> None:
@@ -123,11 +118,7 @@ class ReelStateMachine:
 
     def shut_down(self, sentence: str) -> None:
         """Brings the reel to rest, latched."""
-        self._end_early(Outcome.INTERRUPTED, sentence)
-        self._memory.reason = sentence
-        self._latched = True
-        if not self.at_rest:
-            self._ramp()
+        self._stop(Outcome.INTERRUPTED, sentence)
 
     def sample(self, reading: Reading, silence_s: float, *, late: bool) -> int:
         """One sample; the current command, counts.
@@ -145,31 +136,42 @@ class ReelStateMachine:
         recorded, k = self.phase is MotionPhase.TRIAL, self._k
         flags = LATE if late else 0
         if memory.words[Word.ESTOP] and not self._latched:
-            self._emergency_stop()
+            self._stop(Outcome.CANCELLED, f"emergency stop: {memory.estop_reason}")
         elif self._trial is not None and memory.words[Word.ABORT] == self._trial.number:
             self._end_early(Outcome.CANCELLED, Outcome.CANCELLED.sentence)
         self._take_setpoint(reading.time_s)
         if self.phase not in _UNGUARDED:
-            stop = self._check_guard(reading, gauge, angle, silence_s, late=late)
-            if stop is not None:
+            commanded_A = self._effort_N / plan.newtons_per_ampere
+            counts = reading.gauge_counts
+            seen = Sample(reading.time_s, gauge, counts, commanded_A, angle, late, silence_s)
+            if (stop := self._guard.check(self.phase, seen, self._k)) is not None:
                 flags |= GUARD
                 self._trip(stop, reading.time_s, tension)
         self._angle_rad = angle
         self._effort_N = self._next_effort(reading.time_s, tension)
         current = self._effort_N / plan.newtons_per_ampere
         if recorded:
-            memory.time_s[k] = reading.time_s - self._first_s
-            memory.tension_N[k], memory.current_A[k] = tension, current
-            memory.angle_rad[k] = angle
-            memory.drum_velocity_rad_s[k], memory.gravity_N[k] = (
-                terms.velocity_rad_s,
-                terms.gravity_N,
+            memory.record(
+                k,
+                time_s=reading.time_s - self._first_s,
+                tension_N=tension,
+                current_A=current,
+                angle_rad=angle,
+                drum_velocity_rad_s=terms.velocity_rad_s,
+                gravity_N=terms.gravity_N,
+                friction_A=terms.friction_N / plan.newtons_per_ampere,
+                inertia_A=terms.inertia_N / plan.newtons_per_ampere,
+                flags=flags | (SATURATED if self._limited else 0),
             )
-            memory.friction_A[k] = terms.friction_N / plan.newtons_per_ampere
-            memory.inertia_A[k] = terms.inertia_N / plan.newtons_per_ampere
-            memory.flags[k] = flags | (SATURATED if self._limited else 0)
-            memory.words[Word.PROGRESS] = k + 1
-        self._publish(reading.time_s, tension, current, angle)
+        memory.publish(
+            self.phase,
+            latched=self._latched,
+            in_position=self._hybrid is not None and not self._hybrid.in_tension,
+            levels=(
+                *(reading.time_s, self._setpoint_N, tension, current, angle),
+                *self._live.operating_point,
+            ),
+        )
         return plan.current.counts(current)
 
     def _compensate(self, time_s: float, gauge_N: float, angle_rad: float) -> CompensationTerms:
@@ -182,6 +184,10 @@ class ReelStateMachine:
         self._controller.feed_forward(self._forward_N)
         return terms
 
+    def _begin_take_up(self) -> None:
+        self.phase = MotionPhase.TAKE_UP
+        self._guard.restart()
+
     def _take_setpoint(self, time_s: float) -> None:
         """Notes a setpoint from above; the first one of a stream takes up a reel at rest."""
         count = self._memory.words[Word.SETPOINTS]
@@ -189,48 +195,8 @@ class ReelStateMachine:
             begins = time_s > self._in_force_until_s
             self._setpoints, self._in_force_until_s = count, time_s + SETPOINT_S
             if begins and self.at_rest and not self._latched:
-                self.phase, self._guard = MotionPhase.TAKE_UP, None
+                self._begin_take_up()
         self._follows = time_s <= self._in_force_until_s
-
-    def _check_guard(
-        self, reading: Reading, tension: float, angle: float, silence_s: float, *, late: bool
-    ) -> GuardTrip | None:
-        """Reason to stop at this sample, if any."""
-        if self.phase is MotionPhase.TRIAL:
-            self._cost += self._memory.weights[self._k] * (
-                (self._memory.setpoint_N[self._k] - tension) ** 2
-            )
-        sample = guard.Sample(
-            reading.time_s,
-            tension,
-            reading.gauge_counts,
-            self._effort_N / self._plan.newtons_per_ampere,
-            angle,
-            late,
-            silence_s,
-            self._cost if self.phase is MotionPhase.TRIAL else 0.0,
-        )
-        watch = self._guard or guard.begin(sample)
-        if self.phase is MotionPhase.TRIAL and self._k == 0:
-            watch = watch._replace(start_s=reading.time_s, start_rad=angle)
-        limits = self._limits
-        if self.phase is MotionPhase.TAKE_UP:
-            limits = self._limits_take_up
-        elif reading.time_s < self._recover_until_s:
-            limits = self._limits_recovering
-        self._guard, stop = guard.check_sample(limits, watch, sample)
-        if (
-            stop is not None
-            and self.phase is MotionPhase.TAKE_UP
-            and stop.reason is Reason.DEADLINE
-        ):
-            motion = self._plan.motion
-            sentence = (
-                f"no tension above {motion.taut_N:g} N within {motion.take_up_s:g} s of taking "
-                "the cable up; is it attached, the gauge connected, the direction right?"
-            )
-            return GuardTrip(Reason.DEADLINE, sentence)
-        return stop
 
     def _trip(self, stop: GuardTrip, time_s: float, tension_N: float) -> None:
         """Goes to the safe state."""
@@ -240,7 +206,7 @@ class ReelStateMachine:
         caused_by_gains = stop.reason.is_caused_by_gains
         self._end_early(Outcome.GUARD if caused_by_gains else Outcome.INTERRUPTED, stop.sentence)
         if was is MotionPhase.TRIAL and holds:
-            self._recover_until_s = time_s + safe.recover_s
+            self._guard.relax_until(time_s + safe.recover_s)
             self._recover(tension_N)
             return
         if was is MotionPhase.HOLD and holds and stop.reason in _TRANSIENT:
@@ -259,9 +225,9 @@ class ReelStateMachine:
         self._controller.rest(tension_N, self._setpoint_N)
         self._is_gain_change_pending = False
 
-    def _emergency_stop(self) -> None:
-        sentence = f"emergency stop: {self._memory.estop_reason}"
-        self._end_early(Outcome.CANCELLED, sentence)
+    def _stop(self, outcome: Outcome, sentence: str) -> None:
+        """Ends the trial, if any, and brings the reel to rest, latched."""
+        self._end_early(outcome, sentence)
         self._memory.reason = sentence
         self._latched = True
         if not self.at_rest:
@@ -291,15 +257,19 @@ class ReelStateMachine:
         self.answer = Ended(self._trial.number, kept, outcome, sentence, self._first_s)
         last = self._memory.setpoint_N[kept - 1]
         open_loop, self._trial = self._trial.open_loop, None
-        self.phase, self._limits = MotionPhase.HOLD, self._plan.guard
+        self.phase = MotionPhase.HOLD
+        self._guard.end_trial()
         self._controller.use(self._live.coefficients)
         self._start_setpoint_at(self._memory.levels[SensorLevels.TENSION_N] if open_loop else last)
 
     def _start_setpoint_at(self, tension_N: float) -> None:
         """Starts the setpoint here, within its limits, without a jump of the effort."""
-        plan = self._plan
-        self._setpoint_N = min(max(tension_N, plan.tension_min_N), plan.tension_max_N)
+        self._setpoint_N = self._within_limits(tension_N)
         self._is_gain_change_pending = True
+
+    def _within_limits(self, tension_N: float) -> float:
+        """A tension within the limits of setpoints, N."""
+        return min(max(tension_N, self._plan.tension_min_N), self._plan.tension_max_N)
 
     def _next_effort(self, time_s: float, tension_N: float) -> float:
         """Effort of the phase, N, and the transitions between phases."""
@@ -360,14 +330,12 @@ class ReelStateMachine:
             effort = self._controller.step(self._setpoint_N, tension_N)
             self._limited = self._controller.limited
             return effort
-        position, plan = hybrid.plan.drum_radius_m * self._angle_rad, self._plan
-        in_tension = bool(hybrid.plan.rules.select(hybrid.in_tension, tension_N, solved))
-        if not in_tension or (solved and not hybrid.in_tension):  # where tension control begins
-            self._setpoint_N = min(max(tension_N, plan.tension_min_N), plan.tension_max_N)
-        elif not solved:
-            self._setpoint_N = hybrid.plan.rules.tension_setpoint_N(0.0, solved=False)
-        target_m = position if math.isnan(target_rad) else hybrid.plan.drum_radius_m * target_rad
-        signals = HybridSignals(target_m, position, self._setpoint_N, tension_N)
+        in_tension, self._setpoint_N = hybrid.select(
+            tension_N, self._setpoint_N, self._within_limits(tension_N), solved=solved
+        )
+        radius, angle = hybrid.plan.drum_radius_m, self._angle_rad
+        target_m = radius * (angle if math.isnan(target_rad) else target_rad)
+        signals = HybridSignals(target_m, radius * angle, self._setpoint_N, tension_N)
         effort = hybrid.step(signals, self._forward_N, in_tension=in_tension)
         self._limited = hybrid.limited
         return effort
@@ -393,10 +361,8 @@ class ReelStateMachine:
 
     def _start(self, trial: Begin) -> None:
         """The next sample is the trial's first."""
-        self.phase, self._k, self._cost = MotionPhase.TRIAL, 0, 0.0
-        self._limits = replace(
-            self._plan.guard, cost_max=trial.cost_max, duration_s=trial.duration_s
-        )
+        self.phase, self._k = MotionPhase.TRIAL, 0
+        self._guard.begin_trial(trial)
         if not trial.open_loop:
             self._controller.use(trial.coefficients)
             self._is_gain_change_pending = True
@@ -428,37 +394,3 @@ class ReelStateMachine:
             self.phase = MotionPhase.STOPPED
             return target
         return effort
-
-    def _publish(
-        self, time_s: float, tension_N: float, current_A: float, angle_rad: float
-    ) -> None:
-        """Publishes the status to the rig."""
-        words, levels = self._memory.words, self._memory.levels
-        levels[SensorLevels.TIME_s], levels[SensorLevels.SETPOINT_N] = time_s, self._setpoint_N
-        levels[SensorLevels.TENSION_N], levels[SensorLevels.CURRENT_A] = tension_N, current_A
-        levels[SensorLevels.ANGLE_rad] = angle_rad
-        levels[SensorLevels.LENGTH_m], levels[SensorLevels.SCHEDULED_N] = (
-            self._live.operating_point
-        )
-        words[Word.IN_POSITION] = self._hybrid is not None and not self._hybrid.in_tension
-        words[Word.LATCHED], words[Word.PHASE] = self._latched, self.phase
-        words[Word.SAMPLES] += 1
-
-
-def _relaxed(plan: LoopPlan) -> tuple[Limits, Limits]:
-    """Limits while a slack cable is taken up, and while the live gains recover the reel."""
-    unlimited = Limits()
-    take_up = replace(
-        plan.guard,
-        slack_N=unlimited.slack_N,
-        rate_max_N_s=unlimited.rate_max_N_s,
-        duration_s=plan.motion.take_up_s,
-    )
-    recovering = replace(
-        plan.guard,
-        tension_max_N=unlimited.tension_max_N,
-        slack_N=unlimited.slack_N,
-        rate_max_N_s=unlimited.rate_max_N_s,
-        current_max_A=unlimited.current_max_A,
-    )
-    return take_up, recovering

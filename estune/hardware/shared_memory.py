@@ -8,6 +8,7 @@ waits for no message; whatever needs an answer goes through the pipe beside it.
 
 import mmap
 import os
+from collections.abc import Sequence
 from enum import IntEnum
 from typing import Any, NamedTuple
 
@@ -152,6 +153,23 @@ class Memory:
     @estop_reason.setter
     def estop_reason(self, text: str) -> None:
         self._write(self._order, Word.ORDER, text)
+
+    def publish(
+        self, phase: MotionPhase, levels: Sequence[float], *, latched: bool, in_position: bool
+    ) -> None:
+        """Writes the status of the reel; levels in the order of `SensorLevels`."""
+        for index, level in enumerate(levels):
+            self.levels[index] = level
+        words = self.words
+        words[Word.IN_POSITION], words[Word.LATCHED] = in_position, latched
+        words[Word.PHASE] = phase
+        words[Word.SAMPLES] += 1
+
+    def record(self, index: int, **values: float) -> None:
+        """Writes a sample of the trial into the columns of these names."""
+        for name, value in values.items():
+            getattr(self, name)[index] = value
+        self.words[Word.PROGRESS] = index + 1
 
     def columns(self, count: int, optional: tuple[str, ...] = ()) -> dict[str, Any]:
         """The first samples of the trial as columns of a record; copied, and read-only."""
