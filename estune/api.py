@@ -12,7 +12,7 @@ from estune.core.response import CostFunction
 from estune.errors import EstuneError, InvalidInput, JournalError, RigError
 from estune.loop_model.optimum import RobustnessLimits
 from estune.remote.state_machine.client import PATIENCE_S
-from estune.run import archived_run, loop, progress, result
+from estune.run import archived_run, loop, progress
 from estune.run.journal import RECORDS_LEAST, Journal
 from estune.run.loop import ApprovalCallback, ProgressListener, Stopped, TuningRun
 from estune.run.plan import REPEATS, TOLERANCE, TRIALS
@@ -23,7 +23,6 @@ from estune.run.planning import (
     plan_from_json,
     plan_to_json,
 )
-from estune.run.result import TuneResult
 from estune.run.start import KnownStart, StartRule
 from estune.run.targets import open_target
 from estune.trial import Rig, RigDescription
@@ -32,6 +31,7 @@ from estune.tuners import DEFAULT_TUNER, Tuner
 
 if TYPE_CHECKING:
     from estune.remote.security import Security
+    from estune.run.result import TuneResult
 
 RUNS = "runs"
 """Default folder of runs, in the working directory."""
@@ -60,7 +60,7 @@ def tune(
     ask: ApprovalCallback | None = None,
     limits: RobustnessLimits | None = None,
     force: bool = False,
-) -> TuneResult:
+) -> "TuneResult":
     """Tunes the PIDF gains of a rig by step trials.
 
     Trials use temporary gains: the rig restores its live gains after each. The tuned gains are in
@@ -168,7 +168,7 @@ def resume(
     patience_s: float = PATIENCE_S,
     watch: ProgressListener | Literal["auto"] | None = "auto",
     ask: ApprovalCallback | None = None,
-) -> TuneResult:
+) -> "TuneResult":
     """Continues a run that was stopped, with the same proposals as an uninterrupted run.
 
     Args:
@@ -200,7 +200,7 @@ def resume(
         journal.close()
 
 
-def load(run_folder: str | Path) -> TuneResult:
+def load(run_folder: str | Path) -> "TuneResult":
     """The result of a run on disk, finished or not; no rig is needed.
 
     A finished run can be loaded even if its tuner is of another version.
@@ -208,11 +208,13 @@ def load(run_folder: str | Path) -> TuneResult:
     Raises:
         JournalError: the run cannot be read.
     """
+    from estune.run import result  # noqa: PLC0415  it loads SciPy
+
     with Journal.open(Path(run_folder)) as journal:
-        try:
-            return result.from_tuning(loop.replay(*_stored(journal), journal))
-        except JournalError:
-            return result.from_tuning(archived_run.load_finished(journal))
+        if not archived_run.is_stored(journal):
+            with contextlib.suppress(JournalError):  # of another version
+                return result.from_tuning(loop.replay(*_stored(journal), journal))
+        return result.from_tuning(archived_run.load_finished(journal))
 
 
 def _run(
@@ -220,7 +222,9 @@ def _run(
     rig: Rig,
     watch: ProgressListener | Literal["auto"] | None,
     ask: ApprovalCallback | None,
-) -> TuneResult:
+) -> "TuneResult":
+    from estune.run import result  # noqa: PLC0415  it loads SciPy
+
     with (
         _journal_ending(tuning_),
         progress.watching(watch, tuning_, asking=ask is not None) as listeners,

@@ -3,9 +3,9 @@
 import threading
 from collections.abc import Callable
 from dataclasses import replace
+from itertools import accumulate
 
 import numpy as np
-from scipy.signal import lfilter
 
 from estune.core.gains import Gains
 from estune.core.pidf import ControllerSettings
@@ -49,7 +49,8 @@ def response(request: TrialRequest) -> TrialRecord:
     setpoint = profile.setpoint(RATE_HZ)
     time = np.arange(setpoint.size) / RATE_HZ
     pole = np.exp(-request.gains.P / 0.05 / RATE_HZ)
-    change = lfilter([0.0, 1.0 - pole], [1.0, -pole], setpoint - profile.preload_N)
+    steps = ((1.0 - pole) * (setpoint - profile.preload_N)).tolist()[:-1]
+    change = np.array([*accumulate(steps, lambda y, x: x + pole * y, initial=0.0)])
     noise = np.random.default_rng(request.number).normal(0.0, 0.04, time.size)
     tension = profile.preload_N + change + noise
     return TrialRecord(

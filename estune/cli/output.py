@@ -6,14 +6,16 @@ import math
 from collections.abc import Iterable, Mapping
 from datetime import datetime
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
 from rich.measure import Measurement
 from rich.table import Table
 from rich.text import Text
 
-from estune.run.result import TuneResult
+if TYPE_CHECKING:
+    from estune.run.result import TuneResult
+
 
 FIGURE_NAME = "figure.png"
 _WORDS = 24
@@ -30,7 +32,7 @@ def console() -> Console:
     return out
 
 
-def show_result(result: TuneResult) -> None:
+def show_result(result: "TuneResult") -> None:
     """Prints how a run ended, its before/after table and its warnings."""
     out = console()
     style = "bold green" if result.success else "bold yellow"
@@ -47,7 +49,7 @@ def show_result(result: TuneResult) -> None:
         out.print(Text(remark), soft_wrap=True)
 
 
-def save_figure(result: TuneResult) -> Path | None:
+def save_figure(result: "TuneResult") -> Path | None:
     """Draws the figure of a run into its folder; None for a run without a folder or a trial."""
     if result.folder is None or not result.entries:
         return None

@@ -1,7 +1,7 @@
 """Commands on served rigs: `estune discover`, `apply`, `estop` and `clear`."""
 
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from estune import api
 from estune.cli import output
@@ -12,11 +12,13 @@ from estune.core.gains import GAIN_NAMES, Gains
 from estune.errors import InvalidInput, RigError
 from estune.remote import messages, zenoh
 from estune.remote.security import Security
-from estune.run.result import TuneResult
 from estune.run.robustness import claim_from
 from estune.run.targets import open_target
 from estune.support.quantity_text import with_unit
 from estune.trial import RigDescription
+
+if TYPE_CHECKING:
+    from estune.run.result import TuneResult
 
 STOP_PRIORITY = 20
 """Real-time priority of an emergency stop, where the system grants it."""
@@ -141,7 +143,7 @@ def clear(endpoint: str, /, *, rig: str | None = None, security: Path | None = N
         print(f"{the_rig.name} is cleared: {the_rig.status().mode.sentence}")
 
 
-def _backed_off_sentence(result: TuneResult, gains: Gains, share: float) -> str:
+def _backed_off_sentence(result: "TuneResult", gains: Gains, share: float) -> str:
     """Costs and benefits of the margin, as far as the records of the run show them."""
     said = (
         f"backed off by {share:.0%}: any gain margin is {1.0 / (1.0 - share):.3g} times as large"

@@ -12,10 +12,10 @@ from estune.errors import EstuneError, InvalidInput, JournalError
 from estune.run.ending import RunEnding
 from estune.run.journal import FILE_NAME, Journal, being_written
 from estune.run.progress import counting
-from estune.run.result import TuneResult
 
 if TYPE_CHECKING:
     from estune.run.record_files import RecordFormat
+    from estune.run.result import TuneResult
 
 REPORT_NAME = "report.html"
 
@@ -185,14 +185,14 @@ def _summary(path: Path) -> dict[str, Any]:
     }
 
 
-def _state(path: Path, result: TuneResult) -> str:
+def _state(path: Path, result: "TuneResult") -> str:
     """The end of a run in words, or that a process is still at work on it."""
     with Journal.open(path) as journal:
         is_open = journal.fact("status") == "running"
     return "running" if is_open and being_written(path) else str(result.ending)
 
 
-def result_facts(result: TuneResult, *, trials: bool = False) -> dict[str, Any]:
+def result_facts(result: "TuneResult", *, trials: bool = False) -> dict[str, Any]:
     """The JSON form of a result."""
     names = ("ending", "success", "message", "folder", "gains", "start_gains", "improvement")
     shown = {name: output.plain(getattr(result, name)) for name in (*names, "unsafe", "findings")}

@@ -31,7 +31,6 @@ from estune.run.ending import RunEnding
 from estune.run.journal import Journal
 from estune.run.plan import REPEATS, TOLERANCE, TRIALS
 from estune.run.planning import known_start, suited_step
-from estune.run.result import TuneResult
 from estune.run.start import KnownStart
 from estune.run.targets import is_endpoint, open_target
 from estune.run.toml_tables import CostTable, StepTable
@@ -42,6 +41,7 @@ from estune.tuners import DEFAULT_TUNER
 
 if TYPE_CHECKING:
     from estune.remote.security import Security
+    from estune.run.result import TuneResult
 
 _STEP = Group("The step trial", sort_key=1)
 _COST = Group("The cost of a trial", sort_key=2)
@@ -243,7 +243,7 @@ def resume(
     return finish(result, where, report=report, security=security)
 
 
-def print_result(result: TuneResult, report: Path | None) -> int:
+def print_result(result: "TuneResult", report: Path | None) -> int:
     """Prints a result as JSON, with its figure and report saved.
 
     Returns:
@@ -256,7 +256,7 @@ def print_result(result: TuneResult, report: Path | None) -> int:
 
 
 def finish(
-    result: TuneResult,
+    result: "TuneResult",
     target: str | None,
     more: Mapping[str, str] | None = None,
     report: Path | None = None,

@@ -6,7 +6,6 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from scipy.special import stdtrit
 
 from estune.core.quantities import FloatArray
 from estune.loop_model.identification import LoopFit
@@ -36,6 +35,8 @@ class DrawnOptima(NamedTuple):
     @property
     def interval(self) -> tuple[FloatArray, FloatArray]:
         """Ends of the 95 % interval of the optimum, by Student's t; shape (n,) each."""
+        from scipy.special import stdtrit  # noqa: PLC0415  slow to import
+
         count = len(self.optima)
         if count < 2:
             return self.centre, self.centre

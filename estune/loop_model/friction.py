@@ -17,7 +17,6 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from scipy.optimize import least_squares
 
 from estune.core.quantities import FloatArray
 from estune.loop_model.identification import (
@@ -170,6 +169,7 @@ def _searched_dead_time(signals: _Signals, best: _Try) -> _Try:
 
 def _search(signals: _Signals, start: FloatArray, dead: int) -> _Try:
     """Least squares from a start, by Levenberg and Marquardt."""
+    from scipy.optimize import least_squares  # noqa: PLC0415  slow to import
 
     def residual_of(x: FloatArray, positions: FloatArray) -> FloatArray:
         # Without a reversal only the change of the friction shows: then it holds nothing at rest.

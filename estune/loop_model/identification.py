@@ -12,8 +12,6 @@ from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
-from scipy.optimize import least_squares
-from scipy.special import stdtrit
 
 from estune.core.filtering import lfilter
 from estune.core.quantities import FloatArray
@@ -99,6 +97,8 @@ class LoopFit(NamedTuple):
     @property
     def quantile(self) -> float:
         """Quantile of Student's t for a 95 % interval from the scatter between records."""
+        from scipy.special import stdtrit  # noqa: PLC0415  slow to import
+
         return float(stdtrit(max(len(self.misfits) - 1, 1), 0.975))
 
 
@@ -223,6 +223,8 @@ def pole_coordinates(model: LoopModel) -> FloatArray:
 
 def _fit_poles(signals: _Signals, start: FloatArray, dead: int) -> _Try:
     """The poles of least squares from a start, by Levenberg and Marquardt."""
+    from scipy.optimize import least_squares  # noqa: PLC0415  slow to import
+
     last = _Solution.at(signals, start, dead)
 
     def at(x: FloatArray) -> _Solution:

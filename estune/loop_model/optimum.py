@@ -6,7 +6,6 @@ from dataclasses import dataclass, field, fields
 from typing import NamedTuple
 
 import numpy as np
-from scipy.optimize import minimize
 
 from estune.core.gains import Gains
 from estune.core.quantities import FloatArray
@@ -200,6 +199,8 @@ class RegionSearch:
         return self._known[key]
 
     def _descend(self, start: FloatArray, iterations: int) -> Optimum:
+        from scipy.optimize import minimize  # noqa: PLC0415  slow to import
+
         found = minimize(
             self._objective,
             start,

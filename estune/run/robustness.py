@@ -6,7 +6,6 @@ from collections.abc import Iterable, Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from scipy.special import stdtrit
 
 from estune.core.comparison import Change
 from estune.core.gains import Gains
@@ -208,6 +207,8 @@ def _end_error(responses: FloatArray, final_N: float) -> tuple[float, float]:
     noise = float(np.std(np.diff(tail, axis=1))) / math.sqrt(2.0) if tail.shape[1] > 1 else 0.0
     explained = 4.0 * noise / math.sqrt(tail.size)
     if count > 1:
+        from scipy.special import stdtrit  # noqa: PLC0415  slow to import
+
         spread = float(np.std(tail.mean(axis=1), ddof=1)) / math.sqrt(count)
         explained = max(explained, float(stdtrit(count - 1, 0.975)) * spread)
     return float(tail.mean()) - final_N, explained

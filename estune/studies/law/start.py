@@ -5,17 +5,19 @@ from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 from estune import api
 from estune.core.gains import GAIN_NAMES, Gains
 from estune.errors import InvalidInput, JournalError
 from estune.run.journal import FILE_NAME
-from estune.run.result import TuneResult
 from estune.run.start import KnownStart, StartRule
 from estune.studies.law.law import GainLaw, fit_law
 from estune.studies.law.tuned import CELLS, TunedGains
 from estune.trial import RigDescription
+
+if TYPE_CHECKING:
+    from estune.run.result import TuneResult
 
 LENGTHS_MIN = 3
 """Lengths from which a law is fitted; with fewer the run at the nearest length is taken."""
@@ -114,13 +116,13 @@ def _errors(errors: Sequence[float]) -> tuple[float, ...] | None:
     return None if all(map(math.isnan, errors)) else tuple(errors)
 
 
-def _aim(result: TuneResult) -> tuple[object, ...]:
+def _aim(result: "TuneResult") -> tuple[object, ...]:
     """The aim of a run: only runs of one aim, that of the latest, make a law."""
     plan = result.plan
     return replace(plan.cost, settling_time_s=1.0), plan.limits, plan.tuner.name
 
 
-def _data_point(result: TuneResult) -> TunedGains:
+def _data_point(result: "TuneResult") -> TunedGains:
     assert result.folder is not None  # noqa: S101  it was loaded from there
     assert result.rig.cable_length_m is not None  # noqa: S101  checked by the caller
     return TunedGains(
