@@ -43,6 +43,13 @@ def test_fuller_member_of_a_family_needs_a_large_share_of_what_the_simpler_leave
     assert decide(base(2000.0), [simple, full]).best == {best}
 
 
+@pytest.mark.parametrize(("J", "best"), [(1.0, "simple"), (0.7, "full")])
+def test_model_that_leaves_less_than_the_noise_shows_that_the_noise_is_smaller(J, best):
+    simple = model("simple", 1.2, 1, family="friction")
+    full = model("full", J, 3, family="friction")
+    assert decide(base(20.0), [simple, full]).best == {best}
+
+
 def test_member_too_small_to_matter_is_not_named():
     simple = model("simple", 30.0, 1, family="friction")
     full = model("full", 2.0, 3, family="friction", eligible=False)

@@ -46,6 +46,8 @@ def decide(base: Model, models: Sequence[Model], c: Constants = CONSTANTS) -> De
     """The verdict on the fits of a search."""
     if base.power <= c.nothing:
         return Decision("none", frozenset())
+    p = probabilities(base, models, c)
+    base, *models = relative([base, *models])
     named = [m for m in models if m.named and m.eligible]
     best = best_of(models, c)
     nameless = [m for m in models if not m.named and len(m.names) == 1]
@@ -66,9 +68,15 @@ def decide(base: Model, models: Sequence[Model], c: Constants = CONSTANTS) -> De
             return Decision("unknown", frozenset(), like=next(iter(law.names)), leading=best.names)
     if explained(base, best) < c.named_share and best.power > c.floor:
         return Decision("unknown", frozenset(), leading=best.names)
-    tied = _tied(best, named, probabilities(base, models, c), c)
+    tied = _tied(best, named, p, c)
     verdict: Verdict = "incomplete" if best.power > c.incomplete else "named"
     return Decision("ambiguous" if tied else verdict, best.names, tied, leading=best.names)
+
+
+def relative(models: Sequence[Model]) -> list[Model]:
+    """The models with powers relative to the noise, which is no more than the best one leaves."""
+    least = min(1.0, *(m.J for m in models))
+    return [m._replace(J=m.J / least) for m in models]
 
 
 def _tied(

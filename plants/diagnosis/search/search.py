@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from plants.diagnosis.progress import Progress, portion, silent
 from plants.diagnosis.result import ModelSummary
 from plants.diagnosis.search.constants import CONSTANTS
-from plants.diagnosis.search.decide import best_of
+from plants.diagnosis.search.decide import best_of, relative
 from plants.diagnosis.search.model_fitter import (
     CandidateFit,
     ModelFitter,
@@ -25,7 +25,8 @@ from plants.diagnosis.search.starts import coarse_fit, fit_added, may_be_nonline
 from plants.effects import Effect, RecordScale, Role
 
 BESIDE = 5
-"""Further effects whose direction is looked at once more beside those there are."""
+"""Further effects whose direction is looked at once more beside those there are, and as many laws
+without a name as have one no worse."""
 SHORTLIST = 5
 """Effects fitted jointly, by their direction."""
 AIMED, AIMED_BESIDE = 0.5, 0.2
@@ -128,10 +129,10 @@ def search(
         return found
     unnamed = {e.name: screen(e, fitter.predictor((e,)), seen) for e in nameless}
     _fit_all(fitter, found, base, (found.screened, unnamed), portion(progress, 0.2, 0.6))
-    single = next((f for f in found.of(1) if is_named(f)), None)
+    single = _leading(fitter, found)
     if single is None or power(single) > 1.0 + (1.0 - CONSTANTS.named_share) * (power(base) - 1.0):
         _fit_rest(fitter, found)
-        single = next((f for f in found.of(1) if is_named(f)), None)
+        single = _leading(fitter, found)
     # A second effect is looked for beside one that explains something, and leaves something.
     some = 1.0 + CONSTANTS.named_share * (power(base) - 1.0)
     if single is None or power(single) > some:
@@ -144,13 +145,21 @@ def search(
     found.beside = _screen_beside(fitter, [*rest, *nameless], single, records)
     unnamed = {e.name: found.beside.pop(e.name) for e in nameless}
     _fit_all(fitter, found, single, (found.beside, unnamed), portion(progress, 0.7, 0.95))
-    _, *models = found.summaries(fitter)
+    _, *models = relative(found.summaries(fitter))
     # Whether an effect of it is of a size that matters shows after the moves.
     pair = best_of([m._replace(eligible=True) for m in models])
     if pair is not None and len(pair.names) == 2:
         progress("comparing pairs", 0.95)
         _moves(fitter, found, found.fits[pair.names])
     return found
+
+
+def _leading(fitter: ModelFitter, found: SearchResult) -> CandidateFit | None:
+    """The best of the named effects, with its family: one that could be believed, if there is."""
+    named = [one for one in found.of(1) if is_named(one)]
+    sized = [one for one in named if summarise(one, fitter.scale).eligible]
+    families = {family_of(one.effects[0]) for one in (sized or named)[:1]}
+    return next((one for one in named if family_of(one.effects[0]) in families), None)
 
 
 def _fit_all(
@@ -259,7 +268,8 @@ def _screen_beside(
     rest = [e for e in effects if e not in rings]
     alone = {e.name: screen(e, fitter.predictor((e,)), seen) for e in rest}
     rest.sort(key=lambda e: -alone[e.name].screening_R2)
+    named = [e for e in rest if e not in NAMELESS][:BESIDE]
+    first = rest[: rest.index(named[-1]) + 1] if named else []
     return alone | {
-        e.name: screen(e, fitter.predictor((*current.effects, e)), seen)
-        for e in (*rings, *rest[:BESIDE])
+        e.name: screen(e, fitter.predictor((*current.effects, e)), seen) for e in (*rings, *first)
     }
