@@ -76,8 +76,9 @@ def test_read_config_reports_all_mistakes_with_their_places(tmp_path, capsys):
     ("target", "words"),
     [
         ("tcp/127.0.0.1:99999", "endpoint 'tcp/127.0.0.1:99999' is malformed"),
-        ("tcp/127.0.0.1:0", "no rig listens at port 0"),
+        ("tcp/127.0.0.1:0", "nothing listens at port 0"),
         ("tcp/999.1.1.1:7447", "999.1.1.1 is no IP address"),
+        ("tcp/reel.invalid:7447", "cannot resolve the host name reel.invalid"),
         ("nothing.toml", "there is no such model file"),
         ("nothing", "is neither an endpoint"),
         ("no_module:reel", "there is no module 'no_module'"),
@@ -93,6 +94,14 @@ def test_check_refuses_targets_that_cannot_exist(target, words, tmp_path, capsys
     code = run(["daemon", "--check", str(file)])
     assert code == (InvalidInput.exit_code if words else 0)
     assert words in capsys.readouterr().err
+
+
+def test_check_refuses_a_router_whose_name_cannot_be_resolved(tmp_path, capsys):
+    file, router = tmp_path / "daemon.toml", "tcp/router.invalid:7447"
+    rig = '[[rig]]\nname = "drum"\ntarget = "plants:reference_reel"\n'
+    file.write_text(f'[service]\nrouters = ["{router}"]\n{rig}')
+    assert run(["daemon", "--check", str(file)]) == InvalidInput.exit_code
+    assert f"service: routers: {router}: this machine cannot resolve" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

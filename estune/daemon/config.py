@@ -1,6 +1,7 @@
 """The daemon's file, `daemon.toml`: rigs, how they are tuned and watched, notifications."""
 
 import re
+import socket
 from collections import Counter
 from ipaddress import ip_address
 from pathlib import Path
@@ -245,12 +246,18 @@ def config_from(data: dict[str, Any], source: str, beside: Path) -> DaemonConfig
 
 
 def check_targets(config: DaemonConfig) -> None:
-    """Refuses targets that cannot exist; no rig is contacted.
+    """Refuses targets and routers that cannot exist; no rig is contacted.
 
     Raises:
-        InvalidInput: an endpoint is malformed, or a model file, module or attribute is missing.
+        InvalidInput: an endpoint is malformed, its host is unknown, or a model file, module or
+            attribute is missing.
     """
     faults = []
+    for router in config.service.routers:
+        try:
+            _check_address(router)
+        except InvalidInput as error:
+            faults.append(f"service: routers: {error}")
     for rig in config.rig:
         try:
             if is_endpoint(rig.target):
@@ -270,12 +277,19 @@ def _check_address(endpoint: str) -> None:
         return
     host, port = host_and_port(endpoint)
     if port == 0:
-        raise InvalidInput(f"{endpoint}: no rig listens at port 0; give the port that it printed")
+        raise InvalidInput(f"{endpoint}: nothing listens at port 0; give the port that it printed")
     if host.replace(".", "").isdigit():
         try:
             ip_address(host)
         except ValueError:
             raise InvalidInput(f"{endpoint}: {host} is no IP address") from None
+    try:
+        socket.getaddrinfo(host, port)
+    except (OSError, UnicodeError):  # a label of a name may be too long to be encoded
+        raise InvalidInput(
+            f"{endpoint}: this machine cannot resolve the host name {host}; correct it, or give "
+            "the host's IP address"
+        ) from None
 
 
 def plan_settings(rig: RigTable, description: RigDescription) -> dict[str, Any]:
