@@ -139,11 +139,14 @@ def test_gauge_scale_is_nan_outside_the_calibration(gauge, counts):
 
 
 @given(st.sampled_from(CURRENTS), st.floats(0.0, 1.0))
-def test_current_scale_equals_the_calibration(current, place):
-    scale = CurrentScale.of(current)
-    low, high = sorted(scale._curve(u)[0] for u in (-scale.scaled_max, scale.scaled_max))
-    current_A = low + place * (high - low)
-    assert abs(scale.counts(current_A) - current.counts(current_A)) <= 0.5 + 1e-6
+def test_current_scale_gives_the_count_of_the_nearest_current(current, place):
+    axis = current.command
+    least, most = axis.natural(np.array([-axis.reach, axis.reach]))
+    current_A = current.current_A(least + place * (most - least))
+    counts = CurrentScale.of(current).counts(current_A)
+    near = np.clip([counts, counts - 1, counts + 1], least, most)
+    away = np.abs(current.current_A(near) - current_A)
+    assert away[0] <= away[1:].min() + 1e-9
 
 
 @given(st.sampled_from(CURRENTS), st.floats(-1e6, 1e6))

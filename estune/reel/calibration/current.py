@@ -1,4 +1,4 @@
-"""Calibration of the current controller, C1, from current to commanded counts and back."""
+"""Calibration of the current controller, C1; `estune.hardware.scales` has its inverse."""
 
 from dataclasses import dataclass
 from typing import Self
@@ -11,13 +11,11 @@ from estune.core.quantities import FloatArray, Numbers, checked_array, scalar_or
 from estune.errors import InvalidInput
 from estune.reel.calibration.monotone import (
     Axis,
-    check_between,
     check_columns,
     check_distinct,
     check_order,
     check_slope,
     extremes,
-    invert,
     on_scale,
 )
 from estune.reel.calibration.regression import Regression, Stored, regress
@@ -113,20 +111,6 @@ class CurrentCalibration(Stored):
             InvalidInput: a value is not finite or outside the calibrated range.
         """
         return scalar_or_array(self._curve(self.command.scaled(command)))
-
-    def counts(self, current_A: ArrayLike) -> Numbers:
-        """Command that gives a current, counts, not rounded: C1 as the rig uses it.
-
-        Raises:
-            InvalidInput: a value is not finite, or a current that no calibrated command gives.
-        """
-        current = checked_array("current_A", current_A, "A")
-        reach = self.command.reach
-        ends = self._curve(np.asarray(-reach)), self._curve(np.asarray(reach))
-        check_between("current_A", current, *ends, self.command)
-        slope = polynomial.polyder(np.asarray(self.regression.coefficients))
-        u = invert(self._curve, lambda u: np.asarray(polynomial.polyval(u, slope)), current, reach)
-        return scalar_or_array(self.command.natural(u))
 
     def _curve(self, u: FloatArray) -> FloatArray:
         return np.asarray(polynomial.polyval(u, np.asarray(self.regression.coefficients)))

@@ -1,7 +1,6 @@
-"""Monotone calibration curves: range, checks, inverse."""
+"""Monotone calibration curves: range and checks."""
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,8 +15,6 @@ _REVERSAL_LEVEL = 0.999
 """One-sided confidence at which means of repeats count as out of order."""
 
 _FLAT = 1e-9  # slope per largest coefficient; less is rounding
-
-_ITERATIONS = 100
 
 
 @dataclass(frozen=True, slots=True)
@@ -193,27 +190,3 @@ def check_between(
             f"{axis.low:g} to {axis.high:g} {axis.unit}; calibrate over a wider range, or allow a "
             "margin"
         )
-
-
-def invert(
-    curve: Callable[[FloatArray], FloatArray],
-    slope: Callable[[FloatArray], FloatArray],
-    values: FloatArray,
-    reach: float,
-) -> FloatArray:
-    """Inverse of a monotone curve on -reach..reach, by Newton's method in a bracket."""
-    low, high = np.full(values.shape, -reach), np.full(values.shape, reach)
-    rising = bool(curve(np.asarray(reach)) > curve(np.asarray(-reach)))
-    u = np.zeros(values.shape)
-    for _ in range(_ITERATIONS):
-        miss = curve(u) - values
-        above = (miss > 0.0) == rising
-        low, high = np.where(above, low, u), np.where(above, u, high)
-        following = u - miss / slope(u)
-        inside = (following >= low) & (following <= high)
-        following = np.where(inside, following, 0.5 * (low + high))
-        settled = np.abs(following - u) <= 1e-15 * reach
-        u = following
-        if settled.all():
-            break
-    return u
