@@ -143,14 +143,10 @@ def diagnosis(**changes) -> Diagnosis:
         ambiguous=(),
         candidates=tuple(candidates),
         unit="N",
-        gap_before=0.58,
-        gap_after=0.047,
+        given=ModelErrors(0.66, 15.8, 1.02),
+        before=ModelErrors(0.58, 13.9, 0.91),
+        after=ModelErrors(0.047, 1.2, 0.09),
         floor=0.043,
-        ratio_before=13.9,
-        ratio_after=1.2,
-        closure=0.997,
-        rms_before=0.91,
-        rms_after=0.09,
         noise=NoiseFloor(channels),
         where=ResidualLocation(
             blocks=(
@@ -203,7 +199,6 @@ def diagnosis(**changes) -> Diagnosis:
         base_model=REEL,
         augmented=REEL + EyeletFriction(**FOUND),
         values={"eyelet_friction.attenuation": 0.931},
-        given=ModelErrors(0.66, 15.8, 1.02),
     )  # fmt: skip
     return replace(made, **changes)
 
@@ -222,12 +217,8 @@ def nothing_found(**changes) -> Diagnosis:
         verdict="none",
         sentence="Simulation and measurement agree to within the noise.",
         effects=(),
-        gap_before=0.045,
-        gap_after=0.045,
-        ratio_before=1.05,
-        ratio_after=1.05,
-        closure=float("nan"),
-        rms_after=0.91,
+        before=ModelErrors(0.045, 1.05, 0.91),
+        after=ModelErrors(0.045, 1.05, 0.91),
         steps=(SearchStep(None, 0.045, 0.043, 1.05),),
         traces=(replace(same, after=same.before),),
         augmented=REEL,

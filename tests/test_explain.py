@@ -54,7 +54,7 @@ def test_undeclared_effect_is_unknown_until_it_is_declared():
     assert [done for _, done in reports] == sorted(done for _, done in reports)
     assert reports[-1] == ("done", 1.0)
     assert (found.verdict, [effect.name for effect in found.effects]) == ("named", ["air_drag"])
-    assert found.gap_after < 0.3 * found.gap_before
+    assert found.after.gap < 0.3 * found.before.gap
     assert AirDrag in [type(effect) for effect in found.augmented.effects]
     assert found.shown_by["air_drag"] == AirDrag.excitation
 

@@ -76,7 +76,7 @@ def test_effect_of_a_control_system_is_reported_in_its_units(hidden, name, truth
     assert (found.verdict, [effect.name for effect in found.effects]) == ("named", [name])
     said = re.search(r"([\d.e-]+) in the (?:input|output)'s unit", found.sentence)
     assert float(said[1]) == pytest.approx(truth, rel=0.05)
-    assert found.ratio_after < 1.2
+    assert found.after.ratio < 1.2
     parameter = next(iter(found.effects[0].parameters.values()))
     assert parameter.value == pytest.approx(truth, rel=0.05)
     assert parameter.unit == ("input" if name == "coulomb_friction" else "output")
@@ -100,7 +100,7 @@ def test_horizon_of_a_free_stage_exceeds_its_noise(friction_N, verdict):
     found = plants.explain(believed, list(records(friction_N, step_m=1e-6, stiffness_N_m=0.0)))
     assert found.verdict == verdict
     assert found.floor < 5e-6
-    assert found.ratio_after < 1.2
+    assert found.after.ratio < 1.2
     assert [effect.name for effect in found.effects] == ["coulomb_friction"] * bool(friction_N)
     for effect in found.effects:
         assert effect.parameters["torque_Nm"].value == pytest.approx(friction_N, rel=0.01)

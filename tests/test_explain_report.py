@@ -18,6 +18,7 @@ from estune.support.html_page import render
 from estune.support.plot_style import new_figure, to_png
 from plants.diagnosis.report import figures, summary
 from plants.diagnosis.report.page import page
+from plants.diagnosis.result import ModelErrors
 from plants.effects import EFFECTS, Effect, Port, parameter, plant_scale
 from tests.support_diagnosis import FOUND, deciding, diagnosis, nothing_found
 
@@ -120,7 +121,7 @@ def test_page_escapes_user_text(named):
             findings=(),
             where=NO_BLOCKS,
         ),
-        diagnosis(verdict="unknown", effects=(), closure=math.nan, where=NO_BLOCKS),
+        diagnosis(verdict="unknown", effects=(), where=NO_BLOCKS),
         diagnosis(
             verdict="ambiguous",
             ambiguous=("coulomb_friction", "dahl_hysteresis"),
@@ -173,7 +174,7 @@ def test_json_of_an_angle_is_in_radians(named):
 
 
 def test_json_of_an_infinite_number_is_null():
-    told = diagnosis(gap_after=math.inf, rms_after=math.nan).to_json()
+    told = diagnosis(after=ModelErrors(math.inf, 1.2, math.nan)).to_json()
     assert told["gap_after_N"] is None
     assert told["free_run_after_N"] is None
 

@@ -74,7 +74,7 @@ def test_stage_is_told_of_in_its_own_words():
         "force_offset_N": "N",
     }
     told = found.to_json()
-    assert told["gap_before_m"] == found.gap_before
+    assert told["gap_before_m"] == found.before.gap
     assert told["exit_code"] == LIMITED
     assert "mass_kg moved to 3.5 times" in found.sentence
     shown = str((found.heading(), found.where, found.traces[0].unit, told))
@@ -83,9 +83,9 @@ def test_stage_is_told_of_in_its_own_words():
 
 def test_model_as_given_is_beside_the_refitted_one(sound):
     off = plants.explain(DRIVE, list(records(inertia=2.6e-3)), effects=[])
-    assert off.given.ratio > 2.0 * off.ratio_before
-    assert off.given.rms > 2.0 * off.rms_before
-    assert sound.given.ratio == pytest.approx(sound.ratio_before, rel=0.2)
+    assert off.given.ratio > 2.0 * off.before.ratio
+    assert off.given.rms > 2.0 * off.before.rms
+    assert sound.given.ratio == pytest.approx(sound.before.ratio, rel=0.2)
 
 
 def test_errors_on_held_out_records_are_of_models_not_fitted_to_them():

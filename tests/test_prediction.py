@@ -1,3 +1,4 @@
+from copy import copy
 from dataclasses import replace
 from functools import lru_cache
 
@@ -130,10 +131,10 @@ def test_residual_is_independent_of_initial_states():
     row = truth(predictor)[None]
     before = predictor.residuals(row)
     place = predictor._data.window_place
-    moved = Predictor.__new__(Predictor)
-    vars(moved).update(vars(predictor))
+    moved = copy(predictor)
+    moved._runner = copy(predictor._runner)
     shift = np.random.default_rng(1).normal(size=place.shape) * (1e-3, 0.1)
-    moved._data = replace(predictor._data, window_place=place + shift)
+    moved._runner._data = replace(predictor._data, window_place=place + shift)
     change = predictor.predict(row)[0].angle_rad - moved.predict(row)[0].angle_rad
     change = np.abs(change).max() / predictor.index.sigma[predictor.index.channel == 1][0]
     assert change > 10.0

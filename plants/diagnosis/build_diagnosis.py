@@ -13,12 +13,7 @@ from plants.diagnosis.data.measured_record import OUTPUTS
 from plants.diagnosis.data.noise_floor import NoiseFloor
 from plants.diagnosis.declared_effects import declared_effects
 from plants.diagnosis.experiments.next_experiment import Evidence, next_experiment
-from plants.diagnosis.hold_out import (
-    floor_of,
-    held_errors,
-    hold_out,
-    main_channel,
-)
+from plants.diagnosis.hold_out import floor_of, free_run_rms, held_errors, hold_out
 from plants.diagnosis.models.diagnosed_model import DiagnosedModel
 from plants.diagnosis.report.diagnosis import Diagnosis
 from plants.diagnosis.report.plant_units import in_own_units, located_in_own_units
@@ -26,11 +21,13 @@ from plants.diagnosis.residual.localisation import ResidualLocation
 from plants.diagnosis.result import (
     BaseParameter,
     Interval,
+    ModelErrors,
     NamedEffect,
     NextExperiment,
     SearchStep,
     Trace,
     Verdict,
+    explained_share,
 )
 from plants.diagnosis.search.conclusion import (
     Conclusion,
@@ -77,6 +74,15 @@ class FittedModel(NamedTuple):
     fit: CandidateFit
 
 
+class Searched(NamedTuple):
+    """A variant of the model with its search: where the residual is, the fits, the conclusion."""
+
+    fitter: ModelFitter
+    where: ResidualLocation
+    found: SearchResult
+    judged: Conclusion
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class DiagnosisInputs:
     """Results of all parts of a diagnosis.
@@ -85,7 +91,7 @@ class DiagnosisInputs:
         model: The model as given.
         recorded: The base fit of the records as they are, interference included.
         line: The mains interference found in them, or None.
-        fitter: Model and records without interference.
+        done: The search on records without interference.
         wrong: The model as given with the one number changed that is wrong, or None.
         coarse_step_N: Step of a gauge that is read in coarse steps, or None.
         held: The model as given for records held out of the fits, or None.
@@ -94,13 +100,10 @@ class DiagnosisInputs:
     model: Any
     recorded: FittedModel
     line: MainsLine | None
-    fitter: ModelFitter
-    found: SearchResult
-    judged: Conclusion
+    done: Searched
     wrong: CandidateFit | None
     coarse_step_N: float | None
     choice: EffectChoices
-    where: ResidualLocation
     noise: NoiseFloor
     findings: tuple[DataIssue, ...]
     rig: RigDescription | None = None
@@ -131,22 +134,24 @@ def build_diagnosis(inputs: DiagnosisInputs) -> Diagnosis:
     last = intervals(after.fitter, after.fit, before.fit) if after is not before else first
     steps = [_step(one) for one in stages]
     # In words as of the plant that was fitted: a system of python-control has units only there.
-    plant = inputs.fitter.model
+    plant = inputs.done.fitter.model
     effects = [e for e in _in_order(stages) if e is not MainsInterference]
-    named = [_named(e, last, plant.model) for e in effects]
+    named = [
+        _named(e, {n: last[f"{e.name}.{n}"] for n in e.parameters()}, plant.model) for e in effects
+    ]
     named += _in_noise(inputs, steps)
     verdict = _verdict(inputs, judged, named)
     unit = written_unit(plant.output, plant.model)
-    base = inputs.found.base if inputs.wrong is None else inputs.found.given
+    base = inputs.done.found.base if inputs.wrong is None else inputs.done.found.given
     values = after.fit.values
     added = [one.effect for one in named]
     values |= {f"{e.name}.{n}": getattr(e, n) for e in added for n in e.parameters()}
-    listed = candidates(inputs.found, judged)
+    listed = candidates(inputs.done.found, judged)
     scale = PlantScale.of(plant.model)
-    limits = limitations(inputs.fitter.measurements, inputs.findings, inputs.found.base, scale)
+    limits = limitations(
+        inputs.done.fitter.measurements, inputs.findings, inputs.done.found.base, scale
+    )
     said = verdict_sentence(verdict, judged, named, steps, unit)
-    traces, errors = _free_run(before, after)
-    given = before.fitter.given()
     held = None if inputs.held is None else hold_out(inputs.held, before.fit, after.fit)
     rests = {e.name for e in added} | set(judged.tied)
     return Diagnosis(
@@ -156,29 +161,24 @@ def build_diagnosis(inputs: DiagnosisInputs) -> Diagnosis:
         ambiguous=judged.tied if verdict == "ambiguous" else (),
         candidates=listed,
         unit=scale.unit(plant.output),
-        gap_before=steps[0].gap,
-        gap_after=steps[-1].gap,
+        given=held_errors(before.fitter, before.fitter.given()),
+        before=_errors(steps[0], before),
+        after=_errors(steps[-1], after),
         floor=steps[0].floor,
-        ratio_before=steps[0].ratio,
-        ratio_after=steps[-1].ratio,
-        closure=_explained(steps[0].ratio, steps[-1].ratio) if named else math.nan,
-        rms_before=errors[0],
-        rms_after=errors[1],
         noise=inputs.noise,
-        where=located_in_own_units(inputs.where, scale),
+        where=located_in_own_units(inputs.done.where, scale),
         calibrations=_calibrations(before.fit, first, last, scale),
-        not_excited={**not_excited(inputs.found), **inputs.choice.unavailable},
+        not_excited={**not_excited(inputs.done.found), **inputs.choice.unavailable},
         ruled_out=tuple(f"{c.sentence}." for c in listed if c.name not in rests),
         next_experiment=_next(inputs, judged, verdict, base, steps[-1].ratio),
         findings=inputs.findings,
         steps=tuple(steps),
-        traces=traces,
-        splits=segments(inputs.fitter),
+        traces=_traces(before, after),
+        splits=segments(inputs.done.fitter),
         model=inputs.model,
         base_model=plant.calibrated(base.values),
         augmented=plant.calibrated(values, [type(effect) for effect in added]),
         values=values,
-        given=held_errors(before.fitter, given),
         declared=declared_effects(plant, inputs.noise, base, first),
         hold_out=held,
         limitations=limits,
@@ -189,11 +189,11 @@ def build_diagnosis(inputs: DiagnosisInputs) -> Diagnosis:
 
 def _validated(inputs: DiagnosisInputs) -> tuple[list[Stage], Conclusion]:
     """The models from the base to what is believed; unknown where data left out do not agree."""
-    judged, fitter = inputs.judged, inputs.fitter
+    judged, fitter = inputs.done.judged, inputs.done.fitter
     stages: list[Stage] = []
     if inputs.line is not None:
         stages.append(_stage(*inputs.recorded, None))
-    fits = judged.stages if inputs.wrong is None else (inputs.found.given, inputs.wrong)
+    fits = judged.stages if inputs.wrong is None else (inputs.done.found.given, inputs.wrong)
     fits = tuple(map(fitter.final, fits))
     there: frozenset[str] = frozenset()
     for one in fits:
@@ -203,7 +203,7 @@ def _validated(inputs: DiagnosisInputs) -> tuple[list[Stage], Conclusion]:
         stages.append(_stage(fitter, one, added))
         there = one.names
     base, last = stages[len(stages) - len(fits)], stages[-1]
-    share = _explained(base.ratio, last.ratio)
+    share = explained_share(base.ratio, last.ratio)
     agrees = share >= CONSTANTS.named_share or last.ratio**2 <= CONSTANTS.floor
     if len(fits) > 1 and inputs.wrong is None and not agrees:
         reason = (
@@ -236,16 +236,15 @@ def _step(one: Stage) -> SearchStep:
     return SearchStep(one.added, one.ratio * floor, floor, one.ratio)
 
 
-def _explained(before: float, after: float) -> float:
-    """Share of the error power above the noise floor, of errors in times the noise floor."""
-    above = before**2 - 1.0
-    return (before**2 - max(after**2, 1.0)) / above if above > 0.0 else 0.0
+def _errors(step: SearchStep, one: Stage) -> ModelErrors:
+    """Errors of a model: on data left out, and in free run."""
+    return ModelErrors(step.gap, step.ratio, free_run_rms(one.fitter, one.fit))
 
 
 def _verdict(inputs: DiagnosisInputs, judged: Conclusion, named: Sequence[NamedEffect]) -> Verdict:
     """The conclusion, with what was found in the noise besides."""
     verdict = judged.verdict
-    if verdict == "none" and most_refused(inputs.fitter.measurements, inputs.findings):
+    if verdict == "none" and most_refused(inputs.done.fitter.measurements, inputs.findings):
         verdict = "unknown"
     if named and verdict in ("none", "unknown"):
         return "named" if verdict == "none" else "incomplete"
@@ -262,36 +261,29 @@ def _next(
     """The experiment that would decide between tied models, or show the error best."""
     if verdict not in ("ambiguous", "unknown"):
         return None
-    plant = inputs.fitter.model
-    singles = (inputs.found.fits.get(frozenset({name})) for name in judged.tied)
+    plant = inputs.done.fitter.model
+    singles = (inputs.done.found.fits.get(frozenset({name})) for name in judged.tied)
     rivals = {
         one.effects[0].name: plant.calibrated(one.values, one.effects)
         for one in singles
         if one is not None
     }
-    measurements = inputs.fitter.measurements
-    evidence = Evidence(measurements, inputs.noise, inputs.where, ratio_after)
+    measurements = inputs.done.fitter.measurements
+    evidence = Evidence(measurements, inputs.noise, inputs.done.where, ratio_after)
     return next_experiment(verdict, plant.calibrated(base.values), rivals, evidence, inputs.rig)
 
 
 def _named(effect: type[Effect], fitted: Mapping[str, Interval], model: Any) -> NamedEffect:
-    return _described(
-        {n: fitted[f"{effect.name}.{n}"] for n in effect.parameters()}, effect, model
-    )
-
-
-def _described(
-    parameters: Mapping[str, Interval], effect: type[Effect], model: Any
-) -> NamedEffect:
-    own = {name: in_own_units(effect, name, one, model) for name, one in parameters.items()}
+    """An effect by its fitted values, in its own names."""
+    own = {name: in_own_units(effect, name, one, model) for name, one in fitted.items()}
     said = effect.sentence({name: one.value for name, one in own.items()}, model)
-    built = effect(**{name: one.value for name, one in parameters.items()})
+    built = effect(**{name: one.value for name, one in fitted.items()})
     return NamedEffect(effect.name, effect.title, own, said, built)
 
 
 def _in_noise(inputs: DiagnosisInputs, steps: list[SearchStep]) -> list[NamedEffect]:
     """The effects found in the noise; what coarse steps explain is taken off the error."""
-    named, plant, line = [], inputs.fitter.model, inputs.line
+    named, plant, line = [], inputs.done.fitter.model, inputs.line
     read = abs(plant.reading_unit)  # a phase differs from record to record, with its sign
     if line is not None:
         parameters = {
@@ -299,16 +291,16 @@ def _in_noise(inputs: DiagnosisInputs, steps: list[SearchStep]) -> list[NamedEff
             "frequency_Hz": line.frequency_Hz,
             "phase_rad": line.phase_rad,
         }
-        named.append(_described(parameters, MainsInterference, plant.model))
+        named.append(_named(MainsInterference, parameters, plant.model))
     if inputs.coarse_step_N is not None:
         q = inputs.coarse_step_N
         unrounded = [_without_rounding(one, q**2 / 12.0) for one in steps]
         left = _rounded(unrounded[-1], q**2 / 12.0)
         above = unrounded[-1].ratio ** 2 > CONSTANTS.floor
-        if above and _explained(unrounded[-1].ratio, left.ratio) >= CONSTANTS.one_more:
+        if above and explained_share(unrounded[-1].ratio, left.ratio) >= CONSTANTS.one_more:
             # Readings are written with few digits, of which the step has as many.
             step = Interval(q, q * (1.0 - STEP_KNOWN), q * (1.0 + STEP_KNOWN), "N")
-            named.append(_described({"step_N": step.over(read)}, Quantisation, plant.model))
+            named.append(_named(Quantisation, {"step_N": step.over(read)}, plant.model))
             steps[:] = [*unrounded, left]
     return named
 
@@ -342,25 +334,20 @@ def _calibrations(
     return tuple(found)
 
 
-def _free_run(before: Stage, after: Stage) -> tuple[tuple[Trace, ...], tuple[float, float]]:
-    """Each record from its start with nothing put right on the way; rms errors of both models."""
+def _traces(before: Stage, after: Stage) -> tuple[Trace, ...]:
+    """Each record from its start with nothing put right on the way, before and after."""
     runs = [one.fitter.free_run(one.fit) for one in (before, after)]
     scale = PlantScale.of(before.fitter.model.model)
-    measured_at, cleaned = before.fitter.measurements, after.fitter.measurements
-    main = main_channel(measured_at, before.fitter.model.output)
-    traces, errors = [], []
-    for n, m in enumerate(measured_at):
+    traces = []
+    pairs = zip(before.fitter.measurements, after.fitter.measurements, strict=True)
+    for n, (m, cleaned) in enumerate(pairs):
         for name in OUTPUTS:
-            measured, rest = m.channel(name), cleaned[n].channel(name)
+            measured, rest = m.channel(name), cleaned.channel(name)
             first, last = (getattr(run[n], name) for run in runs)
             if measured is None or rest is None or first is None or last is None:
                 continue
             # What was taken out as interference belongs to what is predicted with it.
-            known = last[0] + (measured - rest)
+            values = m.time_s, measured, first[0], last[0] + (measured - rest)
             title, unit = scale.channel(name)
-            values = m.time_s, measured, first[0], known
             traces.append(Trace(m.name, name, unit, *values, title))
-            if name == main:
-                errors.append(np.stack([first[0] - measured, known - measured]))
-    rms = np.sqrt(np.nanmean(np.concatenate(errors, axis=1) ** 2, axis=1))
-    return tuple(traces), (float(rms[0]), float(rms[1]))
+    return tuple(traces)

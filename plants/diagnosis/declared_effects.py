@@ -1,14 +1,13 @@
 """Whether records support the effects that a model declares already."""
 
+import math
 from collections.abc import Mapping
 from dataclasses import replace
-
-import numpy as np
 
 from plants.diagnosis.data.noise_floor import NoiseFloor
 from plants.diagnosis.models.diagnosed_model import DiagnosedModel, diagnosed
 from plants.diagnosis.report.plant_units import in_own_units
-from plants.diagnosis.result import DeclaredEffect, Interval
+from plants.diagnosis.result import DeclaredEffect, Interval, explained_share
 from plants.diagnosis.search.constants import CONSTANTS
 from plants.diagnosis.search.model_fitter import CandidateFit, ModelFitter
 from plants.effects import Effect
@@ -51,10 +50,9 @@ def _declared(
     fitted: Mapping[str, Interval],
     plant: DiagnosedModel,
 ) -> DeclaredEffect:
-    above = max(without, 1.0) - 1.0
-    explained = (max(without, 1.0) - max(with_it, 1.0)) / above if above > 0.0 else 0.0
+    left, rest = math.sqrt(without), math.sqrt(with_it)
+    explained = explained_share(left, rest)
     supported = without > CONSTANTS.floor and explained >= CONSTANTS.one_more
-    left, rest = np.sqrt([without, with_it])
     ratios = f"{left:.3g} times the noise floor without it, {rest:.3g} with"
     verdict = "is supported by" if supported else "is not supported by"
     parameters = {

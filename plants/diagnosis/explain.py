@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from estune.errors import InvalidInput
 from estune.recordings.column_map import AS_NAMED, ColumnMap
@@ -12,6 +12,7 @@ from plants.diagnosis.build_diagnosis import (
     DiagnosisInputs,
     EffectChoices,
     FittedModel,
+    Searched,
     build_diagnosis,
 )
 from plants.diagnosis.checks.quality import check
@@ -22,8 +23,8 @@ from plants.diagnosis.models.base import BaseNumbers
 from plants.diagnosis.models.diagnosed_model import DiagnosedModel, diagnosed
 from plants.diagnosis.progress import Progress, portion, silent
 from plants.diagnosis.report.diagnosis import Diagnosis
-from plants.diagnosis.residual.localisation import ResidualLocation, localise
-from plants.diagnosis.search.conclusion import Conclusion, conclude
+from plants.diagnosis.residual.localisation import localise
+from plants.diagnosis.search.conclusion import conclude
 from plants.diagnosis.search.constants import CONSTANTS
 from plants.diagnosis.search.initial_guesses import record_scale
 from plants.diagnosis.search.mains_interference import (
@@ -33,7 +34,7 @@ from plants.diagnosis.search.mains_interference import (
 )
 from plants.diagnosis.search.model_fitter import CandidateFit, ModelFitter
 from plants.diagnosis.search.more_records import carried_over, confirmed, differing
-from plants.diagnosis.search.search import SearchResult, search
+from plants.diagnosis.search.search import search
 from plants.diagnosis.search.starts import coarse_fit
 from plants.diagnosis.search.wrong_parameter import find_wrong_parameter
 from plants.effects import (
@@ -112,12 +113,46 @@ def _explained(
         refused = "; ".join(str(f) for f in findings if f.level == "refused")
         raise InvalidInput(f"no record can be used: {refused or 'there is none'}")
     noise = noise_floor(measurements)
+    recorded, line, done, choice = _searches(model, measurements, noise, effects, progress)
+    progress("refitting with parts left out", 0.85)
+    wrong = coarse = aside = None
+    if done.judged.verdict == "none" and line is None:
+        wrong = find_wrong_parameter(done.fitter, done.found, choice.calibrations)
+    if Quantisation in choice.in_noise and "tension_N" in noise.channels:
+        coarse = coarse_step_N(noise.channels["tension_N"])
+    if held is not None:
+        aside = _for_records(model, check(held.measurements, model)[0], done.fitter.model)
+    inputs = DiagnosisInputs(
+        model=model,
+        recorded=recorded,
+        line=line,
+        done=done,
+        wrong=wrong,
+        coarse_step_N=coarse,
+        choice=choice,
+        noise=noise,
+        findings=findings,
+        rig=rig,
+        held=aside,
+    )
+    diagnosis = build_diagnosis(inputs)
+    progress("done", 1.0)
+    return diagnosis
+
+
+def _searches(
+    model: Any,
+    measurements: tuple[MeasuredRecord, ...],
+    noise: NoiseFloor,
+    effects: Sequence[type[Effect] | str] | None,
+    progress: Progress,
+) -> tuple[FittedModel, MainsLine | None, Searched, EffectChoices]:
+    """The base fit of the records as they are, their interference, the search without it."""
     progress("fitting the model as given", 0.08)
     some = differing(measurements)
     variants = _variants(model, some, noise)
-    recorded = variants[0]
+    recorded, line = variants[0], None
     choice = _choice(recorded.fitter.model, effects)
-    line = None
     for _ in range(LINE_ROUNDS if MainsInterference in choice.in_noise else 0):
         again = _line(*variants[0], some)
         if again is None:
@@ -131,36 +166,7 @@ def _explained(
     if len(some) < len(measurements):
         progress("confirming on all records", end)
         recorded, line, done = _on_all(model, measurements, noise, line, done)
-    progress("refitting with parts left out", 0.85)
-    wrong = None
-    if done.judged.verdict == "none" and line is None:
-        wrong = find_wrong_parameter(done.fitter, done.found, choice.calibrations)
-    coarse = None
-    if Quantisation in choice.in_noise and "tension_N" in noise.channels:
-        coarse = coarse_step_N(noise.channels["tension_N"])
-    aside = None
-    if held is not None:
-        aside = _for_records(model, check(held.measurements, model)[0], done.fitter.model)
-    diagnosis = build_diagnosis(
-        DiagnosisInputs(
-            model=model,
-            recorded=recorded,
-            line=line,
-            fitter=done.fitter,
-            found=done.found,
-            judged=done.judged,
-            wrong=wrong,
-            coarse_step_N=coarse,
-            choice=choice,
-            where=done.where,
-            noise=noise,
-            findings=findings,
-            rig=rig,
-            held=aside,
-        )
-    )
-    progress("done", 1.0)
-    return diagnosis
+    return recorded, line, done, choice
 
 
 def _on_all(
@@ -168,8 +174,8 @@ def _on_all(
     measurements: tuple[MeasuredRecord, ...],
     noise: NoiseFloor,
     line: MainsLine | None,
-    done: "Searched",
-) -> "tuple[FittedModel, MainsLine | None, Searched]":
+    done: Searched,
+) -> tuple[FittedModel, MainsLine | None, Searched]:
     """Result of a search on some of the records, fitted to all and judged again."""
     fitter = ModelFitter(_for_records(model, measurements, done.fitter.model), measurements, noise)
     recorded = FittedModel(fitter, carried_over(fitter, done.found.base))
@@ -189,15 +195,6 @@ def _for_records(
     """The model as given for other records, in the variant that was fitted."""
     kinds = diagnosed(model, measurements).alternatives()
     return next((k for k in kinds if type(k.calibration) is type(fitted.calibration)), kinds[0])
-
-
-class Searched(NamedTuple):
-    """A variant of the model with its search: where the residual is, the fits, the conclusion."""
-
-    fitter: ModelFitter
-    where: ResidualLocation
-    found: SearchResult
-    judged: Conclusion
 
 
 def _searched(

@@ -12,8 +12,6 @@ from plants.diagnosis.result import HoldOut, ModelErrors
 from plants.diagnosis.search.model_fitter import CandidateFit, ModelFitter
 from plants.diagnosis.search.more_records import settle
 
-UNITS = {"tension_N": "N", "angle_rad": "rad", "reference_N": "N", "current_A": "A"}
-
 
 def hold_out(model: DiagnosedModel, base: CandidateFit, last: CandidateFit) -> HoldOut:
     """Errors of the model as given, of the refitted base model and of the one with effects.
@@ -46,7 +44,7 @@ def held_errors(fitter: ModelFitter, one: CandidateFit) -> ModelErrors:
 def floor_of(fitter: ModelFitter) -> float:
     """The noise floor of the main channels, rms."""
     index = fitter.base.index
-    main = [CHANNELS.index(n) for n in OUTPUTS if UNITS[n] == fitter.model.output]
+    main = [CHANNELS.index(n) for n in OUTPUTS if n.endswith(f"_{fitter.model.output}")]
     sigma = index.sigma[np.isin(index.channel, main)]
     return float(np.sqrt(np.mean(sigma**2))) if sigma.size else float("nan")
 
@@ -65,4 +63,4 @@ def free_run_rms(fitter: ModelFitter, one: CandidateFit) -> float:
 def main_channel(measurements: Sequence[MeasuredRecord], unit: str) -> str:
     """The channel whose error is reported, by the unit of prediction errors."""
     channels = {name for m in measurements for name in m.outputs}
-    return next(n for n in OUTPUTS if n in channels and UNITS[n] == unit)
+    return next(n for n in OUTPUTS if n in channels and n.endswith(f"_{unit}"))

@@ -28,6 +28,17 @@ Slugs = frozenset[str]
 Split = Literal["fit", "rank", "report"]
 
 
+def explained_share(before: float, after: float) -> float:
+    """Share of the error power above the noise floor that is explained.
+
+    Args:
+        before: Error without what explains it, in times the noise floor.
+        after: Error with it.
+    """
+    above = max(before**2, 1.0) - 1.0
+    return (max(before**2, 1.0) - max(after**2, 1.0)) / above if above > 0.0 else 0.0
+
+
 @dataclass(frozen=True, slots=True)
 class Interval:
     """A fitted value and its 95 % confidence interval.
@@ -298,19 +309,6 @@ class NextExperiment:
         """
         return self.trial.write(folder)
 
-    def to_json(self) -> dict[str, Any]:
-        """JSON values."""
-        profile = self.trial.profile
-        return {
-            "name": self.trial.name,
-            "file": self.file_name,
-            "command": self.command,
-            "sentence": self.sentence,
-            "separation": self.separation,
-            "profile": {name: getattr(profile, name) for name in type(profile).__slots__},
-            "tried": dict(self.tried),
-        }
-
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class DiagnosisResult:
@@ -323,14 +321,10 @@ class DiagnosisResult:
         ambiguous: Slugs the records do not distinguish, best first; empty unless `ambiguous`.
         candidates: All effects tried as the first one, best first.
         unit: Unit of prediction errors: N, or rad, or m of a stage, where no tension was measured.
-        gap_before: Short-horizon prediction error of the refitted base model on data left out.
-        gap_after: That with the effects.
+        given: Errors of the model as given, with nothing but values of single records fitted.
+        before: Errors of the refitted base model; of short predictions on data left out.
+        after: Those with the effects.
         floor: Noise floor, same unit.
-        ratio_before: `gap_before` over all channels, in times the noise floor.
-        ratio_after: `gap_after` over all channels, in times the noise floor.
-        closure: Explained fraction of the error power above the noise floor; nan without effects.
-        rms_before: Free-run error of the refitted base model, rms, in `unit`.
-        rms_after: That with the effects.
         noise: The noise of each channel.
         where: Localisation of the base model's residual.
         calibrations: The base model's numbers and how they shifted.
@@ -345,7 +339,6 @@ class DiagnosisResult:
         base_model: The model with its own numbers fitted.
         augmented: `base_model` with the effects, fitted together.
         values: The fit's values by the names of the predictor's free numbers.
-        given: Errors of the model as given, with nothing but values of single records fitted.
         declared: The effects that the model as given has.
         hold_out: Errors on records that had no part in the fits, or None.
         limitations: What these records cannot tell.
@@ -359,14 +352,10 @@ class DiagnosisResult:
     ambiguous: tuple[str, ...]
     candidates: tuple[Candidate, ...]
     unit: str
-    gap_before: float
-    gap_after: float
+    given: ModelErrors
+    before: ModelErrors
+    after: ModelErrors
     floor: float
-    ratio_before: float
-    ratio_after: float
-    closure: float
-    rms_before: float
-    rms_after: float
     noise: NoiseFloor
     where: ResidualLocation
     calibrations: tuple[BaseParameter, ...]
@@ -381,12 +370,17 @@ class DiagnosisResult:
     base_model: Any
     augmented: Any
     values: Mapping[str, float]
-    given: ModelErrors
     declared: tuple[DeclaredEffect, ...] = ()
     hold_out: HoldOut | None = None
     limitations: tuple[Limitation, ...] = ()
     models: tuple[ModelSummary, ...] = ()
     shown_by: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def closure(self) -> float:
+        """Explained fraction of the error power above the noise floor; nan without effects."""
+        share = explained_share(self.before.ratio, self.after.ratio)
+        return share if self.effects else math.nan
 
     @property
     def exit_code(self) -> int:

@@ -81,21 +81,18 @@ def _of_one_rig(
     """The records of the rig with most of them, by time; those without a name go with any."""
     duration_s: dict[str, float] = defaultdict(float)
     for m in measurements:
-        if m.rig:
-            duration_s[m.rig] += m.duration_s
-    if len(duration_s) < 2:
-        return list(measurements), []
-    rig = max(duration_s, key=lambda name: duration_s[name])
+        duration_s[m.rig] += m.duration_s if m.rig else 0.0
+    rig = max(duration_s, key=lambda name: duration_s[name], default="")
+    others = [m for m in measurements if rig and m.rig not in ("", rig)]
     issues = [
         DataIssue(
             "refused",
             f"this is a record of {m.rig!r} among those of {rig!r}; give one rig's at a time",
             source=m.source or m.name,
         )
-        for m in measurements
-        if m.rig not in ("", rig)
+        for m in others
     ]
-    return [m for m in measurements if m.rig in ("", rig)], issues
+    return [m for m in measurements if m not in others], issues
 
 
 def _issues(
@@ -121,9 +118,8 @@ def _issues(
     yield from _static(m)
     if b is None:
         return
-    yield from _too_short(m, b)
-    yield from _mislabelled(m, b)
-    yield from _at_limit(m, b)
+    for look in (_too_short, _mislabelled, _at_limit):
+        yield from look(m, b)
     yield from mistaken_units(m, b, rate_Hz)
     if b.stiffness_N_m is None or m.angle_rad is None or m.tension_N is None:
         return
@@ -131,12 +127,9 @@ def _issues(
     yield from frozen_angle(m.angle_rad, m.tension_N, per_N, step_rad)
     late = shift_between(m.angle_rad, m.tension_N)
     if late:
-        yield DataIssue(
-            "warning",
-            f"it comes {abs(late)} samples {'after' if late > 0 else 'before'} angle_rad: the "
-            "channels are not of the same moments; align them",
-            "tension_N",
-        )
+        said = f"it comes {abs(late)} samples {'after' if late > 0 else 'before'} angle_rad"
+        remedy = "the channels are not of the same moments; align them"
+        yield DataIssue("warning", f"{said}: {remedy}", "tension_N")
 
 
 def _too_short(m: MeasuredRecord, b: BaseNumbers) -> Iterator[DataIssue]:
@@ -240,12 +233,13 @@ def _slow(column: FloatArray) -> FloatArray:
 
 def _follows(command: FloatArray, current: FloatArray) -> tuple[float, float]:
     """Share of the current that the command explains, however late within reason, and its gain."""
+    from scipy.signal import correlate  # noqa: PLC0415  slow to import
+
     x, y = command - command.mean(), current - current.mean()
     xx, yy = float(x @ x), float(y @ y)
     if not (xx > 0.0 and yy > 0.0):
         return 1.0, 1.0
-    size = 1 << (2 * x.size - 1).bit_length()
-    likeness = np.fft.irfft(np.fft.rfft(y, size) * np.conj(np.fft.rfft(x, size)), size)
+    likeness = correlate(y, x, method="fft")[x.size - 1 :]
     best = float(likeness[: LAG_MAX_samples + 1].max())
     return max(best, 0.0) ** 2 / (xx * yy), best / xx
 

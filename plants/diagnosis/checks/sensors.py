@@ -7,6 +7,7 @@ import numpy as np
 from estune.core.quantities import FloatArray
 from estune.recordings.issue import DataIssue
 from plants.diagnosis.data.noise import step_of, upper_rms
+from plants.diagnosis.data.periods import runs
 
 FROZEN_samples = 20
 """Equal readings in a row from which a noisy sensor is frozen."""
@@ -34,8 +35,8 @@ def faults(column: str, readings: FloatArray) -> Iterator[DataIssue]:
     if upper_rms(readings) > step_of(readings):  # else readings rest on a step of the converter
         yield from _at_rail(column, readings)
         ends = (readings.min(), readings.max())
-        runs = [run for run in _constant_runs(readings) if readings[run.start] not in ends]
-        yield from _frozen(column, readings.size, runs, "")
+        still = [run for run in _constant_runs(readings) if readings[run.start] not in ends]
+        yield from _frozen(column, readings.size, still, "")
     yield from _dropouts(column, readings)
 
 
@@ -52,8 +53,8 @@ def frozen_angle(
     """
     # So far that neither noise nor a step of the encoder can be meant.
     least = TENSION_RANGE * (step_rad / rad_per_N + upper_rms(tension))
-    runs = [run for run in _constant_runs(angle) if float(np.ptp(tension[run])) > least]
-    yield from _frozen("angle_rad", angle.size, runs, " while the tension moves")
+    still = [run for run in _constant_runs(angle) if float(np.ptp(tension[run])) > least]
+    yield from _frozen("angle_rad", angle.size, still, " while the tension moves")
 
 
 def _fault(lost: float, column: str, row: int, sentence: str) -> DataIssue:
@@ -76,20 +77,16 @@ def _at_rail(column: str, readings: FloatArray) -> Iterator[DataIssue]:
 
 def _constant_runs(readings: FloatArray) -> list[slice]:
     """The long runs of equal readings."""
-    same = np.diff(readings) == 0.0
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], same, [False]]).astype(np.int8)))
-    runs = zip(edges[::2].tolist(), (edges[1::2] + 1).tolist(), strict=True)
-    return [slice(begin, end) for begin, end in runs if end - begin >= FROZEN_samples]
+    equal = [slice(run.start, run.stop + 1) for run in runs(np.diff(readings) == 0.0)]
+    return [run for run in equal if run.stop - run.start >= FROZEN_samples]
 
 
-def _frozen(column: str, samples: int, runs: list[slice], when: str) -> Iterator[DataIssue]:
-    if runs:
-        lengths = [run.stop - run.start for run in runs]
-        sentence = (
-            f"the readings stand still for {max(lengths)} samples{when}; check the sensor and "
-            "its cable"
-        )
-        yield _fault(sum(lengths) / samples, column, runs[0].start + 1, sentence)
+def _frozen(column: str, samples: int, still: list[slice], when: str) -> Iterator[DataIssue]:
+    if still:
+        lengths = [run.stop - run.start for run in still]
+        said = f"the readings stand still for {max(lengths)} samples{when}"
+        sentence = f"{said}; check the sensor and its cable"
+        yield _fault(sum(lengths) / samples, column, still[0].start + 1, sentence)
 
 
 def _dropouts(column: str, readings: FloatArray) -> Iterator[DataIssue]:

@@ -54,7 +54,8 @@ def periods_of(setpoint: FloatArray) -> Periods | None:
     same = SAME * float(np.ptp(setpoint))
     for lag in sorted(_likely_lags(setpoint - setpoint.mean())):
         equal = np.abs(setpoint[lag:] - setpoint[:-lag]) <= same
-        first, length = _longest_run(equal)
+        found = max(runs(equal), key=lambda run: run.stop - run.start, default=slice(0, 0))
+        first, length = found.start, found.stop - found.start
         whole = setpoint[first : first + lag]
         if length >= lag and whole.std() >= MOVES * spread:
             return Periods(first, lag, 1 + length // lag)
@@ -71,22 +72,17 @@ def holds(setpoint: FloatArray, fewest: int) -> list[slice]:
 
 def _likely_lags(x: FloatArray) -> list[int]:
     """The lags of the highest peaks of the autocorrelation."""
+    from scipy.signal import correlate  # noqa: PLC0415  slow to import
+
     n = x.size
-    size = 1 << (2 * n - 1).bit_length()
-    power = np.abs(np.fft.rfft(x, size)) ** 2
-    overlap = np.arange(n, 0, -1)
-    likeness = np.fft.irfft(power, size)[:n] / overlap
+    likeness = correlate(x, x, method="fft")[n - 1 :] / np.arange(n, 0, -1)
     lags = np.arange(SHORTEST, n // 2 + 1)
     peak = likeness[lags] >= np.maximum(likeness[lags - 1], likeness[lags + 1])
     found = lags[peak]
     return [int(lag) for lag in found[np.argsort(-likeness[found])][:CANDIDATES]]
 
 
-def _longest_run(equal: NDArray[np.bool_]) -> tuple[int, int]:
-    """Start and length of the longest run of true values."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], equal, [False]]).astype(np.int8)))
-    starts, ends = edges[::2], edges[1::2]
-    if starts.size == 0:
-        return 0, 0
-    best = int((ends - starts).argmax())
-    return int(starts[best]), int(ends[best] - starts[best])
+def runs(true: NDArray[np.bool_]) -> list[slice]:
+    """The runs of true values."""
+    edges = np.flatnonzero(np.diff(true.astype(np.int8), prepend=0, append=0)).tolist()
+    return [slice(a, b) for a, b in zip(edges[::2], edges[1::2], strict=True)]

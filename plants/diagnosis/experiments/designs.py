@@ -6,10 +6,10 @@ scaled so that the predicted tension, too, stays within the limits.
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -19,6 +19,7 @@ from estune.trial.profiles import (
     MOST_LINES,
     AnyProfile,
     ChirpProfile,
+    Lines,
     MultisineProfile,
     StaircaseProfile,
     TriangleProfile,
@@ -39,8 +40,10 @@ PER_SETTLING = 8.0
 """Time unit of a fast plant, in settling times."""
 BAND_END = 6.0
 """Upper end of a multisine's low band, in 1/settling time."""
-OWN_SHARE = 0.25
+SINE = 0.25
 """First rms of a multisine, relative to half the range; a crest factor is near 2."""
+SMALL = 0.2
+"""Relative amplitude of a small triangle: a free drum near zero force shows friction."""
 SMALLEST = 0.02
 """Least share of its first size to which an excitation may be scaled down."""
 
@@ -53,13 +56,33 @@ class Experiment(NamedTuple):
     profile: AnyProfile
 
 
-@dataclass(frozen=True)
-class ExperimentDesigner:
-    """Designs open-loop experiments within the limits of a rig.
+Make = Callable[["RigScale", float, float], AnyProfile]
+"""A setpoint about a level, of a size, both in N."""
 
-    Each design is None where hardly anything of it would remain within the limits. Levels are
-    shares of the range, times in units of `unit_s`.
+
+class Design(NamedTuple):
+    """An open-loop experiment for any rig.
+
+    Attributes:
+        name: Its name.
+        title: Its title, a format of the profile.
+        make: Its setpoint; times in units of `RigScale.unit_s`.
+        level: Mean setpoint, as a share of the rig's range.
+        cabled: First size, as a share of the amplitude allowed there; None: not with a cable.
+        free: That for a drum without a cable, about no force; None: not without a cable.
     """
+
+    name: str
+    title: str
+    make: Make
+    level: float = 0.5
+    cabled: float | None = 1.0
+    free: float | None = 1.0
+
+
+@dataclass(frozen=True)
+class RigScale:
+    """Levels and times of a rig that experiments are sized by."""
 
     rig: RigDescription
 
@@ -87,179 +110,57 @@ class ExperimentDesigner:
         return low + margin, high - margin
 
     @property
-    def small(self) -> float:
-        """Relative amplitude of a small triangle: a free drum near zero force shows friction."""
-        return 0.2 if self.open_only else 1.0
+    def sampling_Hz(self) -> float:
+        """The rig's sampling rate."""
+        return self.rig.controller.sampling_Hz
+
+    @property
+    def start_s(self) -> float:
+        """Hold before an excitation, s."""
+        return self.seconds(QUIET)
+
+    def seconds(self, units: float) -> float:
+        """A time as a whole number of samples, s."""
+        return round(units * self.unit_s * self.sampling_Hz) / self.sampling_Hz
 
     def allows(self, profile: AnyProfile) -> bool:
         """Whether the rig's limits allow a profile."""
         low, high = profile.extremes_N
         limits = self.rig.limits
-        return (
-            limits.tension_min_N <= low
-            and high <= limits.tension_max_N
-            and profile.duration_s <= limits.duration_max_s
-        )
+        within = limits.tension_min_N <= low and high <= limits.tension_max_N
+        return within and profile.duration_s <= limits.duration_max_s
 
-    def triangle(
-        self, name: str, level: float, *, share: float, period: float, cycles: float
-    ) -> Experiment | None:
-        """A triangle about a level; its amplitude is a share of that allowed there."""
-        at, start, span = self._level_N(level), self._seconds(QUIET), self._seconds(period)
-        return self._experiment(
-            f"triangle-{name}",
-            f"a triangle of {span:g} s about {at:.3g} N",
-            lambda size: TriangleProfile(
-                at, size, span, start + cycles * span, start, loop="open"
-            ),
-            size_N=share * self._amplitude_N(at),
-            centre_N=at,
-        )
+    def experiment(self, design: Design) -> Experiment | None:
+        """A design scaled to the limits of setpoint and predicted tension.
 
-    def turning(
-        self, name: str, *, share: float, period: float, cycles: float
-    ) -> Experiment | None:
-        """Pulses that turn a drum onward: zero mean force of a cycle, but not zero mean speed."""
-        made = self.triangle(name, 0.0, share=share, period=period, cycles=cycles)
-        return made and made._replace(title=f"pulses that turn the drum onward, {period:g} s each")
-
-    def minor_loops(self, level: float, *, period: float, cycles: int) -> Experiment | None:
-        """Triangles about a level that shrink from one to the next."""
-        at, start, span = self._level_N(level), self._seconds(QUIET), self._seconds(period)
-        end = start + cycles * span
-        return self._experiment(
-            "minor-loops",
-            f"loops about {at:.3g} N that shrink from one to the next",
-            lambda size: TriangleProfile(at, size, span, end, start, shrink=0.7, loop="open"),
-            size_N=self._amplitude_N(at),
-            centre_N=at,
-        )
-
-    def stairs(self, name: str, *, stairs: int, hold: float, cycles: int) -> Experiment | None:
-        """Stairs up and down over the range."""
-        if self.open_only:
-            return None  # a constant force would accelerate a free drum without end
+        None where it is not for this rig, or hardly anything of it would remain.
+        """
         low, high = self.range_N
-        centre, start, span = 0.5 * (low + high), self._seconds(QUIET), self._seconds(hold)
-        end = start + 2 * stairs * cycles * span
-        return self._experiment(
-            name,
-            f"{stairs} stairs up and down, {span:g} s each",
-            lambda size: StaircaseProfile(
-                centre - 0.5 * size, size / stairs, stairs, span, end, start, loop="open"
-            ),
-            size_N=high - low,
-            centre_N=centre,
-        )
-
-    def multisine(self, level: float, *, periods: int, lines: Any) -> Experiment | None:
-        """A multisine from low frequency to the plant's bandwidth."""
-        at, rate = self._level_N(level), self.rig.controller.sampling_Hz
-        period, start = self._seconds(2.0), self._seconds(QUIET)
-        last = min(BAND_END / self.rig.settling_time_s, HIGHEST * rate)
-        if self.open_only:
-            last = min(0.1 * rate, 60.0 / self.unit_s)
-        first_line, last_line = max(1, round(LOW_Hz / self.unit_s * period)), _line(last, period)
-        return self._experiment(
-            f"multisine-{lines.replace('_', '-')}",
-            f"a multisine about {at:.3g} N up to {last:.3g} Hz",
-            lambda size: MultisineProfile(
-                *(at, size, period, first_line, last_line, start + periods * period, start),
-                lines=lines,
-                loop="open",
-            ),
-            size_N=OWN_SHARE * self._amplitude_N(at),
-            centre_N=at,
-        )
-
-    def high_multisine(self, level: float, *, periods: int) -> Experiment | None:
-        """A multisine up to nearly half the sampling rate."""
-        at, rate = self._level_N(level), self.rig.controller.sampling_Hz
-        period, start = self._seconds(1.0), self._seconds(QUIET)
-        first, last = 0.1 * rate, HIGHEST * rate
-        end = start + periods * period
-        return self._experiment(
-            "multisine-high",
-            f"a multisine about {at:.3g} N from {first:.3g} to {last:.3g} Hz",
-            lambda size: MultisineProfile(
-                *(at, size, period, _line(first, period), _line(last, period), end, start),
-                slope=1.0,
-                corner_Hz=first,
-                loop="open",
-            ),
-            size_N=2.0 * OWN_SHARE * self._amplitude_N(at),
-            centre_N=at,
-        )
-
-    def chirp(self, level: float, *, length: float) -> Experiment | None:
-        """A sweep up to a sixth of the sampling rate."""
-        at, start = self._level_N(level), self._seconds(QUIET)
-        last, end = 0.15 * self.rig.controller.sampling_Hz, start + self._seconds(length)
-        return self._experiment(
-            "chirp",
-            f"a sweep about {at:.3g} N up to {last:.3g} Hz",
-            lambda size: ChirpProfile(
-                at, size, LOW_Hz / self.unit_s, last, end, start, loop="open"
-            ),
-            size_N=0.5 * self._amplitude_N(at),
-            centre_N=at,
-        )
-
-    def _level_N(self, share: float) -> float:
-        """A setpoint at a share of the range; zero without a cable."""
-        low, high = self.range_N
-        return 0.0 if self.open_only else low + share * (high - low)
-
-    def _amplitude_N(self, level_N: float) -> float:
-        """Amplitude allowed about a level."""
-        low, high = self.range_N
-        return min(high - level_N, level_N - low)
-
-    def _seconds(self, units: float) -> float:
-        """A time as a whole number of samples, s."""
-        rate = self.rig.controller.sampling_Hz
-        return round(units * self.unit_s * rate) / rate
-
-    def _experiment(
-        self,
-        name: str,
-        title: str,
-        make: Callable[[float], AnyProfile],
-        *,
-        size_N: float,
-        centre_N: float,
-    ) -> Experiment | None:
-        """The experiment scaled to the limits of setpoint and predicted tension."""
-        low, high = self.range_N
-        size = size_N
-        if not size_N > 0.0:
+        share = design.free if self.open_only else design.cabled
+        at = 0.0 if self.open_only else low + design.level * (high - low)
+        first = size = (share or 0.0) * min(high - at, at - low)
+        if not first > 0.0:
             return None
-        for _ in range(3):  # the response is linear in the size, its extremes nearly so
-            profile = make(size)
-            setpoint_low, setpoint_high = profile.extremes_N
-            predicted_low, predicted_high = self._predicted_extremes_N(profile)
-            excess = max(
-                _excess(centre_N, min(setpoint_low, predicted_low), low),
-                _excess(-centre_N, -max(setpoint_high, predicted_high), -high),
-            )
+        for _ in range(4):  # the response is linear in the size, its extremes nearly so
+            profile = design.make(self, at, size)
+            lowest, highest = self._extremes_N(profile)
+            excess = max(_excess(at, lowest, low), _excess(-at, -highest, -high))
             if excess <= 1.0:
                 break
             size /= excess * 1.0001
-            if size < SMALLEST * size_N:
+            if size < SMALLEST * first:
                 return None
-        else:
-            profile = make(size)
-        return Experiment(name, title, profile) if self.allows(profile) else None
+        made = Experiment(design.name, design.title.format(profile), profile)
+        return made if self.allows(profile) else None
 
-    def _predicted_extremes_N(self, profile: AnyProfile) -> tuple[float, float]:
-        """Extremes of the predicted tension."""
-        model, rate = self.rig.linear_model, self.rig.controller.sampling_Hz
-        if profile.loop == "closed" or model is None or self.open_only:
-            return profile.extremes_N
-        drive = drive_of(profile, rate)
-        effort_N = drive.setpoint_N - profile.preload_N
-        tension = profile.preload_N + linear_response(model, effort_N, rate)
-        return float(tension.min()), float(tension.max())
+    def _extremes_N(self, profile: AnyProfile) -> tuple[float, float]:
+        """Extremes of the setpoint and of the predicted tension."""
+        model, (low, high) = self.rig.linear_model, profile.extremes_N
+        if model is None or self.open_only:
+            return low, high
+        effort_N = drive_of(profile, self.sampling_Hz).setpoint_N - profile.preload_N
+        tension = profile.preload_N + linear_response(model, effort_N, self.sampling_Hz)
+        return min(low, float(tension.min())), max(high, float(tension.max()))
 
 
 def linear_response(model: LinearModel, effort_N: FloatArray, sampling_Hz: float) -> FloatArray:
@@ -267,15 +168,103 @@ def linear_response(model: LinearModel, effort_N: FloatArray, sampling_Hz: float
 
     Whole samples of the dead time are left out: they shift the response, and change no extreme.
     """
-    from scipy.linalg import expm  # noqa: PLC0415  slow to import
-    from scipy.signal import lfilter, ss2tf  # noqa: PLC0415  slow to import
+    from scipy.signal import cont2discrete, lfilter, ss2tf  # noqa: PLC0415  slow to import
 
     n = len(model.B)
     A, B = np.reshape(model.A, (n, n)), np.reshape(model.B, (n, 1))
-    held = expm(np.block([[A, B], [np.zeros((1, n + 1))]]) / sampling_Hz)
-    above, below = ss2tf(held[:n, :n], held[:n, n:], np.reshape(model.C, (1, n)), [[model.E]])
+    held = cont2discrete((A, B, np.reshape(model.C, (1, n)), [[model.E]]), 1.0 / sampling_Hz)
+    above, below = ss2tf(*held[:4])
     response: FloatArray = lfilter(above[0], below, effort_N)
     return response
+
+
+def _triangle(period: float, cycles: float, shrink: float = 1.0) -> Make:
+    def make(rig: RigScale, at: float, size: float) -> AnyProfile:
+        start, span = rig.start_s, rig.seconds(period)
+        end = start + cycles * span
+        return TriangleProfile(at, size, span, end, start, shrink=shrink, loop="open")
+
+    return make
+
+
+def _stairs(stairs: int, hold: float, cycles: int) -> Make:
+    """Stairs up and down over the range."""
+
+    def make(rig: RigScale, at: float, size: float) -> AnyProfile:
+        start, span = rig.start_s, rig.seconds(hold)
+        end = start + 2 * stairs * cycles * span
+        step = 2.0 * size / stairs
+        return StaircaseProfile(at - size, step, stairs, span, end, start, loop="open")
+
+    return make
+
+
+def _multisine(periods: int, lines: Lines) -> Make:
+    """From low frequency to the plant's bandwidth."""
+
+    def make(rig: RigScale, at: float, size: float) -> AnyProfile:
+        start, span = rig.start_s, rig.seconds(2.0)
+        last_Hz = min(BAND_END / rig.rig.settling_time_s, HIGHEST * rig.sampling_Hz)
+        if rig.open_only:
+            last_Hz = min(0.1 * rig.sampling_Hz, 60.0 / rig.unit_s)
+        band = max(1, round(LOW_Hz / rig.unit_s * span)), _line(last_Hz, span)
+        end = start + periods * span
+        return MultisineProfile(at, size, span, *band, end, start, lines=lines, loop="open")
+
+    return make
+
+
+def _high_multisine(rig: RigScale, at: float, size: float) -> AnyProfile:
+    """Up to nearly half the sampling rate."""
+    start, span, first_Hz = rig.start_s, rig.seconds(1.0), 0.1 * rig.sampling_Hz
+    band = _line(first_Hz, span), _line(HIGHEST * rig.sampling_Hz, span)
+    end, shape = start + 4 * span, (1.0, first_Hz)
+    return MultisineProfile(at, size, span, *band, end, start, "all", *shape, loop="open")
+
+
+def _chirp(length: float) -> Make:
+    def make(rig: RigScale, at: float, size: float) -> AnyProfile:
+        start, last_Hz = rig.start_s, 0.15 * rig.sampling_Hz
+        end = start + rig.seconds(length)
+        return ChirpProfile(at, size, LOW_Hz / rig.unit_s, last_Hz, end, start, loop="open")
+
+    return make
+
+
+TRIANGLE = "a triangle of {0.period_s:g} s about {0.preload_N:.3g} N"
+ONWARD = "pulses that turn the drum onward, {0.period_s:g} s each"
+"""Triangles of zero mean force, but not zero mean speed."""
+LOOPS = "loops about {0.preload_N:.3g} N that shrink from one to the next"
+SINES = "a multisine about {0.preload_N:.3g} N, to line {0.last_line} of {0.period_s:g} s"
+SWEEP = "a sweep about {0.preload_N:.3g} N up to {0.last_Hz:.3g} Hz"
+STAIRS = "{0.stairs} stairs up and down, {0.hold_s:g} s each"
+
+INITIAL = (
+    Design("multisine-odd-sparse", SINES, _multisine(3, "odd_sparse"), 0.45, SINE, SINE),
+    Design("triangle-wide", TRIANGLE, _triangle(4.0, 1.0)),
+    Design("triangle-low", TRIANGLE, _triangle(1.0, 2.5), 0.25, free=SMALL),
+    Design("stairs", STAIRS, _stairs(4, 0.4, 1), free=None),
+    Design("minor-loops", LOOPS, _triangle(0.6, 6, shrink=0.7), 0.55),
+    Design("multisine-all", SINES, _multisine(2, "all"), 0.55, SINE, SINE),
+    Design("chirp", SWEEP, _chirp(2.8), 0.4, 0.5, 0.5),
+    Design("triangle-turn", ONWARD, _triangle(1.6, 1.5), cabled=None, free=0.5),
+)
+CANDIDATES = (
+    Design("triangle-slow-low", TRIANGLE, _triangle(4.0, 2.0), 0.2),
+    Design("triangle-slow-middle", TRIANGLE, _triangle(4.0, 2.0), 0.5, free=None),
+    Design("triangle-slow-high", TRIANGLE, _triangle(4.0, 2.0), 0.8, free=None),
+    Design("triangle-ramp", TRIANGLE, _triangle(9.0, 1.0), 0.5, 0.5, 0.5),
+    Design("minor-loops", LOOPS, _triangle(1.0, 9, shrink=0.7)),
+    Design("multisine-high", SINES, _high_multisine, 0.5, 2.0 * SINE, 2.0 * SINE),
+    Design("multisine-odd-sparse", SINES, _multisine(4, "odd_sparse"), 0.5, SINE, SINE),
+    Design("chirp", SWEEP, _chirp(8.0), 0.5, 0.5, 0.5),
+    # A constant force would accelerate a free drum without end.
+    Design("staircase", STAIRS, _stairs(5, 0.5, 2), free=None),
+    Design("long-hold", STAIRS, _stairs(1, 4.0, 1), free=None),
+    Design("triangle-turn-slowly", ONWARD, _triangle(2.0, 4.0), cabled=None, free=0.25),
+    Design("triangle-turn-fast", ONWARD, _triangle(2.0, 4.0), cabled=None),
+    Design("triangle-small", TRIANGLE, _triangle(1.0, 8.0), cabled=None, free=SMALL),
+)
 
 
 def initial_experiments(rig: RigDescription) -> tuple[Experiment, ...]:
@@ -285,52 +274,22 @@ def initial_experiments(rig: RigDescription) -> tuple[Experiment, ...]:
     multisines, slow and faster triangles over the range, stairs, shrinking loops, a sweep and,
     where there is a tension to be controlled, two closed-loop steps.
     """
-    design = ExperimentDesigner(rig)
-    experiments = [
-        design.multisine(0.45, periods=3, lines="odd_sparse"),
-        design.triangle("wide", 0.5, share=1.0, period=4.0, cycles=1.0),
-        design.triangle("low", 0.25, share=design.small, period=1.0, cycles=2.5),
-        design.stairs("stairs", stairs=4, hold=0.4, cycles=1),
-        design.minor_loops(0.55, period=0.6, cycles=6),
-        design.multisine(0.55, periods=2, lines="all"),
-        design.chirp(0.4, length=2.8),
-    ]
-    if not design.open_only and design.allows(rig.step):
-        step = rig.step
-        back = replace(step, preload_N=step.preload_N + step.step_N, step_N=-step.step_N)
-        experiments += [
-            Experiment("step", "the rig's own step", step),
-            Experiment("step-back", "the rig's own step back", back),
-        ]
-    else:
-        experiments.append(design.turning("turn", share=0.5, period=1.6, cycles=1.5))
-    return tuple(one for one in experiments if one is not None)
+    scale, step, made = RigScale(rig), rig.step, _made(rig, INITIAL)
+    if scale.open_only or not scale.allows(step):
+        return made
+    back = replace(step, preload_N=step.preload_N + step.step_N, step_N=-step.step_N)
+    steps = ("step", "the rig's own step", step), ("step-back", "the rig's own step back", back)
+    return (*made, *(Experiment(*one) for one in steps))
 
 
 def candidate_experiments(rig: RigDescription) -> tuple[Experiment, ...]:
     """Experiments to choose the deciding one from, open loop, of 10 time units at most."""
-    design = ExperimentDesigner(rig)
-    levels = ((0.2, "low"), (0.5, "middle"), (0.8, "high"))
-    experiments = [
-        design.triangle(f"slow-{name}", level, share=1.0, period=4.0, cycles=2.0)
-        for level, name in (levels[:1] if design.open_only else levels)
-    ]
-    experiments += [
-        design.triangle("ramp", 0.5, share=0.5, period=9.0, cycles=1.0),
-        design.minor_loops(0.5, period=1.0, cycles=9),
-        design.high_multisine(0.5, periods=4),
-        design.multisine(0.5, periods=4, lines="odd_sparse"),
-        design.chirp(0.5, length=8.0),
-        design.stairs("staircase", stairs=5, hold=0.5, cycles=2),
-        design.stairs("long-hold", stairs=1, hold=4.0, cycles=1),
-    ]
-    if design.open_only:
-        experiments += [
-            design.turning("turn-slowly", share=0.25, period=2.0, cycles=4.0),
-            design.turning("turn-fast", share=1.0, period=2.0, cycles=4.0),
-            design.triangle("small", 0.5, share=design.small, period=1.0, cycles=8.0),
-        ]
-    return tuple(one for one in experiments if one is not None)
+    return _made(rig, CANDIDATES)
+
+
+def _made(rig: RigDescription, designs: Sequence[Design]) -> tuple[Experiment, ...]:
+    scale = RigScale(rig)
+    return tuple(one for one in map(scale.experiment, designs) if one is not None)
 
 
 def _line(frequency_Hz: float, period_s: float) -> int:

@@ -16,7 +16,7 @@ base model furthest in the variable that the residual follows, within its freque
 
 import itertools
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -133,18 +133,13 @@ def _deciding(
     for one, other in itertools.permutations(rivals, 2):
         unfitted = _unfitted(rivals[one], simulated[other], evidence) - own[other]
         separation = np.minimum(separation, np.maximum(unfitted, 0.0))
-    tried = dict(zip((one.name for one in experiments), separation.tolist(), strict=True))
-    best = int(np.argmax(separation))
-    if not separation[best] > SEPARATION_MIN:
-        return None
-    names = " and ".join(rivals)
-    return _chosen(
-        experiments[best],
-        f"{experiments[best].title} distinguishes {names}: they differ by "
-        f"{math.sqrt(separation[best]):.2g} sigmas, rms, with all other parameters free",
-        float(separation[best]),
-        tried,
+    most = float(separation.max())
+    why = (
+        f"distinguishes {' and '.join(rivals)}: they differ by {math.sqrt(most):.2g} sigmas, rms, "
+        "with all other parameters free"
     )
+    found = _best(experiments, separation, SEPARATION_MIN, why)
+    return found and replace(found, separation=most)
 
 
 def _exploring(
@@ -157,26 +152,23 @@ def _exploring(
     regime = block.regime.name if block is not None and block.regime is not None else ""
     furthest = np.array([_excited(regime, m) for m in predicted])
     within = np.array([_within(block, m) for m in predicted])
-    score = np.sqrt(_share(furthest) * _share(within))
-    tried = dict(zip((one.name for one in experiments), score.tolist(), strict=True))
-    best = int(np.argmax(score))
-    if not score[best] > 0.0:
-        return None
     follows = f"in the {regime}, which the error follows" if regime else "where the error is"
     band = f", {block.band}" if block is not None and block.band else ""
-    return _chosen(
-        experiments[best],
-        f"{experiments[best].title} drives the model most {follows}{band}",
-        None,
-        tried,
-    )
+    score = np.sqrt(_share(furthest) * _share(within))
+    return _best(experiments, score, 0.0, f"drives the model most {follows}{band}")
 
 
-def _chosen(
-    experiment: Experiment, sentence: str, separation: float | None, tried: Mapping[str, float]
-) -> NextExperiment:
-    trial = TrialFile(experiment.name, experiment.profile, why=sentence)
-    return NextExperiment(trial, sentence, separation, tried)
+def _best(
+    experiments: Sequence[Experiment], score: FloatArray, least: float, why: str
+) -> NextExperiment | None:
+    """The experiment with the greatest score, if that is above the least."""
+    n = int(np.argmax(score))
+    if not score[n] > least:
+        return None
+    one, sentence = experiments[n], f"{experiments[n].title} {why}"
+    tried = dict(zip((e.name for e in experiments), score.tolist(), strict=True))
+    trial = TrialFile(one.name, one.profile, why=sentence)
+    return NextExperiment(trial, sentence, None, tried)
 
 
 def _placeholder(
@@ -185,7 +177,10 @@ def _placeholder(
     """The record of an experiment before it is run: outputs are zero."""
     profile, rate = experiment.profile, rig.controller.sampling_Hz
     setpoint = profile.setpoint(rate)
-    unknown = {name: np.zeros(setpoint.size) for name in OUTPUTS if _all_have(name, like)}
+    blank: list[FloatArray | None] = [
+        np.zeros(setpoint.size) if all(m.channel(name) is not None for m in like) else None
+        for name in OUTPUTS
+    ]
     return MeasuredRecord(
         name=experiment.name,
         rig=rig.name,
@@ -198,15 +193,11 @@ def _placeholder(
         time_s=np.arange(setpoint.size) / rate,
         setpoint_N=setpoint,
         current_A=None,
-        tension_N=unknown.get("tension_N"),
-        angle_rad=unknown.get("angle_rad"),
-        reference_N=unknown.get("reference_N"),
-        flags=np.zeros(setpoint.size, np.uint8),
+        tension_N=blank[0],
+        angle_rad=blank[1],
+        reference_N=blank[2],
+        flags=None,
     )
-
-
-def _all_have(name: str, measurements: Sequence[MeasuredRecord]) -> bool:
-    return all(m.channel(name) is not None for m in measurements)
 
 
 def _predicted(
@@ -235,26 +226,19 @@ def _unfitted(model: Any, records: Sequence[MeasuredRecord], evidence: Evidence)
     unfitted = np.zeros(len(records))
     for n, record in enumerate(records):
         mine = index.measurement == n
-        sigma = index.sigma[mine]
-        form = _form(record, index.channel[mine], evidence)
-        weight = 1.0 / np.sqrt(1.0 + (form / sigma) ** 2)
+        form = np.zeros(len(CHANNELS))  # expected model-form error of each channel
+        for number in np.unique(index.channel[mine]):
+            name = CHANNELS[number]
+            form[number] = _form_share(name, evidence) * float(
+                np.std(np.asarray(record.channel(name)))
+            )
+        weight = 1.0 / np.sqrt(1.0 + (form[index.channel[mine]] / index.sigma[mine]) ** 2)
         own, r = slopes[mine] * weight[:, None], residuals[mine] * weight
         scale = np.sqrt((own**2).sum(axis=0))
         own = own[:, scale > 0.0] / scale[scale > 0.0]
         r = r - own @ (np.linalg.pinv(own.T @ own, rcond=1e-9, hermitian=True) @ (own.T @ r))
         unfitted[n] = float(r @ r) / max(r.size, 1)
     return unfitted
-
-
-def _form(record: MeasuredRecord, channel: Any, evidence: Evidence) -> FloatArray:
-    """Expected model-form error of each residual entry, in its unit, shape (entries,)."""
-    error = np.zeros(channel.size)
-    for number in np.unique(channel).tolist():
-        name = CHANNELS[number]
-        column = record.channel(name)
-        if column is not None:
-            error[channel == number] = _form_share(name, evidence) * float(column.std())
-    return error
 
 
 def _form_share(name: str, evidence: Evidence) -> float:
@@ -266,65 +250,34 @@ def _form_share(name: str, evidence: Evidence) -> float:
 
 
 def _excited(regime: str, m: MeasuredRecord) -> float:
-    """Excitation by an experiment of the variable that a residual follows."""
-    return _MEASURES.get(regime, _spread_of_rate)(m)
+    """How far an experiment excites the variable that a residual follows."""
+    output, command = _output(m), np.asarray(m.setpoint_N)
+    angle = output if m.angle_rad is None else m.angle_rad
+    velocity = np.gradient(angle, 1.0 / m.sampling_Hz)
+    match regime:
+        case "time":  # the longest hold, times its distance from the preload
+            edges = np.flatnonzero(np.diff(command, prepend=np.nan, append=np.nan))
+            held = np.abs(command[edges[:-1]] - m.preload_N)
+            return float((np.diff(edges) * held).max(initial=0.0))
+        case "velocity sign" | "velocity sign and tension":
+            # Slow travel in both directions, where friction outweighs inertia.
+            slow = np.abs(velocity) < np.median(np.abs(velocity))
+            turns = np.count_nonzero(np.diff(np.sign(velocity[slow])))
+            travel = float(np.abs(np.diff(output)).sum())
+            return turns * travel / max(float(np.abs(velocity).max()), 1e-300)
+        case "tension":
+            return float(output.std())
+        case "angle" | "position period":
+            return float(np.ptp(angle))
+        case "command rate":
+            return float(np.diff(command).std()) * m.sampling_Hz
+        case _:
+            return float(velocity.std())
 
 
 def _output(m: MeasuredRecord) -> FloatArray:
     """The first output there is, shape (samples,)."""
     return next(c for name in OUTPUTS if (c := m.channel(name)) is not None)
-
-
-def _moving(m: MeasuredRecord) -> FloatArray:
-    angle = _output(m) if m.angle_rad is None else m.angle_rad
-    return np.gradient(angle, 1.0 / m.sampling_Hz)
-
-
-def _reversals(m: MeasuredRecord) -> float:
-    """Time at low speed in both directions, where friction outweighs inertia."""
-    velocity = _moving(m)
-    slow = np.abs(velocity) < np.median(np.abs(velocity))
-    turns = np.count_nonzero(np.diff(np.sign(velocity[slow])))
-    travel = float(np.abs(np.diff(_output(m))).sum())
-    return turns * travel / max(float(np.abs(velocity).max()), 1e-300)
-
-
-def _spread_of_rate(m: MeasuredRecord) -> float:
-    return float(_moving(m).std())
-
-
-def _spread_of_output(m: MeasuredRecord) -> float:
-    return float(_output(m).std())
-
-
-def _spread_of_angle(m: MeasuredRecord) -> float:
-    return float(np.ptp(_output(m) if m.angle_rad is None else m.angle_rad))
-
-
-def _spread_of_command_rate(m: MeasuredRecord) -> float:
-    assert m.setpoint_N is not None  # noqa: S101  an experiment has a setpoint
-    return float(np.diff(m.setpoint_N).std()) * m.sampling_Hz
-
-
-def _longest_hold(m: MeasuredRecord) -> float:
-    """Longest time without a change of the setpoint, times its distance from the preload."""
-    assert m.setpoint_N is not None  # noqa: S101  an experiment has a setpoint
-    edges = np.flatnonzero(np.diff(m.setpoint_N, prepend=np.nan, append=np.nan))
-    lengths = np.diff(edges)
-    held = np.abs(m.setpoint_N[edges[:-1]] - m.preload_N)
-    return float((lengths * held).max(initial=0.0))
-
-
-_MEASURES: Mapping[str, Callable[[MeasuredRecord], float]] = {
-    "time": _longest_hold,
-    "velocity sign": _reversals,
-    "velocity sign and tension": _reversals,
-    "velocity": _spread_of_rate,
-    "tension": _spread_of_output,
-    "angle": _spread_of_angle,
-    "position period": _spread_of_angle,
-    "command rate": _spread_of_command_rate,
-}
 
 
 def _within(block: Block | None, m: MeasuredRecord) -> float:

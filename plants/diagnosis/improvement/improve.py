@@ -31,6 +31,7 @@ from plants.diagnosis.improvement.experiment_runner import (
 from plants.diagnosis.improvement.result import Improvement, ImprovementRound
 from plants.diagnosis.improvement.tuning import Tuned, TuneOptions, tune_with_model
 from plants.diagnosis.progress import Progress, silent
+from plants.diagnosis.report.diagnosis import Diagnosis
 from plants.effects import Effect
 from plants.models.model_file import to_toml
 from plants.models.mounting import MountedModel
@@ -141,14 +142,11 @@ def default_model(about: RigDescription) -> Any:
         raise InvalidInput(
             f"rig {about.name} has no cable and describes no model; give one with --model"
         )
-    import control  # noqa: PLC0415  slow to import
+    from control import ss  # noqa: PLC0415  slow to import
 
     from plants.models.linear_plant import linear_plant  # noqa: PLC0415  not needed for a reel
 
-    n = len(own.B)
-    system = control.ss(
-        np.reshape(own.A, (n, n)), np.reshape(own.B, (n, 1)), np.reshape(own.C, (1, n)), own.E
-    )
+    system = ss(own.A, np.reshape(own.B, (-1, 1)), np.reshape(own.C, (1, -1)), own.E)
     settings = about.controller
     return linear_plant(
         system,
@@ -211,24 +209,29 @@ def _diagnose_rounds(
         lab.say(found.heading())
         if found.verdict == "none" or len(done) == rounds:
             return done
+        new = _new_experiments(lab, found)
         if found.verdict in ("named", "incomplete"):
             effects_now = tuple(one.name for one in found.effects)
             if model is given and effects_now in named:
                 return done  # more records have not changed the answer
             named.add(effects_now)
             model = found.augmented
-            names = lab.run(lab.new_experiments(NEW_EXPERIMENTS))
-            continue
-        proposed = found.next_experiment
-        new = proposed is not None and proposed.trial.profile not in lab.done
-        if model is given and not new:
+        elif model is given and not new:
             return done
-        names = ()
-        if proposed is not None and new:
-            trial = proposed.trial
-            names = lab.run([Experiment(trial.name, proposed.sentence, trial.profile)])
-        # What was added has not been confirmed: all records are explained anew.
-        model = given
+        else:
+            # What was added has not been confirmed: all records are explained anew.
+            model = given
+        names = lab.run(new)
+
+
+def _new_experiments(lab: ExperimentRunner, found: Diagnosis) -> list[Experiment]:
+    """Experiments that validate the effects found, or the one that would decide, if not run."""
+    if found.verdict in ("named", "incomplete"):
+        return lab.new_experiments(NEW_EXPERIMENTS)
+    if found.next_experiment is None or found.next_experiment.trial.profile in lab.done:
+        return []
+    trial = found.next_experiment.trial
+    return [Experiment(trial.name, found.next_experiment.sentence, trial.profile)]
 
 
 def _selected_model(last: ImprovementRound) -> Any:

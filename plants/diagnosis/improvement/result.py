@@ -11,6 +11,7 @@ from estune.support.notebook_card import card
 from estune.trial import RigDescription
 from plants.diagnosis.report.diagnosis import Diagnosis
 from plants.diagnosis.report.json_form import finite_json
+from plants.diagnosis.report.summary import Table
 
 COLUMNS = ("gains", "model as given", "improved model", "measured")
 
@@ -128,17 +129,12 @@ class Improvement:
             names = ", ".join(one.experiments) or "all records anew"
             lines.append(f"round {n} ({names}): {one.diagnosis.heading()}")
         if self.costs:
-            table = [COLUMNS, *self.rows()]
-            widths = [max(len(row[n]) for row in table) for n in range(len(COLUMNS))]
-            lines += [
-                "  ".join(cell.ljust(w) for cell, w in zip(row, widths, strict=True)).rstrip()
-                for row in table
-            ]
+            lines += Table(COLUMNS, self.rows()).lines()
         return "\n".join([*lines, *self.remarks])
 
     def to_json(self) -> dict[str, Any]:
         """JSON values; numbers that are not finite are null."""
-        return {
+        whole = {
             "rig": self.rig.name,
             "effects": list(self.added),
             "verdict": self.diagnosis.verdict,
@@ -150,10 +146,10 @@ class Improvement:
                 {
                     "label": c.label,
                     "gains": {name: getattr(c.gains, name) for name in GAIN_NAMES},
-                    "given": finite_json(c.given),
-                    "improved": finite_json(c.improved),
-                    "measured": finite_json(c.measured),
-                    "measured_error": finite_json(c.error),
+                    "given": c.given,
+                    "improved": c.improved,
+                    "measured": c.measured,
+                    "measured_error": c.error,
                 }
                 for c in self.costs
             ],
@@ -161,6 +157,7 @@ class Improvement:
             "remarks": list(self.remarks),
             "folder": str(self.folder),
         }
+        return {key: finite_json(value) for key, value in whole.items()}
 
 
 def _cell(predicted: float, error: float) -> str:

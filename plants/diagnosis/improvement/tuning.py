@@ -1,6 +1,5 @@
 """Tuning of a rig with its improved model: on the model, step by step towards it, on the rig."""
 
-import itertools
 import math
 from collections.abc import Iterator
 from typing import Any, Literal, NamedTuple
@@ -147,16 +146,15 @@ def _approach(lab: ExperimentRunner, goal: Gains, cost: StepCost, most: float) -
 
 def way(start: Gains, goal: Gains) -> Iterator[Gains]:
     """Gains from a start to a goal, none changed by more than `STEP_MAX` from one to the next."""
-    pairs = list(zip(start.as_tuple(), goal.as_tuple(), strict=True))
-    ratios = [abs(math.log(b / a)) for a, b in pairs if a > 0.0 and b > 0.0]
-    steps = max(1, math.ceil(max(ratios) / math.log(STEP_MAX) - 1e-9))
-    for n in itertools.count(1):
-        if n > steps or start == goal:
-            return
+    pairs = np.array([start.as_tuple(), goal.as_tuple()]).T
+    positive = pairs[(pairs > 0.0).all(axis=1)]
+    most = float(np.abs(np.log(positive[:, 1] / positive[:, 0])).max())
+    steps = max(1, math.ceil(most / math.log(STEP_MAX) - 1e-9))
+    for n in range(1, steps + (start != goal)):
         part = n / steps
         between = (
             a ** (1.0 - part) * b**part if a > 0.0 and b > 0.0 else a + (b - a) * part
-            for a, b in pairs
+            for a, b in pairs.tolist()
         )
         yield Gains(*between) if n < steps else goal
 

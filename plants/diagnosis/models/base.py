@@ -66,19 +66,13 @@ class BaseNumbers:
         if isinstance(model, Reel):
             return cls._of_reel(model, measurement)
         if isinstance(model, UnloadedReel):
-            return cls(
-                newtons_per_ampere=model.newtons_per_ampere,
-                sampling_Hz=measurement.sampling_Hz,
-                **{name: getattr(model, name) for name in _DRUM},
-            )
-        if not isinstance(model, LinearPlant) or model.model is None:
+            drum = {name: getattr(model, name) for name in _DRUM}
+            return cls(model.newtons_per_ampere, measurement.sampling_Hz, **drum)
+        linear = model.model if isinstance(model, LinearPlant) else None
+        if linear is None:
             return None
-        return cls(
-            newtons_per_ampere=model.newtons_per_ampere,
-            sampling_Hz=measurement.sampling_Hz,
-            dead_time_s=model.model.dead_time_s,
-            linear=model.model,
-        )
+        dead_time_s = linear.dead_time_s
+        return cls(model.newtons_per_ampere, measurement.sampling_Hz, dead_time_s, linear=linear)
 
     @classmethod
     def _of_reel(cls, model: Reel, measurement: MeasuredRecord) -> "BaseNumbers":
@@ -86,16 +80,15 @@ class BaseNumbers:
         preload_N = max(measurement.preload_N, model.tension_min_N)
         length_m = measurement.cable_length_m
         reel = model if length_m is None else replace(model, cable_length_m=length_m)
+        drum = {name: getattr(reel, name) for name in _DRUM}
+        drum["viscous_friction_Nms"] = viscous_friction_Nms(reel)
         return cls(
-            newtons_per_ampere=reel.newtons_per_ampere,
-            sampling_Hz=measurement.sampling_Hz,
+            reel.newtons_per_ampere,
+            measurement.sampling_Hz,
             stiffness_N_m=cable_stiffness_N_m(reel, preload_N),
             gauge_Hz=reel.gauge_Hz,
             gauge_damping=reel.gauge_damping,
-            **{
-                **{name: getattr(reel, name) for name in _DRUM},
-                "viscous_friction_Nms": viscous_friction_Nms(reel),
-            },
+            **drum,
         )
 
     @property

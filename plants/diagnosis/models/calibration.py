@@ -48,16 +48,12 @@ class Calibration(Effect):
     @staticmethod
     def respond(p: Values, state: Signal, signal: Signal, site: Site) -> Response:
         """The torque at the drum, then the reading."""
-        if site.port is Port.DRUM:
-            return state, p.torque_offset_Nm
-        return state, signal + p.gauge_offset_N
+        return state, p.torque_offset_Nm if site.port is Port.DRUM else signal + p.gauge_offset_N
 
     @staticmethod
     def rest(p: Values, state: Signal, signal: Signal, site: Site) -> Response:
         """The same torque; the tension that reads so."""
-        if site.port is Port.DRUM:
-            return state, p.torque_offset_Nm
-        return state, signal - p.gauge_offset_N
+        return state, p.torque_offset_Nm if site.port is Port.DRUM else signal - p.gauge_offset_N
 
 
 @dataclass(frozen=True)
@@ -105,8 +101,7 @@ class SaggingCalibration(Calibration):
     def respond(p: Values, state: Signal, signal: Signal, site: Site) -> Response:
         """The tension at the cable; elsewhere as without sag."""
         if site.port is not Port.CABLE:
-            _, changed = Calibration.respond(p, state, signal, site)
-            return state, changed
+            return Calibration.respond(p, state, signal, site)
         s, slack = signal + p.shift, vars(p).get("slack_N", 0.0)
         start = ca.fmax(2.0 * state[0] - state[1], 0.125 * state[0])
         tension, slope = _straightened(p, start)

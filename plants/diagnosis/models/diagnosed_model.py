@@ -2,10 +2,10 @@
 
 import importlib
 from abc import ABC, abstractmethod
-from collections.abc import Hashable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, Literal, NamedTuple, Protocol, Self
+from typing import Any, Literal, NamedTuple, Self
 
 import numpy as np
 
@@ -13,9 +13,11 @@ from estune.core.quantities import FloatArray
 from estune.errors import InvalidInput, PlantError
 from plants.diagnosis.data.measured_record import MeasuredRecord
 from plants.diagnosis.models.calibration import Calibration
+from plants.diagnosis.models.signal_scales import signal_scale
 from plants.effects import Effect, Parameter, RecordScale
 from plants.models.linear_plant import LinearPlant
-from plants.simulation.equations import Equations
+from plants.models.path_structure import PathStructure, squarings_for
+from plants.models.symbolic_plant import TracedStructure
 
 BASE = "base"
 """Owner of the base-model parameters that all records share."""
@@ -23,6 +25,7 @@ BASE = "base"
 RANGE = 20.0
 """Factor by which a fit may change a positive parameter either way."""
 
+LEAST_SQUARINGS = 4
 CALIBRATION = Calibration.name
 
 SENSORS = ("angle_zero", "current_gain", "current_offset", "reference_offset", "input_slope")
@@ -73,19 +76,6 @@ class Slot(NamedTuple):
     record: int | None = None
 
 
-class Structure(Hashable, Protocol):
-    """Structure of a model's equations, apart from parameter values."""
-
-    @property
-    def parameter_names(self) -> tuple[str, ...]:
-        """The parameters in order; those of the nth effect as `n.name`."""
-        ...
-
-    def equations(self) -> Equations:
-        """The equations of one sample."""
-        ...
-
-
 class Local(NamedTuple):
     """Local linear model that estimates initial states from the samples around them.
 
@@ -108,6 +98,12 @@ class Local(NamedTuple):
     to_placed: FloatArray
 
 
+def free_drum() -> Local:
+    """Angle and velocity of unit inertia under a constant torque."""
+    A = np.array([[0.0, 1.0], [0.0, 0.0]])
+    return Local(A, np.array([0.0, 1.0]), np.array([1.0, 0.0]), None, 0.0, np.eye(2))
+
+
 class DiagnosedModel(ABC):
     """A model that can be compared with records; made by `diagnosed`.
 
@@ -120,6 +116,7 @@ class DiagnosedModel(ABC):
         sizes: Scale of the signals, in the units of the effects.
         placed_by: Channel that the initial states are estimated from, or None.
         newtons_per_ampere: Effort per command of an open-loop record.
+        torque_per_drive: Torque, N m, per command of one `drive_unit`.
         drive_unit: Command, A, per unit of the actuator's effects.
         reading_unit: Output, as recorded, per newton of the gauge's effects.
     """
@@ -127,6 +124,7 @@ class DiagnosedModel(ABC):
     output: Literal["N", "rad"] = "N"
     placed_by: str | None
     newtons_per_ampere: float = 1.0
+    torque_per_drive: float = 1.0
     drive_unit: float = 1.0
     reading_unit: float = 1.0
 
@@ -146,14 +144,15 @@ class DiagnosedModel(ABC):
     # Declared by each kind of model.
 
     @abstractmethod
-    def _sizes(self) -> RecordScale: ...
+    def turned(self, measurement: MeasuredRecord) -> FloatArray:
+        """The angle, measured or from the output, in the unit of the effects; may be empty."""
 
     @abstractmethod
     def _calibrations(self) -> list[Slot]:
         """The free base-model parameters; `reasons` receives the fixed ones."""
 
     @abstractmethod
-    def structure(self, effects: tuple[type[Effect], ...]) -> Structure:
+    def structure(self, effects: tuple[type[Effect], ...]) -> PathStructure | TracedStructure:
         """The model with these effects and its calibration after them."""
 
     def numbers(self, measurement: MeasuredRecord) -> dict[str, float]:
@@ -167,16 +166,6 @@ class DiagnosedModel(ABC):
     @abstractmethod
     def unavailable(self, effect: type[Effect]) -> str | None:
         """Why an effect cannot be added to this model, or None where it can."""
-
-    @abstractmethod
-    def calibrated(self, values: Mapping[str, float], effects: Sequence[type[Effect]] = ()) -> Any:
-        """A model of the same kind as given, with the values of a fit and effects added.
-
-        Args:
-            values: By the names of `Predictor.free`; missing ones keep their values, those of
-                single records are ignored.
-            effects: The effects the fit added, in the predictor's order.
-        """
 
     @property
     @abstractmethod
@@ -197,6 +186,32 @@ class DiagnosedModel(ABC):
         return []
 
     # The same for all kinds.
+
+    def squarings(self, fastest_rad_s: float) -> int:
+        """Squarings of a matrix exponential of such a rate; the same for most records."""
+        slowest_Hz = min(m.sampling_Hz for m in self.measurements)
+        return max(LEAST_SQUARINGS, squarings_for(fastest_rad_s, slowest_Hz))
+
+    def _sizes(self) -> RecordScale:
+        commands = [m.command_A(self.newtons_per_ampere) for m in self.measurements]
+        return signal_scale(
+            [command / self.drive_unit for command in commands],
+            self.torque_per_drive,
+            [self.turned(m) for m in self.measurements],
+            [m.sampling_Hz for m in self.measurements],
+        )
+
+    def calibrated(self, values: Mapping[str, float], effects: Sequence[type[Effect]] = ()) -> Any:
+        """A model of the same kind as given, with the values of a fit and effects added.
+
+        Args:
+            values: By the names of `Predictor.free`; missing ones keep their values, those of
+                single records are ignored.
+            effects: The effects the fit added, in the predictor's order.
+        """
+        known = {**self._starts, **values}
+        own = {name: known[name] for name in self.model.own_numbers if name in known}
+        return replace(self.model, effects=self.built(values, effects), **own)
 
     @property
     def is_often_slack(self) -> bool:
@@ -259,22 +274,23 @@ class DiagnosedModel(ABC):
     def built(
         self, values: Mapping[str, float], added: Sequence[type[Effect]]
     ) -> tuple[Effect, ...]:
-        """The model's effects and those added, with the values of a fit."""
-        by_column = {
-            slot.column: values.get(slot.free.name, slot.free.start) for slot in self.slots(added)
-        }
-        built = []
-        for n, (cls, _) in enumerate(self._listed(added)):
-            built.append(cls(**{name: by_column[f"{n}.{name}"] for name in cls.parameters()}))
-        return tuple(built)
+        """The model's effects, those added, and the calibration if it does something.
 
-    def all_effects(
-        self, values: Mapping[str, float], added: Sequence[type[Effect]], **calibration: float
-    ) -> tuple[Effect, ...]:
-        """The effects of `built`, and the calibration with new values where it does something."""
-        own = replace(self.calibration, **calibration)
-        built = self.built(values, added)
-        return built if own == Calibration.neutral() else (*built, own)
+        All have the values of a fit.
+        """
+        by_column = {
+            slot.column: slot.factor * values.get(slot.free.name, slot.free.start)
+            for slot in self.slots(added)
+        }
+        listed = self._listed(added)
+        effects = tuple(
+            cls(**{name: by_column[f"{n}.{name}"] for name in cls.parameters()})
+            for n, (cls, _) in enumerate(listed)
+        )
+        kept = vars(self.calibration).items()
+        own = {name: by_column.get(f"{len(listed)}.{name}", value) for name, value in kept}
+        calibration = type(self.calibration)(**own)
+        return effects if calibration == Calibration.neutral() else (*effects, calibration)
 
     def _current_sensor(self) -> list[Slot]:
         """Gain and offset of a current that is measured."""
@@ -325,6 +341,11 @@ def positive(name: str, unit: str, value: float, owner: str = BASE) -> Free:
 def either_way(name: str, unit: str, value: float, reach: float, owner: str = BASE) -> Free:
     """A parameter that may differ by so much from its given value."""
     return Free(name, unit, value, value - reach, value + reach, "linear", owner)
+
+
+def from_zero(name: str, unit: str, value: float, most: float) -> Free:
+    """A parameter between zero and a greatest value."""
+    return Free(name, unit, value, 0.0, most, "linear", BASE)
 
 
 def diagnosed(model: Any, measurements: Sequence[MeasuredRecord]) -> DiagnosedModel:

@@ -6,6 +6,7 @@ the encoder's steps: it grows as long as its residual is that of noise.
 """
 
 import math
+from itertools import accumulate
 from typing import NamedTuple
 
 import numpy as np
@@ -28,17 +29,13 @@ class InitialStates(NamedTuple):
 
     Attributes:
         placed: Argument of `Equations.place`, shape (instants, n).
-        deviation: Their standard deviations due to noise, shape (n,).
+        residual: Root mean square of what the states leave of the output.
+        deviation: Standard deviations of the states due to noise, shape (n,).
     """
 
     placed: FloatArray
-    deviation: FloatArray
-
-
-class _Spanned(NamedTuple):
-    states: FloatArray
     residual: float
-    spread: FloatArray
+    deviation: FloatArray
 
 
 def estimate_states(
@@ -57,7 +54,7 @@ def estimate_states(
         if wider.residual > max(RESIDUAL_MAX * noise, best.residual):
             break
         best = wider
-    return InitialStates(best.states @ local.to_placed.T, noise * best.spread)
+    return best._replace(deviation=noise * best.deviation)
 
 
 class _Sampled:
@@ -76,7 +73,7 @@ class _Sampled:
         )
         self._output = output
 
-    def states(self, at: NDArray[np.int64], either: int) -> _Spanned:
+    def states(self, at: NDArray[np.int64], either: int) -> InitialStates:
         """The states from so many samples on either side; at a record's ends from more on one."""
         n, size = self._held.shape[0] - 1, self._output.size
         span = min(2 * either + 1, size)
@@ -96,17 +93,13 @@ class _Sampled:
             states[chosen] = found[:, :n]
             spread = np.sqrt(np.sum((self._to_placed @ pseudo[:n]) ** 2, axis=1))
         freedom = at.size * max(span - n - 1, 1)
-        return _Spanned(states, math.sqrt(left / freedom), spread)
+        return InitialStates(states @ self._to_placed.T, math.sqrt(left / freedom), spread)
 
     def _rows(self, first: int, last: int) -> FloatArray:
         """Output at samples after an instant by the state there, (samples, n + 1)."""
-        rows = np.empty((last - first, self._C.size))
-        rows[-first] = self._C
-        for k in range(1 - first, last - first):
-            rows[k] = rows[k - 1] @ self._held
-        for k in range(-first - 1, -1, -1):
-            rows[k] = rows[k + 1] @ self._back
-        return rows
+        ahead = accumulate(range(last - 1), lambda row, _: row @ self._held, initial=self._C)
+        before = accumulate(range(-first), lambda row, _: row @ self._back, initial=self._C)
+        return np.array([*list(before)[:0:-1], *ahead])
 
     def _forced(self, place: int, span: int) -> FloatArray:
         """Output by the input at each sample of a span, from rest at the instant."""

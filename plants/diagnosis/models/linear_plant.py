@@ -1,6 +1,5 @@
 """A linear plant compared with records: gain, modes, time constants, offset of the output."""
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
@@ -9,28 +8,24 @@ from typing import Any
 import numpy as np
 from scipy.linalg import expm
 
-from estune.core.margins import sample_plant
-from estune.interop import linear_model
+from estune.interop import linear_model, sampled_model
 from plants.diagnosis.data.measured_record import MeasuredRecord
 from plants.diagnosis.data.noise_floor import noise_floor
 from plants.diagnosis.models.diagnosed_model import (
     CALIBRATION,
     RANGE,
-    DiagnosedModel,
     Free,
     Local,
     Slot,
     either_way,
     positive,
 )
+from plants.diagnosis.models.diagnosed_plant import DiagnosedPlant
 from plants.diagnosis.models.initial_states import shifted
-from plants.diagnosis.models.signal_scales import plant_scale, units
-from plants.effects import Effect, RecordScale
+from plants.effects import Effect
 from plants.models.effect_applicability import unavailable
 from plants.models.linear_plant import LinearPlant, linear_plant
-from plants.models.linear_signal_path import READINGS_PER_ANGLE
 from plants.models.linear_with_effects import LinearEffectStructure
-from plants.models.path_structure import squarings_for
 from plants.models.pole_zero_form import transfer_function
 
 HORIZON = 5.0
@@ -50,7 +45,7 @@ SAMPLES_PER_TERM = 20
 """Fewest samples of a record for each term of a difference equation."""
 
 
-class DiagnosedLinear(DiagnosedModel):
+class DiagnosedLinear(DiagnosedPlant):
     """A `LinearPlant`, or a continuous system of python-control."""
 
     model: LinearPlant
@@ -60,32 +55,14 @@ class DiagnosedLinear(DiagnosedModel):
         if not isinstance(model, LinearPlant):
             model = linear_plant(model, sampling_Hz=measurements[0].sampling_Hz)
         self.kinds, self.values = model.base, model.own_numbers  # raises where it is discrete
-        self.newtons_per_ampere = model.newtons_per_ampere
-        if not model.effects:
-            model = self._in_units(model, measurements)
         super().__init__(model, measurements)
-        self.drive_unit = model.torque_unit / model.newtons_per_ampere
-        self.reading_unit = model.angle_unit / READINGS_PER_ANGLE
-
-    def _in_units(self, model: LinearPlant, measurements: Sequence[MeasuredRecord]) -> LinearPlant:
-        """The plant with units in which its signals are as large as a reel's."""
-        inputs = [self.command_N(m) for m in measurements]
-        torque, angle = units(inputs, [m.tension_N for m in measurements])
-        return replace(model, torque_unit=torque, angle_unit=math.copysign(angle, self._sense))
 
     @property
-    def _sense(self) -> float:
+    def sense(self) -> float:
         """Sign of the plant's gain at high frequency, which is where friction acts."""
-        zeros = self.kinds.zeros
-        product = self.values["gain"]
-        for prefix, kinds in (("", self.kinds.poles), ("zero_", zeros)):
-            if "real" in kinds:
-                product *= math.prod(
-                    math.copysign(1.0, v)
-                    for k, v in self.values.items()
-                    if k.startswith(f"{prefix}time_constant")
-                )
-        return float(product)
+        times = ("time_constant", "zero_time_constant")
+        signs = [np.sign(v) for k, v in self.values.items() if k.startswith(times) and v]
+        return float(np.prod([self.values["gain"], *signs]))
 
     def unavailable(self, effect: type[Effect]) -> str | None:
         """Effects of the drum and the cable need an output that moves like a position."""
@@ -93,12 +70,10 @@ class DiagnosedLinear(DiagnosedModel):
 
     def structure(self, effects: tuple[type[Effect], ...]) -> LinearEffectStructure:
         """The plant with these effects."""
-        slowest_Hz = min(m.sampling_Hz for m in self.measurements)
-        A = np.array(self._linear.A)
-        fastest = MOST_RATE * float(np.abs(np.linalg.eigvals(A)).max(initial=1e-9))
-        needed = squarings_for(fastest, slowest_Hz)
+        rates = np.abs(np.linalg.eigvals(np.array(self._linear.A)))
+        n = self.squarings(MOST_RATE * float(rates.max(initial=1e-9)))
         return LinearEffectStructure(
-            self.kinds, effects, fractional=True, squarings=max(4, needed), rounded=False
+            self.kinds, effects, fractional=True, squarings=n, rounded=False
         )
 
     @property
@@ -107,16 +82,9 @@ class DiagnosedLinear(DiagnosedModel):
         values = {k: self._starts.get(k, v) for k, v in self.values.items()}
         return linear_model(transfer_function(self.kinds, values), self.values["dead_time_s"])
 
-    def _sizes(self) -> RecordScale:
-        return plant_scale(self, self.model.torque_unit, self.model.angle_unit)
-
     def _calibrations(self) -> list[Slot]:
-        slots = []
-        for name in self.kinds.own:
-            if name == "rate_rad_s":
-                continue
-            slots.append(Slot(_free(name, self.values[name]), name))
-        start = self.calibration.gauge_offset_N * self.reading_unit
+        names = [name for name in self.kinds.own if name != "rate_rad_s"]
+        slots = [Slot(_free(name, self.values[name]), name) for name in names]
         if "origin" in self.kinds.poles:
             torque = self.model.torque_unit
             start = self.calibration.torque_offset_Nm * torque
@@ -124,13 +92,8 @@ class DiagnosedLinear(DiagnosedModel):
             free = either_way("input_offset", "", start, reach)
             slots.append(Slot(free, f"{CALIBRATION}.torque_offset_Nm", 1.0 / torque))
             self.reasons["output_offset"] = "a plant that integrates stands anywhere"
-        else:
-            outputs = [m.tension_N for m in self.measurements if m.tension_N is not None]
-            reach = 2.0 * max(float(np.abs(y).max()) for y in outputs) + abs(start)
-            free = either_way("output_offset", "", start, reach)
-            slots.append(Slot(free, f"{CALIBRATION}.gauge_offset_N", 1.0 / self.reading_unit))
-            self.reasons["input_offset"] = "an offset of the input looks like one of the output"
-        return slots
+            return slots
+        return [*slots, self.output_offset()]
 
     def sensors(self) -> list[Slot]:
         """Hold of the input between its samples, which records do not state."""
@@ -159,21 +122,14 @@ class DiagnosedLinear(DiagnosedModel):
         """The plant with a constant input error."""
         n = self.kinds.order
         p = {k: self._starts.get(k, v) for k, v in self.numbers(measurement).items()}
-        motion = self.kinds.numeric(p)
-        A, B, C = motion
-        # The states are the reading and its derivatives without input.
-        rows, row = [], C * p["angle_unit"]
-        for _ in range(n):
-            rows.append(row)
-            row = row @ A
-        u = self.command_N(measurement) / p["torque_unit"]
+        A, B, C = self.kinds.numeric(p)
         output = C * p["angle_unit"]
-        lead = (
-            MEAN_LEAD_samples
-            * self._starts.get("input_slope", self._slope)
-            / measurement.sampling_Hz
-        )
-        return Local(A, B, output, u, p["dead_time_s"] - lead, np.array(rows))
+        # The states are the reading and its derivatives without input.
+        rows = np.array([output @ np.linalg.matrix_power(A, k) for k in range(n)])
+        u = self.command_N(measurement) / p["torque_unit"]
+        lead = MEAN_LEAD_samples * self._starts.get("input_slope", self._slope)
+        dead_time_s = p["dead_time_s"] - lead / measurement.sampling_Hz
+        return Local(A, B, output, u, dead_time_s, rows)
 
     @cached_property
     def suggested_horizon_s(self) -> float:
@@ -204,8 +160,6 @@ class DiagnosedLinear(DiagnosedModel):
     ) -> LinearPlant:
         """The plant with these values; a `Calibration` holds the offset."""
         known = {**self.values, **self._starts, **values}
-        plant = self.model
-        rate = plant.controller.sampling_Hz
         # A controller holds its command: a lead is less dead time there.
         lead_s = MEAN_LEAD_samples * known.get("input_slope", self._slope)
         lead_s /= self.measurements[0].sampling_Hz
@@ -213,23 +167,10 @@ class DiagnosedLinear(DiagnosedModel):
             transfer_function(self.kinds, {k: known[k] for k in self.kinds.own}),
             max(self.values["dead_time_s"] - lead_s, 0.0),
         )
-        n = len(model.B)
-        sampled = sample_plant(
-            np.reshape(np.array(model.A), (n, n)),
-            np.array(model.B),
-            np.array(model.C),
-            model.E,
-            dead_time_s=model.dead_time_s,
-            sample_s=1.0 / rate,
+        sampled = sampled_model(model, self.model.controller)
+        return replace(
+            self.model, model=model, sampled=sampled, effects=self.built(values, effects)
         )
-        own, read, torque = self.calibration, self.reading_unit, plant.torque_unit
-        built = self.all_effects(
-            values,
-            effects,
-            gauge_offset_N=known.get("output_offset", own.gauge_offset_N * read) / read,
-            torque_offset_Nm=known.get("input_offset", own.torque_offset_Nm * torque) / torque,
-        )
-        return replace(plant, model=model, sampled=sampled, effects=built)
 
 
 def _free(name: str, value: float) -> Free:

@@ -2,7 +2,7 @@
 
 import copy
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -10,7 +10,7 @@ import numpy as np
 from estune.core.quantities import FloatArray
 from plants.cable.taut import GRAVITY_M_S2
 from plants.diagnosis.data.measured_record import MeasuredRecord
-from plants.diagnosis.models.calibration import Calibration, SaggingCalibration
+from plants.diagnosis.models.calibration import SaggingCalibration
 from plants.diagnosis.models.diagnosed_model import (
     CALIBRATION,
     DiagnosedModel,
@@ -18,12 +18,12 @@ from plants.diagnosis.models.diagnosed_model import (
     Local,
     Slot,
     either_way,
+    free_drum,
+    from_zero,
     positive,
 )
 from plants.diagnosis.models.initial_states import shifted
-from plants.diagnosis.models.signal_scales import signal_scale
-from plants.effects import Effect, RecordScale
-from plants.models.path_structure import squarings_for
+from plants.effects import Effect
 from plants.models.reel import Reel
 from plants.models.reel_equations import (
     ReelStructure,
@@ -51,6 +51,7 @@ class DiagnosedReel(DiagnosedModel):
 
     def __init__(self, model: Reel, measurements: Sequence[MeasuredRecord]) -> None:
         self.newtons_per_ampere = model.newtons_per_ampere
+        self.torque_per_drive = model.torque_constant_Nm_A
         self.has_gauge = any(m.tension_N is not None for m in measurements)
         self.has_encoder = any(m.angle_rad is not None for m in measurements)
         self.placed_by = "angle_rad" if self.has_encoder else "tension_N"
@@ -127,12 +128,10 @@ class DiagnosedReel(DiagnosedModel):
 
     def structure(self, effects: tuple[type[Effect], ...]) -> ReelStructure:
         """The reel with these effects."""
-        slowest_Hz = min(m.sampling_Hz for m in self.measurements)
-        squarings = squarings_for(MOST_RATE * self._fastest_rad_s, slowest_Hz)
         return ReelStructure(
             effects=effects,
             fractional=True,
-            squarings=max(4, squarings),  # the same structure for most records
+            squarings=self.squarings(MOST_RATE * self._fastest_rad_s),
             rounded=False,
             watched=self.is_watched,
             by_gauge=self.placed_by == "tension_N",
@@ -155,25 +154,15 @@ class DiagnosedReel(DiagnosedModel):
 
     def numbers(self, measurement: MeasuredRecord) -> dict[str, float]:
         """The reel's own numbers at the record's length and rate."""
-        own = {name: float(getattr(self.model, name)) for name in ReelStructure.OWN}
-        own["cable_length_m"] = self.length(measurement)
-        own["sampling_Hz"] = measurement.sampling_Hz
-        return own
+        return super().numbers(measurement) | {"cable_length_m": self.length(measurement)}
 
-    def _sizes(self) -> RecordScale:
-        currents = [m.command_A(self.newtons_per_ampere) for m in self.measurements]
-        angles = [self._angle(m) for m in self.measurements]
-        rates = [m.sampling_Hz for m in self.measurements]
-        return signal_scale(currents, self.model.torque_constant_Nm_A, angles, rates)
-
-    def _angle(self, m: MeasuredRecord) -> FloatArray:
+    def turned(self, measurement: MeasuredRecord) -> FloatArray:
         """The angle, read or from the tension."""
-        if m.angle_rad is not None:
-            return m.angle_rad
-        if m.tension_N is None:
+        if measurement.angle_rad is not None:
+            return measurement.angle_rad
+        if measurement.tension_N is None:
             return np.empty(0)
-        stiffness = cable_stiffness_N_m(self._unstarted(m), self.preload(m))
-        return np.asarray(m.tension_N / (stiffness * self.model.drum_radius_m))
+        return measurement.tension_N / self._per_angle(measurement)
 
     def _unstarted(self, m: MeasuredRecord) -> Reel:
         return replace(self.model, cable_length_m=self.length(m), effects=())
@@ -185,18 +174,15 @@ class DiagnosedReel(DiagnosedModel):
         friction = max(r.viscous_friction_Nms, self._unit_friction)
         found = [
             positive("drum_inertia_kg_m2", "kg m2", r.drum_inertia_kg_m2),
-            Free(
-                "viscous_friction_Nms",
-                *("N m s/rad", r.viscous_friction_Nms, 0.0, 20.0 * friction, "linear", "base"),
+            from_zero(
+                "viscous_friction_Nms", "N m s/rad", r.viscous_friction_Nms, 20.0 * friction
             ),
         ]
         if differ:
             most = 20.0 * max(r.viscous_friction_per_length_Ns, friction / max(lengths))
             start = r.viscous_friction_per_length_Ns
             unit = "N m s/rad per m"
-            found.append(
-                Free("viscous_friction_per_length_Ns", unit, start, 0.0, most, "linear", "base")
-            )
+            found.append(from_zero("viscous_friction_per_length_Ns", unit, start, most))
             found.append(positive("cable_EA_N", "N", r.cable_EA_N))
         else:
             same = "the records have one cable length"
@@ -288,10 +274,9 @@ class DiagnosedReel(DiagnosedModel):
 
         Friction is the constant; without gauge or encoder, so is all of the torque.
         """
-        A, C = np.array([[0.0, 1.0], [0.0, 0.0]]), np.array([1.0, 0.0])
-        tension = measurement.tension_N
+        drum, tension = free_drum(), measurement.tension_N
         if measurement.angle_rad is None or tension is None:
-            return Local(A, np.array([0.0, 1.0]), C, None, 0.0, np.eye(2))
+            return drum
         r, rate = self._at(measurement), measurement.sampling_Hz
         gain = self._starts.get("torque_gain", self.calibration.torque_gain)
         drive = shifted(self.command_N(measurement), r.dead_time_s * rate)
@@ -299,8 +284,7 @@ class DiagnosedReel(DiagnosedModel):
         lag_s = r.gauge_damping / (math.pi * r.gauge_Hz)
         pull = shifted(np.nan_to_num(tension), -0.5 - lag_s * rate)
         torque = r.drum_radius_m * (gain * drive - pull)
-        B = np.array([0.0, 1.0 / r.drum_inertia_kg_m2])
-        return Local(A, B, C, torque, 0.0, np.eye(2))
+        return drum._replace(B=drum.B / r.drum_inertia_kg_m2, input=torque)
 
     @property
     def suggested_horizon_s(self) -> float:
@@ -310,16 +294,6 @@ class DiagnosedReel(DiagnosedModel):
         )
         J = self._at(self.measurements[0]).drum_inertia_kg_m2
         return float(HORIZON / math.sqrt(slowest / J))
-
-    def calibrated(
-        self, values: Mapping[str, float], effects: Sequence[type[Effect]] = ()
-    ) -> Reel:
-        """The reel with these values; a `Calibration` holds gain and offset."""
-        known = {**self._starts, **values}
-        own = {k: v for k, v in known.items() if k in ReelStructure.OWN}
-        calibration = {k: v for k, v in known.items() if k in Calibration.parameters()}
-        built = self.all_effects(values, effects, **calibration)
-        return replace(self.model, effects=built, **own)
 
 
 def _of_calibration(free: Free) -> Slot:

@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 
@@ -39,15 +38,6 @@ def signal_scale(
         current_max_A=_max(currents),
         current_rate_A_s=max(steps, default=0.0),
     )
-
-
-def plant_scale(plant: Any, torque_unit: float, angle_unit: float) -> RecordScale:
-    """Scale of the records of a `DiagnosedModel` with input and output alone."""
-    measurements = plant.measurements
-    currents = [plant.command_N(m) / torque_unit for m in measurements]
-    outputs = [m.tension_N for m in measurements]
-    angles = [np.empty(0) if y is None else y / angle_unit for y in outputs]
-    return signal_scale(currents, 1.0, angles, [m.sampling_Hz for m in measurements])
 
 
 def _velocity(angle: FloatArray, rate_Hz: float) -> FloatArray:

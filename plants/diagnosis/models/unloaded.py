@@ -1,33 +1,30 @@
 """An unloaded reel, or any servo or stage, compared with records."""
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Sequence
 from functools import cached_property
 
 import numpy as np
 
+from estune.core.quantities import FloatArray
 from plants.diagnosis.data.measured_record import MeasuredRecord
 from plants.diagnosis.data.noise import step_of
-from plants.diagnosis.models.calibration import Calibration
 from plants.diagnosis.models.diagnosed_model import (
     CALIBRATION,
     DiagnosedModel,
-    Free,
     Local,
     Slot,
     either_way,
+    free_drum,
+    from_zero,
     positive,
 )
-from plants.diagnosis.models.signal_scales import signal_scale
-from plants.effects import Effect, RecordScale, Role
+from plants.effects import Effect, Role
 from plants.models.effect_applicability import unavailable
 from plants.models.linear_structures import Drum
 from plants.models.linear_with_effects import LinearEffectStructure
-from plants.models.path_structure import squarings_for
 from plants.models.unloaded_reel import UnloadedReel
 
-LEAST_SQUARINGS = 4
 MOST_RATE = 100.0
 """Greatest growth of friction over inertia in a fit that keeps the matrix exponential exact."""
 SHOWS = 30.0
@@ -48,6 +45,7 @@ class DiagnosedDrum(DiagnosedModel):
 
     def __init__(self, model: UnloadedReel, measurements: Sequence[MeasuredRecord]) -> None:
         self.newtons_per_ampere = model.newtons_per_ampere
+        self.torque_per_drive = model.torque_constant_Nm_A
         super().__init__(model, measurements)
 
     @property
@@ -65,43 +63,28 @@ class DiagnosedDrum(DiagnosedModel):
 
     def structure(self, effects: tuple[type[Effect], ...]) -> LinearEffectStructure:
         """The drum with these effects."""
-        slowest_Hz = min(m.sampling_Hz for m in self.measurements)
         p = self.model
-        rate = MOST_RATE * max(p.viscous_friction_Nms, 1e-9) / p.drum_inertia_kg_m2
-        needed = squarings_for(rate, slowest_Hz)
-        return LinearEffectStructure(
-            Drum(), effects, fractional=True, squarings=max(LEAST_SQUARINGS, needed), rounded=False
-        )
+        n = self.squarings(MOST_RATE * max(p.viscous_friction_Nms, 1e-9) / p.drum_inertia_kg_m2)
+        return LinearEffectStructure(Drum(), effects, fractional=True, squarings=n, rounded=False)
 
-    def _sizes(self) -> RecordScale:
-        currents = [m.command_A(self.newtons_per_ampere) for m in self.measurements]
-        angles = [np.empty(0) if m.angle_rad is None else m.angle_rad for m in self.measurements]
-        rates = [m.sampling_Hz for m in self.measurements]
-        return signal_scale(currents, self.model.torque_constant_Nm_A, angles, rates)
+    def turned(self, measurement: MeasuredRecord) -> FloatArray:
+        """The angle read."""
+        return np.empty(0) if measurement.angle_rad is None else measurement.angle_rad
 
     def _calibrations(self) -> list[Slot]:
         p, c = self.model, self.calibration
         # Friction that would take all of the torque at the recorded velocities.
         most = self.sizes.torque_max_Nm / max(self.sizes.velocity_rms_rad_s, 1e-300)
         most = max(most if math.isfinite(most) else 0.0, 20.0 * p.viscous_friction_Nms)
-        friction = Free(
-            "viscous_friction_Nms",
-            "N m s/rad",
-            p.viscous_friction_Nms,
-            0.0,
-            most,
-            "linear",
-            "base",
-        )
+        inertia = positive("drum_inertia_kg_m2", "kg m2", p.drum_inertia_kg_m2)
+        friction = from_zero("viscous_friction_Nms", "N m s/rad", p.viscous_friction_Nms, most)
         reach = max(self.sizes.torque_max_Nm, 1e-12)
         offset = either_way("torque_offset_Nm", "N m", c.torque_offset_Nm, reach)
         self.reasons["torque_gain"] = "without gauge only the ratio of gain to inertia shows"
         self.reasons["encoder_zero_rad"] = "nothing depends on where the angle is zero"
         return [
-            Slot(
-                positive("drum_inertia_kg_m2", "kg m2", p.drum_inertia_kg_m2), "drum_inertia_kg_m2"
-            ),
-            Slot(friction, "viscous_friction_Nms"),
+            Slot(inertia, inertia.name),
+            Slot(friction, friction.name),
             Slot(offset, f"{CALIBRATION}.torque_offset_Nm"),
         ]
 
@@ -125,8 +108,7 @@ class DiagnosedDrum(DiagnosedModel):
     def local(self, measurement: MeasuredRecord) -> Local:
         """Angle and velocity under a constant torque."""
         del measurement
-        A = np.array([[0.0, 1.0], [0.0, 0.0]])
-        return Local(A, np.array([0.0, 1.0]), np.array([1.0, 0.0]), None, 0.0, np.eye(2))
+        return free_drum()
 
     @cached_property
     def suggested_horizon_s(self) -> float:
@@ -142,13 +124,3 @@ class DiagnosedDrum(DiagnosedModel):
         rate = max(m.sampling_Hz for m in self.measurements)
         longest = LONGEST_share * min(m.duration_s for m in self.measurements)
         return max(min(wanted, longest), SHORTEST_samples / rate)
-
-    def calibrated(
-        self, values: Mapping[str, float], effects: Sequence[type[Effect]] = ()
-    ) -> UnloadedReel:
-        """The drum with these values; a `Calibration` holds the torque's offset."""
-        known = {**self._starts, **values}
-        own = {k: v for k, v in known.items() if k in self.model.own_numbers}
-        calibration = {k: v for k, v in known.items() if k in Calibration.parameters()}
-        built = self.all_effects(values, effects, **calibration)
-        return replace(self.model, effects=built, **own)

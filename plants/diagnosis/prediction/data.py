@@ -1,5 +1,6 @@
 """Prediction data: command, windows, initial states and measured entries of some records."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import NamedTuple
@@ -105,10 +106,7 @@ def prepare_data(
     """The prediction data of some records; `placed` states are reset, none without a horizon."""
     noise = noise_floor(measurements) if floor is None else floor
     starts = [_start(model, m, horizon_s, noise, placed) for m in measurements]
-    entries = _Entries(model, noise)
-    for m, start in zip(measurements, starts, strict=True):
-        entries.add(m, start.edges)
-    measured, source, block_end, index = entries.arrays()
+    measured, source, block_end, index = _entries(model, measurements, starts, noise)
     return PredictionData(
         measurements=measurements,
         horizon_s=horizon_s,
@@ -262,73 +260,61 @@ def _rms(noise: NoiseFloor, channel: str | None) -> float:
     return 0.0 if found is None else found.rms
 
 
-class _Entries:
-    """Residual entries, by window, then by channel."""
+def _entries(
+    model: DiagnosedModel,
+    measurements: Sequence[MeasuredRecord],
+    starts: Sequence[_Start],
+    noise: NoiseFloor,
+) -> tuple[FloatArray, NDArray[np.int64], NDArray[np.int64], Index]:
+    """Measured values, indices of the predictions, ends of the windows, description.
 
-    def __init__(self, model: DiagnosedModel, noise: NoiseFloor) -> None:
-        self._model, self._noise = model, noise
-        self._parts: list[tuple[FloatArray, ...]] = []
-        self._labels: list[tuple[float, ...]] = []
-        self._ends: list[int] = []
-        self._record, self._window, self._first, self._count = 0, 0, 0, 0
-
-    def add(self, m: MeasuredRecord, edges: NDArray[np.int64]) -> None:
-        """Appends one record whose windows begin at these samples."""
-        columns = self._columns(m)
-        ok = np.ones(m.samples, bool)
-        if m.flags is not None:
-            ok &= (m.flags & (GUARD | LATE)) == 0
-        for begin, end in zip(edges, [*edges[1:], m.samples], strict=True):
+    Residual entries go by record, by window, then by channel.
+    """
+    parts, ends, first, window = [], [0], 0, 0
+    for record, (m, start) in enumerate(zip(measurements, starts, strict=True)):
+        columns = _columns(m, model, noise)
+        ok = np.ones(m.samples, bool) if m.flags is None else (m.flags & (GUARD | LATE)) == 0
+        for begin, end in zip(start.edges, [*start.edges[1:], m.samples], strict=True):
+            ends.append(ends[-1])
             for channel, (column, sigma) in columns.items():
                 kept = begin + np.flatnonzero(ok[begin:end] & np.isfinite(column[begin:end]))
-                source = len(CHANNELS) * self._first + channel * m.samples + kept
-                self._parts.append((column[kept], source, kept, m.time_s[kept]))
-                self._labels.append((kept.size, self._record, channel, self._window, sigma))
-                self._count += kept.size
-            self._ends.append(self._count)
-            self._window += 1
-        self._record += 1
-        self._first += m.samples
+                part = np.empty((7, kept.size))
+                part[:3] = column[kept], len(CHANNELS) * first + channel * m.samples + kept, kept
+                part[3:] = np.array([[record], [channel], [window], [sigma]])
+                parts.append(part)
+                ends[-1] += kept.size
+            window += 1
+        first += m.samples
+    measured, source, sample, *labels, sigma = np.concatenate(parts, axis=1)
+    record, channel, number = (label.astype(np.int32) for label in labels)
+    place = sample.astype(np.int32)
+    times = np.concatenate([m.time_s for m in measurements])
+    begins = np.cumsum([0, *(m.samples for m in measurements)])
+    index = Index(record, channel, place, times[begins[record] + place], sigma, number)
+    return measured, source.astype(np.int64), np.array(ends[1:], np.int64), index
 
-    def arrays(self) -> tuple[FloatArray, NDArray[np.int64], NDArray[np.int64], Index]:
-        """Measured values, indices of the predictions, ends of the windows, description."""
-        kinds = (np.float64, np.int64, np.int32, np.float64)
-        measured, source, sample, time_s = (
-            np.concatenate(parts, dtype=kind)
-            for parts, kind in zip(zip(*self._parts, strict=True), kinds, strict=True)
-        )
-        labels = np.array(self._labels)
-        count = labels[:, 0].astype(np.int64)
-        record, channel, window = (
-            np.repeat(column.astype(np.int32), count) for column in labels[:, 1:4].T
-        )
-        sigma = np.repeat(labels[:, 4], count)
-        index = Index(record, channel, sample, time_s, sigma, window)
-        return measured, source, np.array(self._ends, np.int64), index
 
-    def _columns(self, m: MeasuredRecord) -> dict[int, tuple[FloatArray, float]]:
-        """The measured channels that the model predicts, with sigma_eff."""
-        found = {}
-        for number, name in enumerate(CHANNELS):
-            column = m.channel(name) if name in self._model.outputs else None
-            if name == "current_A":
-                column = _without_lag(m, self._model.newtons_per_ampere)
-            if column is None:
-                continue
+def _columns(
+    m: MeasuredRecord, model: DiagnosedModel, noise: NoiseFloor
+) -> dict[int, tuple[FloatArray, float]]:
+    """The measured channels that the model predicts, with sigma_eff."""
+    found = {}
+    for number, name in enumerate(CHANNELS):
+        column = m.channel(name) if name in model.outputs else None
+        if name == "current_A":
+            column = _without_lag(m, model.newtons_per_ampere)
+        if column is not None:
             spread, largest = float(np.nanstd(column)), float(np.nanmax(np.abs(column)))
-            found[number] = column, _sigma(self._noise, name, spread, largest)
-        return found
+            found[number] = column, _sigma(noise, name, spread, largest)
+    return found
 
 
 def _sigma(
     noise: NoiseFloor, channel: str, spread: float, largest: float, known: float = 0.0
 ) -> float:
     """Sigma_eff of a channel, from the rms to explain, the largest reading and known noise."""
-    sigma, least = (
-        noise.effective(channel, spread, known),
-        SIGMA_MIN * max(spread, largest, 1e-3),
-    )
-    return max(sigma, least) if np.isfinite(sigma) else least
+    least = SIGMA_MIN * max(spread, largest, 1e-3)
+    return float(np.fmax(noise.effective(channel, spread, known), least))
 
 
 def _without_lag(m: MeasuredRecord, newtons_per_ampere: float) -> FloatArray | None:

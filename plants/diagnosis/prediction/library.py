@@ -9,7 +9,9 @@ import casadi as ca
 
 from estune.errors import PlantError
 from estune.support import c_compiler
-from plants.diagnosis.models.diagnosed_model import SENSORS, Structure
+from plants.diagnosis.models.diagnosed_model import SENSORS
+from plants.models.path_structure import PathStructure
+from plants.models.symbolic_plant import TracedStructure
 from plants.simulation.c_source import c_source
 from plants.simulation.equations import Equations
 
@@ -42,7 +44,7 @@ class Library:
         placed: Number of states that are reset.
     """
 
-    def __init__(self, structure: Structure) -> None:
+    def __init__(self, structure: PathStructure | TracedStructure) -> None:
         """Compiles the structure, unless it is cached.
 
         Raises:
@@ -73,7 +75,7 @@ class Library:
 
 
 @lru_cache(maxsize=256)
-def library(structure: Structure) -> Library:
+def library(structure: PathStructure | TracedStructure) -> Library:
     """The library of a structure, made once per process."""
     return Library(structure)
 

@@ -100,15 +100,15 @@ class Predictor:
             if reason:
                 raise PlantError(f"{effect.name} is not available: {reason}")
         self._model = model
-        self._library = library(model.structure(model.combined(effects)))
+        compiled = library(model.structure(model.combined(effects)))
         self.horizon_s = model.suggested_horizon_s if horizon_s == "model" else horizon_s
         self._data, self._basis = _windowed(
-            model, tuple(measurements), self.horizon_s, floor, self._library.placed
+            model, tuple(measurements), self.horizon_s, floor, compiled.placed
         )
         self._slots = _present_slots(model.slots(effects), model, self._data)
         sensors = _sensors(model)
         known = [model.parameters(effects, m) | sensors for m in self._data.measurements]
-        self._table = _Table(self._library, known, self._slots)
+        self._runner = _Runner(compiled, self._data, known, self._slots)
         self.index: Index = self._data.index
         self.free: tuple[Free, ...] = tuple(slot.free for slot in self._slots)
         self.start: FloatArray = np.array([free.start for free in self.free])
@@ -116,19 +116,18 @@ class Predictor:
     def predict(self, rows: FloatArray) -> list[Prediction]:
         """The channels of each measurement, for each row of values, shape (rows, free)."""
         outputs = np.empty((len(rows), len(CHANNELS) * self._data.samples))
-        _run(self._library, self._data, self._table.of(rows), outputs=outputs)
-        shown = []
-        last = np.cumsum(self._data.record_samples)
-        for m, end, size in zip(
-            self._data.measurements, last, self._data.record_samples, strict=True
-        ):
-            own = outputs[:, len(CHANNELS) * (end - size) : len(CHANNELS) * end]
-            part = own.reshape(len(rows), len(CHANNELS), size)
-            measured = m.measured_current_A(self._model.newtons_per_ampere) is not None
-            known = {*self._model.outputs, *(("current_A",) if measured else ())}
-            columns = (part[:, n] if name in known else None for n, name in enumerate(CHANNELS))
-            shown.append(Prediction._make(columns))
-        return shown
+        self._runner.run(rows, outputs=outputs)
+        last = np.cumsum(self._data.record_samples)[:-1]
+        parts = np.split(outputs, len(CHANNELS) * last, axis=1)
+        return [self._shown(m, p) for m, p in zip(self._data.measurements, parts, strict=True)]
+
+    def _shown(self, m: MeasuredRecord, part: FloatArray) -> Prediction:
+        """The channels of one record that the model predicts, or that were measured."""
+        measured = m.measured_current_A(self._model.newtons_per_ampere) is not None
+        known = {*self._model.outputs, *(("current_A",) if measured else ())}
+        channels = np.split(part, len(CHANNELS), axis=1)
+        columns = (c if n in known else None for n, c in zip(CHANNELS, channels, strict=True))
+        return Prediction._make(columns)
 
     def residuals(self, rows: FloatArray, entries: NDArray[np.int64] | None = None) -> FloatArray:
         """(measured - predicted)/sigma_eff, the initial states of the windows projected out.
@@ -146,8 +145,7 @@ class Predictor:
         every = np.arange(self.index.sigma.size)
         chosen = every if entries is None else np.ascontiguousarray(entries, np.int64)
         found = np.empty((len(rows), chosen.size))
-        table = self._table.of(rows)
-        _run(self._library, self._data, table, basis=self._basis, residuals=found, chosen=chosen)
+        self._runner.run(rows, basis=self._basis, residuals=found, chosen=chosen)
         return found
 
     def linearise(
@@ -215,26 +213,73 @@ class Predictor:
         return -step if value + step > free.high else step
 
 
-class _Table:
-    """Parameter table: rows of values as rows of parameters and sensors, one for each record."""
+class _Runner:
+    """A library with prediction data, and the values of all its parameters in every record."""
 
     def __init__(
-        self, compiled: Library, records: Sequence[Mapping[str, float]], slots: Sequence[Slot]
+        self,
+        compiled: Library,
+        of: PredictionData,
+        records: Sequence[Mapping[str, float]],
+        slots: Sequence[Slot],
     ) -> None:
-        """Lays out the table: columns of the library, parameters of each record by name."""
-        columns = compiled.columns
+        """Lays out the parameter table: columns of the library, parameters of each record."""
+        self._library, self._data, columns = compiled, of, compiled.columns
         self._template = np.array([[known[name] for name in columns] for known in records])
         self._slots = [
             (columns[s.column], slice(None) if s.record is None else s.record, s.factor)
             for s in slots
         ]
 
-    def of(self, rows: FloatArray) -> FloatArray:
-        """The parameters, shape (rows, records, columns).
+    def run(
+        self,
+        rows: FloatArray,
+        *,
+        kick: FloatArray | None = None,
+        basis: FloatArray | None = None,
+        outputs: FloatArray | None = None,
+        residuals: FloatArray | None = None,
+        chosen: NDArray[np.int64] | None = None,
+    ) -> None:
+        """Fills the outputs, or the residuals of the chosen entries.
+
+        Args:
+            rows: Values, shape (rows, slots).
+            kick: Steps of the initial states, shape (rows, placed).
+            basis: What is projected out, shape (placed, entries).
+            outputs: Filled with all channels, shape (rows, channels x samples).
+            residuals: Filled, shape (rows, chosen).
+            chosen: Entries, ascending.
 
         Raises:
             InvalidInput: the rows have another number of values.
         """
+        of, weight, wanted = self._data, 1.0 / self._data.index.sigma, None
+        if chosen is not None:
+            wanted = np.zeros(len(of.measurements), np.bool_)
+            wanted[of.index.measurement[chosen]] = True
+        arrays = {name: getattr(of, name) for name in RECORD_ARRAYS} | {
+            "table": self._table(rows),
+            "kick": kick,
+            "weight": weight,
+            "wanted": wanted,
+            "basis": basis,
+            "outputs": outputs,
+            "chosen": chosen,
+            "residuals": residuals,
+        }
+        task = Task(
+            rows=len(rows),
+            records=len(of.measurements),
+            samples=of.samples,
+            entries=of.index.sigma.size,
+            kept=0 if chosen is None else chosen.size,
+            **{name: None if a is None else a.ctypes.data for name, a in arrays.items()},
+        )
+        self._library.run(task)
+
+    def _table(self, rows: FloatArray) -> FloatArray:
+        """The parameters, shape (rows, records, columns)."""
         rows = np.asarray(rows, np.float64)
         if rows.ndim != 2 or rows.shape[1] != len(self._slots):
             raise InvalidInput(
@@ -259,45 +304,6 @@ def _present_slots(slots: list[Slot], model: DiagnosedModel, of: PredictionData)
         if number is not None:
             kept.append(slot._replace(record=number))
     return kept
-
-
-def _run(
-    compiled: Library,
-    of: PredictionData,
-    table: FloatArray,
-    *,
-    state_steps: FloatArray | None = None,
-    basis: FloatArray | None = None,
-    outputs: FloatArray | None = None,
-    residuals: FloatArray | None = None,
-    chosen: NDArray[np.int64] | None = None,
-) -> None:
-    """Fills the outputs, or the residuals of the chosen entries."""
-    weight = 1.0 / of.index.sigma
-    wanted = None
-    if chosen is not None:
-        wanted = np.zeros(len(of.measurements), np.bool_)
-        wanted[of.index.measurement[chosen]] = True
-
-    arrays = {name: getattr(of, name) for name in RECORD_ARRAYS} | {
-        "table": table,
-        "kick": state_steps,
-        "weight": weight,
-        "wanted": wanted,
-        "basis": basis,
-        "outputs": outputs,
-        "chosen": chosen,
-        "residuals": residuals,
-    }
-    task = Task(
-        rows=len(table),
-        records=len(of.measurements),
-        samples=of.samples,
-        entries=of.index.sigma.size,
-        kept=0 if chosen is None else chosen.size,
-        **{name: None if array is None else array.ctypes.data for name, array in arrays.items()},
-    )
-    compiled.run(task)
 
 
 @lru_cache(maxsize=16)
@@ -326,13 +332,12 @@ def _basis(model: DiagnosedModel, of: PredictionData) -> FloatArray:
     slots = [s._replace(column=s.column.replace(CALIBRATION, "0")) for s in slots]
     own = {"delay_samples": 0.0, **{f"0.{n}": v for n, v in vars(model.calibration).items()}}
     known = [{**model.numbers(m), **own, **_sensors(model)} for m in of.measurements]
-    table = _Table(bare, known, slots)
-    row = np.array([[slot.free.start for slot in slots]])
-    state_steps = np.zeros((1 + bare.placed, bare.placed))
-    state_steps[1:] = np.diag(_state_steps(of, bare.placed))
-    found = np.empty((len(state_steps), of.index.sigma.size))
-    rows, every = np.repeat(row, len(state_steps), axis=0), np.arange(of.index.sigma.size)
-    _run(bare, of, table.of(rows), state_steps=state_steps, residuals=found, chosen=every)
+    kick = np.zeros((1 + bare.placed, bare.placed))
+    kick[1:] = np.diag(_state_steps(of, bare.placed))
+    rows = np.tile([slot.free.start for slot in slots], (len(kick), 1))
+    every = np.arange(of.index.sigma.size)
+    found = np.empty((len(kick), every.size))
+    _Runner(bare, of, known, slots).run(rows, kick=kick, residuals=found, chosen=every)
     return WindowProjection(of.block_end).orthonormal(found[1:] - found[0])
 
 

@@ -57,9 +57,7 @@ class Diagnosis(DiagnosisResult):
 
     def plot_gap(self, ax: "Axes | None" = None) -> "Axes":
         """Draws the prediction error above the noise floor after each step."""
-        from plants.diagnosis.report import figures  # noqa: PLC0415  slow to import
-
-        return figures.draw_gap(_axes(ax), self)
+        return _drawn("gap", ax, self)
 
     def plot_traces(self, record: str | None = None, ax: "Axes | None" = None) -> "Axes":
         """Draws a record in free run, before and after, where the base model is worst.
@@ -71,47 +69,31 @@ class Diagnosis(DiagnosisResult):
         Raises:
             InvalidInput: there is no such record.
         """
-        from plants.diagnosis.report import figures  # noqa: PLC0415  slow to import
-
-        return figures.draw_trace(_axes(ax), summary.trace_of(self, record))
+        return _drawn("trace", ax, summary.trace_of(self, record))
 
     def plot_error(self, record: str | None = None, ax: "Axes | None" = None) -> "Axes":
         """Draws the free-run error over a whole record; see `plot_traces`."""
-        from plants.diagnosis.report import figures  # noqa: PLC0415  slow to import
-
-        return figures.draw_error(_axes(ax), summary.trace_of(self, record))
+        return _drawn("error", ax, summary.trace_of(self, record))
 
     def plot_spectrum(self, ax: "Axes | None" = None) -> "Axes":
         """Draws the free-run error over frequency, before and after."""
-        from plants.diagnosis.report import figures  # noqa: PLC0415  slow to import
-
-        return figures.draw_spectrum(_axes(ax), self)
+        return _drawn("spectrum", ax, self)
 
     def plot_where(self, ax: "Axes | None" = None) -> "Axes":
         """Draws the share of each block's residual that follows time, speed, tension and so on."""
-        from plants.diagnosis.report.residual_figures import (  # noqa: PLC0415  slow to import
-            draw_shares,
-        )
-
-        return draw_shares(_axes(ax), self.where)
+        return _drawn("shares", ax, self.where)
 
     def plot_ranking(self, ax: "Axes | None" = None) -> "Axes":
         """Draws the prediction error left by each effect that was fitted."""
-        from plants.diagnosis.report import figures  # noqa: PLC0415  slow to import
-
-        return figures.draw_ranking(_axes(ax), self)
+        return _drawn("ranking", ax, self)
 
     def plot_calibrations(self, ax: "Axes | None" = None) -> "Axes":
         """Draws how the base model's numbers shifted."""
-        from plants.diagnosis.report import figures  # noqa: PLC0415  slow to import
-
-        return figures.draw_calibrations(_axes(ax), self)
+        return _drawn("calibrations", ax, self)
 
     def plot_splits(self, ax: "Axes | None" = None) -> "Axes":
         """Draws which third of the data each stretch of the records is left out with."""
-        from plants.diagnosis.report import figures  # noqa: PLC0415  slow to import
-
-        return figures.draw_splits(_axes(ax), self)
+        return _drawn("splits", ax, self)
 
     def figure(self) -> "Figure":
         """Before and after, the error step by step, and where it is, on one page."""
@@ -120,16 +102,7 @@ class Diagnosis(DiagnosisResult):
         return figures.overview(self)
 
     def __repr__(self) -> str:
-        table = summary.gaps(self)
-        rows = [table.columns, *table.rows]
-        widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-        lines = [
-            "  ".join(
-                [f"  {row[0]:<{widths[0]}}"]
-                + [f"{cell:>{width}}" for cell, width in zip(row[1:], widths[1:], strict=True)]
-            ).rstrip()
-            for row in rows
-        ]
+        lines = summary.gaps(self).lines()
         return "\n".join([self.heading(), *lines, *summary.sentences(self)])
 
     def _repr_html_(self) -> str:
@@ -143,7 +116,9 @@ class Diagnosis(DiagnosisResult):
         )
 
 
-def _axes(ax: "Axes | None") -> "Axes":
+def _drawn(what: str, ax: "Axes | None", subject: Any) -> "Axes":
     from estune.support.plot_style import new_axes  # noqa: PLC0415  slow to import
+    from plants.diagnosis.report import figures  # noqa: PLC0415  slow to import
 
-    return ax or new_axes()
+    drawn: Axes = getattr(figures, f"draw_{what}")(ax or new_axes(), subject)
+    return drawn

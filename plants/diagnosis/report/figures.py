@@ -25,6 +25,7 @@ from estune.support.plot_style import (
 )
 from plants.diagnosis.report.residual_figures import NOISE, draw_shares
 from plants.diagnosis.report.summary import main_channel, step_name, worst_trace
+from plants.diagnosis.residual.residuals import spectrum
 from plants.diagnosis.result import BaseParameter, DiagnosisResult, Trace
 from plants.effects.plant_scale import digits, si
 
@@ -35,6 +36,8 @@ THIRD_COLOURS = (LIGHT, ORANGE, BLUE)
 
 _EXCERPT_samples = 1200
 _BINS = 600
+WINDOW = 1024
+"""Samples in a segment of the spectrum of an error."""
 NAME_MAX = 18
 """Characters of a record's name, its last, beside its bar: more leave no room on a small page."""
 
@@ -67,9 +70,9 @@ def draw_gap(ax: Axes, d: DiagnosisResult) -> Axes:
     return ax
 
 
-def draw_trace(ax: Axes, trace: Trace, within: slice | None = None) -> Axes:
+def draw_trace(ax: Axes, trace: Trace) -> Axes:
     """One channel of one record, measured and in free run before and after."""
-    part = excerpt(trace) if within is None else within
+    part = excerpt(trace)
     time = trace.time_s[part]
     ax.plot(time, trace.measured[part], label="measured", **MEASURED)
     ax.plot(time, trace.before[part], label="base model", **BEFORE)
@@ -96,17 +99,15 @@ def draw_error(ax: Axes, trace: Trace) -> Axes:
     return ax
 
 
-def draw_spectrum(ax: Axes, d: DiagnosisResult, channel: str | None = None) -> Axes:
+def draw_spectrum(ax: Axes, d: DiagnosisResult) -> Axes:
     """Amplitude density of the free run's error before and after, above that of the noise."""
-    channel = channel or main_channel(d)
+    channel = main_channel(d)
     traces = [t for t in d.traces if t.channel == channel]
-    for which, look, label in (
-        ("before", BEFORE, "base model"),
-        ("after", AFTER, "with the effects"),
-    ):
-        if which == "before" or any(map(changed, traces)):
-            frequency, density = error_density(traces, which)
-            ax.plot(frequency, density, label=label, **look)
+    looks = [("before", BEFORE, "base model")]
+    looks += [("after", AFTER, "with the effects")] * any(map(changed, traces))
+    for which, look, label in looks:
+        frequency, density = error_density(traces, which)
+        ax.plot(frequency, density, label=label, **look)
     unit = traces[0].unit
     noise = d.noise.channels.get(channel)
     if noise is not None and noise.rms > 0.0:
@@ -132,7 +133,7 @@ def draw_ranking(ax: Axes, d: DiagnosisResult) -> Axes:
             f"{c.gap:.3g}", (c.gap, y), (4, 0), textcoords="offset points", va="center",
             fontsize=8,
         )  # fmt: skip
-    ax.axvline(d.ratio_before, color=ORANGE, linewidth=1.2, label="base model")
+    ax.axvline(d.before.ratio, color=ORANGE, linewidth=1.2, label="base model")
     ax.axvline(1.0, label="noise floor", **NOISE)
     ax.set_yticks(at, [c.name for c in fitted])
     finish(ax, "", "error left with this effect alone, times the noise floor")
@@ -171,13 +172,9 @@ def draw_calibrations(ax: Axes, d: DiagnosisResult) -> Axes:
     fits = [("base", ORANGE, "s", 0.13, "fitted alone")]
     fits += [("with_effects", BLUE, "o", -0.13, "fitted with the effects")] * bool(d.effects)
     for which, colour, marker, off, label in fits:
-        found = [getattr(c, which) for c in shown]
-        scaled = [
-            (f.value / c.given, abs(f.value - f.low), abs(f.high - f.value), abs(c.given))
-            for c, f in zip(shown, found, strict=True)
-        ]
-        value, low, high = np.array([(v, lo / g, hi / g) for v, lo, hi, g in scaled]).T
-        bars = np.nan_to_num(np.array([low, high]))
+        ends = [(f.value, f.low, f.high) for f in (getattr(c, which) for c in shown)]
+        value, low, high = np.array(ends).T / np.array([c.given for c in shown])
+        bars = np.nan_to_num(np.abs([value - low, high - value]))
         ax.errorbar(
             value, at + off, xerr=bars, fmt=marker, color=colour, markersize=4, capsize=2,
             linewidth=1.0, label=label,
@@ -207,17 +204,13 @@ def excerpt(trace: Trace) -> slice:
 
 
 def error_density(traces: Iterable[Trace], which: str) -> tuple[FloatArray, FloatArray]:
-    """Frequencies, Hz, and amplitude density of the error over all traces, Welch's mean."""
-    from scipy.signal import welch  # noqa: PLC0415  slow to import
-
-    errors = [(np.nan_to_num(t.measured - getattr(t, which)), _rate_Hz(t.time_s)) for t in traces]
-    rate = errors[0][1]
-    same = [error for error, hertz in errors if math.isclose(hertz, rate, rel_tol=1e-3)]
-    window = min(1024, *(error.size for error in same))
-    powers = [welch(error, rate, nperseg=window) for error in same]
-    weights = [error.size for error in same]
-    power = np.average([p for _, p in powers], axis=0, weights=weights)
-    return powers[0][0], np.sqrt(np.maximum(power, 1e-300))
+    """Frequencies, Hz, and amplitude density of the error over all traces of one rate."""
+    traces = list(traces)
+    rate = _rate_Hz(traces[0].time_s)
+    same = [t for t in traces if math.isclose(_rate_Hz(t.time_s), rate, rel_tol=1e-3)]
+    errors = [t.measured - getattr(t, which) for t in same]
+    frequency, power = spectrum([error - np.nanmean(error) for error in errors], rate, WINDOW)
+    return frequency, np.sqrt(np.maximum(power, 1e-300))
 
 
 def _rate_Hz(time_s: FloatArray) -> float:

@@ -5,18 +5,13 @@ from collections.abc import Mapping
 from dataclasses import asdict
 from typing import Any
 
-from plants.diagnosis.result import (
-    BaseParameter,
-    DeclaredEffect,
-    DiagnosisResult,
-    HoldOut,
-    SearchStep,
-)
+from plants.diagnosis.result import DiagnosisResult, HoldOut, NextExperiment, SearchStep
 
 
 def to_json(d: DiagnosisResult) -> dict[str, Any]:
     """The diagnosis as JSON values; what is not a finite number is null."""
     unit = d.unit
+    errors = {"given": d.given, "before": d.before, "after": d.after}
     values = {
         "verdict": d.verdict,
         "sentence": d.sentence,
@@ -42,24 +37,20 @@ def to_json(d: DiagnosisResult) -> dict[str, Any]:
             }
             for c in d.candidates
         ],
-        f"gap_given_{unit}": d.given.gap,
-        f"gap_before_{unit}": d.gap_before,
-        f"gap_after_{unit}": d.gap_after,
+        **{f"gap_{name}_{unit}": e.gap for name, e in errors.items()},
         f"floor_{unit}": d.floor,
-        "gap_given_floors": d.given.ratio,
-        "gap_before_floors": d.ratio_before,
-        "gap_after_floors": d.ratio_after,
+        **{f"gap_{name}_floors": e.ratio for name, e in errors.items()},
         "closure": d.closure,
-        f"free_run_given_{unit}": d.given.rms,
-        f"free_run_before_{unit}": d.rms_before,
-        f"free_run_after_{unit}": d.rms_after,
+        **{f"free_run_{name}_{unit}": e.rms for name, e in errors.items()},
         "where": d.where.to_json(),
         "not_excited": d.not_excited,
         "ruled_out": d.ruled_out,
-        "next_experiment": d.next_experiment and d.next_experiment.to_json(),
-        "declared": [_declared(effect) for effect in d.declared],
+        "next_experiment": d.next_experiment and _trial(d.next_experiment),
+        "declared": [asdict(effect) for effect in d.declared],
         "hold_out": d.hold_out and _hold_out(d.hold_out, unit),
-        "calibrations": {c.name: _shift(c) for c in d.calibrations},
+        "calibrations": {
+            c.name: {k: v for k, v in asdict(c).items() if k != "name"} for c in d.calibrations
+        },
         "steps": [_step(step, unit) for step in d.steps],
         "noise": d.noise.to_json(),
         "exit_code": d.exit_code,
@@ -70,23 +61,17 @@ def to_json(d: DiagnosisResult) -> dict[str, Any]:
     return {name: finite_json(value) for name, value in values.items()}
 
 
-def _declared(effect: DeclaredEffect) -> dict[str, Any]:
-    fitted = {name: asdict(one) for name, one in effect.parameters.items()}
-    return asdict(effect) | {"parameters": fitted}
+def _trial(one: NextExperiment) -> dict[str, Any]:
+    named = {"name": one.trial.name, "file": one.file_name, "command": one.command}
+    rest = {"sentence": one.sentence, "separation": one.separation, "tried": one.tried}
+    return named | rest | {"profile": asdict(one.trial.profile)}
 
 
 def _hold_out(held: HoldOut, unit: str) -> dict[str, Any]:
-    models = {"given": held.given, "base": held.base, "with_effects": held.with_effects}
-    errors = {
-        name: {f"gap_{unit}": e.gap, "gap_floors": e.ratio, f"free_run_{unit}": e.rms}
-        for name, e in models.items()
-    }
+    names = (f"gap_{unit}", "gap_floors", f"free_run_{unit}")
+    models = zip(("given", "base", "with_effects"), held[2:], strict=True)
+    errors = {name: dict(zip(names, e, strict=True)) for name, e in models}
     return {"records": held.records, f"floor_{unit}": held.floor, **errors}
-
-
-def _shift(c: BaseParameter) -> dict[str, Any]:
-    fitted = {"base": asdict(c.base), "with_effects": asdict(c.with_effects)}
-    return {"unit": c.unit, "given": c.given, **fitted}
 
 
 def _step(step: SearchStep, unit: str) -> dict[str, Any]:

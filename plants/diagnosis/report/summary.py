@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from estune.errors import InvalidInput
-from plants.diagnosis.result import DiagnosisResult, Interval, ModelErrors, Trace
+from plants.diagnosis.result import DiagnosisResult, Interval, Trace
 from plants.effects import EFFECTS
 from plants.effects.plant_scale import PlantScale, digits, si
 
@@ -42,6 +42,18 @@ class Table(NamedTuple):
             if all(row[n][:1] in "-0123456789" for row in self.rows)
         )
 
+    def lines(self) -> list[str]:
+        """The table as plain text."""
+        rows = [self.columns, *self.rows]
+        widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+        return [
+            "  ".join(
+                f"{cell:>{width}}" if n in self.numeric else f"{cell:<{width}}"
+                for n, (cell, width) in enumerate(zip(row, widths, strict=True))
+            ).rstrip()
+            for row in rows
+        ]
+
 
 def heading(d: DiagnosisResult) -> str:
     """Limits of the records, the verdict and the prediction error in one line."""
@@ -53,9 +65,9 @@ def heading(d: DiagnosisResult) -> str:
         what = "the prediction error is at the noise floor"
     else:
         what = " and ".join(effect.title for effect in d.effects)
-    error = _in(d.gap_before, d)
+    error = _in(d.before.gap, d)
     if d.effects:
-        error += f" → {_in(d.gap_after, d)}"
+        error += f" → {_in(d.after.gap, d)}"
     first = "".join(f"{one.label}; " for one in d.limitations)
     first = f"WITH RESERVATION, {first.removesuffix('; ')}. " if first else ""
     told = f"{what}; prediction error {error}, noise floor {_in(d.floor, d)}"
@@ -83,8 +95,7 @@ def _title(d: DiagnosisResult, name: str) -> str:
 
 def gaps(d: DiagnosisResult) -> Table:
     """Prediction errors: of the model as given, refitted, and refitted with the effects."""
-    given, base = d.given, ModelErrors(d.gap_before, d.ratio_before, d.rms_before)
-    models = (given, base, ModelErrors(d.gap_after, d.ratio_after, d.rms_after))
+    models = (d.given, d.before, d.after)
     rows = [
         ("error of short predictions, rms", *(_in(m.gap, d) for m in models)),
         ("noise floor", *[_in(d.floor, d)] * 3),
@@ -130,32 +141,19 @@ def not_excited(d: DiagnosisResult) -> Table:
 
 def calibrations(d: DiagnosisResult) -> Table:
     """The base model's numbers: as given, fitted alone, fitted with the effects."""
+    fits = ("base", "with_effects") if d.effects else ("base",)
+    heads = ("fitted alone", "with the effects") if d.effects else ("fitted",)
     rows = [
-        (
-            c.name,
-            number(c.given),
-            _with_half_width(c.base),
-            _with_half_width(c.with_effects),
-            c.unit,
-        )
+        (c.name, number(c.given), *(_with_half_width(getattr(c, fit)) for fit in fits), c.unit)
         for c in d.calibrations
     ]
-    if d.effects:
-        columns = ("", "given", "fitted alone", "with the effects", "unit")
-        return Table(columns, tuple(rows))
-    return Table(("", "given", "fitted", "unit"), tuple((*r[:3], r[4]) for r in rows))
+    return Table(("", "given", *heads, "unit"), tuple(rows))
 
 
 def ranking(d: DiagnosisResult) -> Table:
     """All effects that were tried as the first one, best first."""
     rows = [
-        (
-            c.name,
-            _percent(c.cosine2),
-            _percent(c.probability),
-            _percent(c.closure),
-            number(c.gap),
-        )
+        (c.name, *map(_percent, (c.cosine2, c.probability, c.closure)), number(c.gap))
         for c in d.candidates
     ]
     columns = ("effect", "screening R²", "probability", "explained", "times the floor left")
@@ -188,8 +186,7 @@ def distortions(d: DiagnosisResult) -> Table:
         (
             x.source,
             scale.channel(x.channel)[0],
-            f"{number(x.even_dB)} dB",
-            f"{number(x.odd_dB)} dB",
+            *(f"{number(v)} dB" for v in (x.even_dB, x.odd_dB)),
         )
         for x in d.where.distortion
     ]
@@ -293,6 +290,7 @@ def _places(it: Interval) -> int | None:
 def _rounded(value: float, places: int | None) -> str:
     if not math.isfinite(value):
         return "-"
-    if places is None or not 0 <= places <= _PLACES_MAX:
-        return f"{value:.4g}" if places is None else f"{round(value, places):.6g}"
-    return f"{value:.{places}f}"
+    if places is None:
+        return f"{value:.4g}"
+    within = 0 <= places <= _PLACES_MAX
+    return f"{value:.{places}f}" if within else f"{round(value, places):.6g}"

@@ -20,6 +20,7 @@ import numpy as np
 from estune.core.quantities import FloatArray
 from estune.errors import InvalidInput
 from estune.trial import LinearModel
+from plants.diagnosis.data.measured_record import MeasuredRecord
 from plants.diagnosis.data.smoothing import Smoother, least_width
 from plants.diagnosis.models.base import BaseNumbers
 
@@ -33,6 +34,15 @@ Signals = Mapping[str, FloatArray]
 """Signals of one record, or simulated noise of them, shape (samples,) each: `effort_N` (command
 times newtons per ampere) and, where measured, `angle_rad`, `tension_N` (the output of a plant that
 is no reel), `reference_N`, `current_A`."""
+
+
+class Record(NamedTuple):
+    """One measurement with the model's numbers, its signals, and simulated noise of each."""
+
+    measurement: MeasuredRecord
+    numbers: BaseNumbers
+    signals: Signals
+    noise: Signals
 
 
 class Terms(NamedTuple):
@@ -72,42 +82,21 @@ class Equation:
 
 
 def _force(b: BaseNumbers, s: Signals, smoother: Smoother) -> Terms:
-    """R T = K_t u - J a - b v + u_0."""
-    w = 2.0 * math.pi * b.gauge_Hz if b.gauge_Hz else math.inf
-    known = b.drum_radius_m * smoother.sampled(
-        s["tension_N"], 1.0, 2.0 * b.gauge_damping / w, 1.0 / w**2
-    )
-    columns = [
-        b.drum_radius_m * smoother.held(s["effort_N"], b.dead_time_s, 1.0),
-        -b.drum_inertia_kg_m2 * smoother.sampled(s["angle_rad"], 0.0, 0.0, 1.0),
-        -smoother.sampled(s["angle_rad"], 0.0, 1.0),
-    ]
-    return Terms(-known, -np.column_stack(columns))
-
-
-def _force_by_angle(b: BaseNumbers, s: Signals, smoother: Smoother) -> Terms:
-    """K_t u = J a + b v + k R^2 theta - u_0, without a gauge."""
-    known = b.drum_radius_m * smoother.held(s["effort_N"], b.dead_time_s, 1.0)
-    columns = [
-        b.drum_inertia_kg_m2 * smoother.sampled(s["angle_rad"], 0.0, 0.0, 1.0),
-        smoother.sampled(s["angle_rad"], 0.0, 1.0),
-    ]
+    """K_t u + u_0 = J a + b v + R T; with one sensor by the cable's law, T = k R theta."""
+    encoder, gauge = "angle_rad" in s, "tension_N" in s and b.stiffness_N_m is not None
+    angle = s["angle_rad"] if encoder else s["tension_N"] / b.tension_per_angle_N_rad
+    effort = b.drum_radius_m * smoother.held(s["effort_N"], b.dead_time_s, 1.0)
+    inertia = b.drum_inertia_kg_m2 * smoother.sampled(angle, 0.0, 0.0, 1.0)
+    friction = smoother.sampled(angle, 0.0, 1.0)
+    if gauge and encoder:  # the gauge's own dynamics undone
+        w = 2.0 * math.pi * b.gauge_Hz if b.gauge_Hz else math.inf
+        pull = smoother.sampled(s["tension_N"], 1.0, 2.0 * b.gauge_damping / w, 1.0 / w**2)
+        return Terms(-b.drum_radius_m * pull, np.column_stack([-effort, inertia, friction]))
+    columns = [inertia, friction]
     if b.stiffness_N_m is not None:
-        k = b.stiffness_N_m * b.drum_radius_m**2
-        columns.append(k * smoother.sampled(s["angle_rad"], 1.0))
-    return Terms(known, np.column_stack(columns))
-
-
-def _force_by_tension(b: BaseNumbers, s: Signals, smoother: Smoother) -> Terms:
-    """K_t u = J a + b v + k R^2 theta - u_0 with theta = T/(k R), without an encoder."""
-    known = b.drum_radius_m * smoother.held(s["effort_N"], b.dead_time_s, 1.0)
-    radian_per_N = 1.0 / b.tension_per_angle_N_rad
-    columns = [
-        b.drum_inertia_kg_m2 * radian_per_N * smoother.sampled(s["tension_N"], 0.0, 0.0, 1.0),
-        radian_per_N * smoother.sampled(s["tension_N"], 0.0, 1.0),
-        b.drum_radius_m * smoother.sampled(s["tension_N"], 1.0),
-    ]
-    return Terms(known, np.column_stack(columns))
+        torque = b.tension_per_angle_N_rad * b.drum_radius_m
+        columns.append(torque * smoother.sampled(angle, 1.0))
+    return Terms(effort, np.column_stack(columns))
 
 
 def _gauge(b: BaseNumbers, s: Signals, smoother: Smoother) -> Terms:
@@ -139,23 +128,18 @@ def _plant(b: BaseNumbers, s: Signals, smoother: Smoother) -> Terms:
     """b(d/dt) u = a(d/dt) y, both divided by the first coefficient of b: an effort."""
     numerator, denominator = transfer(_linear(b))
     known = smoother.held(s["effort_N"], b.dead_time_s, *numerator)
-    return Terms(known, _derivatives(denominator, s, smoother))
+    output = s["tension_N"] if "tension_N" in s else s["angle_rad"]
+    orders = np.eye(denominator.size) * np.where(denominator == 0.0, 1.0, denominator)
+    return Terms(known, np.column_stack([smoother.sampled(output, *row) for row in orders]))
 
 
 def _plant_of_smooth_input(b: BaseNumbers, s: Signals, smoother: Smoother) -> Terms:
-    """b(d/dt) u = a(d/dt) y of an input that was sampled, not held: half a sample earlier."""
-    numerator, denominator = transfer(_linear(b))
-    known = smoother.sampled(s["effort_N"], *numerator)
+    """The same of an input that was sampled, not held: half a sample earlier."""
+    terms = _plant(b, s, smoother)
+    known = smoother.sampled(s["effort_N"], *transfer(_linear(b))[0])
     late = b.dead_time_s * b.sampling_Hz
-    index = np.arange(known.size) - late
-    delayed = np.interp(index, np.arange(known.size), known) if late > 0.0 else known
-    return Terms(delayed, _derivatives(denominator, s, smoother))
-
-
-def _derivatives(denominator: FloatArray, s: Signals, smoother: Smoother) -> FloatArray:
-    output = s["tension_N"] if "tension_N" in s else s["angle_rad"]
-    orders = np.eye(denominator.size) * np.where(denominator == 0.0, 1.0, denominator)
-    return np.column_stack([smoother.sampled(output, *row) for row in orders])
+    index = np.arange(known.size)
+    return terms._replace(known=np.interp(index - late, index, known) if late > 0.0 else known)
 
 
 def _linear(b: BaseNumbers) -> LinearModel:
@@ -165,8 +149,6 @@ def _linear(b: BaseNumbers) -> LinearModel:
 
 
 FORCE = Equation("force", "force block", "N m", _force, own_offset=False, smooth=True)
-FORCE_BY_ANGLE = replace(FORCE, balance=_force_by_angle, own_offset=True)
-FORCE_BY_TENSION = replace(FORCE, balance=_force_by_tension)
 GAUGE = Equation("gauge", "cable and gauge block", "N", _gauge, own_offset=True, smooth=False)
 EYELET = replace(GAUGE, name="eyelet", title="eyelet", balance=_eyelet)
 ACTUATOR = Equation("actuator", "actuator", "A", _actuator, own_offset=False, smooth=False)
@@ -187,12 +169,11 @@ def equations(b: BaseNumbers, channels: frozenset[str]) -> tuple[Equation, ...]:
             return tuple(found)
         return (*found, PLANT, PLANT_OF_SMOOTH_INPUT)
     cable = b.stiffness_N_m is not None
+    if encoder or (cable and gauge):
+        # Without a gauge the angle at which the cable is taut is each record's own.
+        found.append(replace(FORCE, own_offset=not gauge or not cable))
     if cable and gauge and encoder:
-        found += [FORCE, GAUGE]
-    elif encoder:
-        found += [FORCE_BY_ANGLE]
-    elif cable and gauge:
-        found += [FORCE_BY_TENSION]
+        found.append(GAUGE)
     if gauge and "reference_N" in channels:
         found += [EYELET]
     return tuple(found)
@@ -215,7 +196,7 @@ def transfer(model: LinearModel) -> tuple[FloatArray, FloatArray]:
 
 def smoother_for(
     equation: Equation,
-    records: Sequence[tuple[BaseNumbers, Signals, Signals]],
+    records: Sequence[Record],
     sampling_Hz: float,
     longest_s: float,
 ) -> Smoother:
@@ -223,11 +204,13 @@ def smoother_for(
     shortest_s = 1.0 / sampling_Hz
     if not equation.smooth:
         return Smoother(shortest_s, sampling_Hz)
-    b, s, noise = max(records, key=lambda r: float(r[1]["effort_N"].std()))
+    most = max(records, key=lambda r: float(r.signals["effort_N"].std()))
 
     def quiet(width_s: float) -> bool:
         smoother = Smoother(width_s, sampling_Hz)
-        terms, by_noise = (equation.balance(b, each, smoother) for each in (s, noise))
+        terms, by_noise = (
+            equation.balance(most.numbers, s, smoother) for s in (most.signals, most.noise)
+        )
         noise_rms = np.nanstd(by_noise.known) + np.nanstd(by_noise.columns.sum(axis=1))
         return bool(noise_rms <= NOISE_MAX * np.nanstd(terms.known))
 
@@ -238,11 +221,10 @@ def _through_gauge(b: BaseNumbers, tension_N: FloatArray) -> FloatArray:
     """The gauge's reading of a tension that is straight between samples, from rest."""
     if b.gauge_Hz is None:
         return tension_N
-    from scipy.signal import cont2discrete, lfilter, lfilter_zi  # noqa: PLC0415  slow to import
+    from scipy.signal import cont2discrete, lfilter  # noqa: PLC0415  slow to import
 
     w = 2.0 * math.pi * b.gauge_Hz
     system = ([w**2], [1.0, 2.0 * b.gauge_damping * w, w**2])
-    numerator, denominator, _ = cont2discrete(system, 1.0 / b.sampling_Hz, method="foh")
-    numerator = np.ravel(numerator)
-    start = lfilter_zi(numerator, denominator) * tension_N[0]
-    return np.asarray(lfilter(numerator, denominator, tension_N, zi=start)[0])
+    above, below, _ = cont2discrete(system, 1.0 / b.sampling_Hz, method="foh")
+    start = tension_N[0]
+    return np.asarray(start + lfilter(np.ravel(above), below, tension_N - start))

@@ -18,8 +18,6 @@ from estune.core.quantities import FloatArray
 BINS = 8
 LEVELS = 3
 """Bins of a variable, and of one that is crossed with the sign of the velocity."""
-SIGN_NOISE = 3.0
-"""A velocity within so many times its noise has no sign."""
 CELLS = 512
 """Cells of the angle in which a residual is averaged before the search for its period."""
 ORDERS = 400
@@ -58,30 +56,20 @@ class ResidualDependence:
     detail: str = ""
 
 
-class Regime(NamedTuple):
-    """Regime of a plant over all records, shape (samples,) each; None if not known.
+class Variable(NamedTuple):
+    """A variable that a residual may follow.
 
     Attributes:
-        part: Time since the start of the record, as a share of it.
-        velocity: Rate of angle or output.
-        velocity_noise: Its noise rms.
-        tension: Tension, or the output of a plant that is no reel.
-        angle: Drum angle.
-        command_rate: Rate of the command.
-        length: Cable length.
-        slope: Regressor of a slope per cable length.
-        units: Of velocity, tension, angle and command rate.
+        name: Its name.
+        unit: Unit of its values.
+        of: Its values over all records, shape (samples,); nan where not known.
+        label: Bin of each sample, below zero where not known; None: those of its quantiles.
     """
 
-    part: FloatArray
-    velocity: FloatArray | None
-    velocity_noise: float
-    tension: FloatArray | None
-    angle: FloatArray | None
-    command_rate: FloatArray
-    length: FloatArray | None
-    slope: FloatArray
-    units: Mapping[str, str]
+    name: str
+    unit: str
+    of: FloatArray
+    label: NDArray[np.int64] | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -105,53 +93,49 @@ class Fit:
     spread: Callable[[FloatArray], FloatArray]
     independent: float
 
-    def explained(self, by: FloatArray) -> tuple[float, float, FloatArray]:
-        """Shares of residual and noise that columns explain beside the base-model parameters.
+    def explained(self, by: FloatArray, freedom: float) -> tuple[float, FloatArray]:
+        """Share of the residual that columns explain beside the base-model parameters.
 
         Args:
             by: Shape (chosen, columns).
+            freedom: Their degrees of freedom.
 
         Returns:
-            Share of the residual (partial eta squared), that of the noise, and the columns'
-            coefficients.
+            Partial eta squared less that expected by chance (epsilon squared, Kelley 1935), and
+            the columns' coefficients.
         """
         own = by - self.basis @ (self.basis.T @ by)
         inverse = np.linalg.pinv(own.T @ own, rcond=1e-9, hermitian=True)
-        shares = []
-        for r in (self.residual, self.noise):
-            with_columns = own.T @ r
-            power = max(float(r @ r), 1e-300)
-            shares.append(float(with_columns @ inverse @ with_columns) / power)
-        return shares[0], shares[1], inverse @ (own.T @ self.residual)
+        both = np.array([self.residual, self.noise])
+        pull = both @ own
+        share, of_noise = np.sum(pull @ inverse * pull, axis=1) / np.maximum(
+            np.sum(both**2, axis=1), 1e-300
+        )
+        chance = min(max(of_noise, freedom / max(self.independent - 1.0, 1.0)), 1.0 - 1e-9)
+        return max(0.0, float((share - chance) / (1.0 - chance))), inverse @ pull[0]
 
-    def binned(self, name: str, unit: str, of: FloatArray, bins: int) -> ResidualDependence:
-        """Share explained by a function of a variable, constant between its quantiles."""
-        return self.by_label(name, unit, of, quantiles(of, bins))
-
-    def by_label(
-        self, name: str, unit: str, of: FloatArray, label: NDArray[np.int64]
-    ) -> ResidualDependence:
-        """Share explained by a mean for each label (below zero: not known), less that of noise."""
+    def binned(self, variable: Variable, bins: int = BINS) -> ResidualDependence:
+        """Share explained by a mean for each bin of a variable."""
+        name, unit, of, label = variable
+        label = quantiles(of, bins) if label is None else label
         known = label >= 0
         _, within, count = np.unique(label[known], return_inverse=True, return_counts=True)
         member = np.zeros((label.size, count.size))
         member[np.flatnonzero(known), within] = 1.0
-        share, by_chance, mean = self.explained(self.spread(member)[self.chosen])
-        share = self._above_chance(share, by_chance, count.size - 1.0)
+        share, mean = self.explained(self.spread(member)[self.chosen], count.size - 1.0)
         at = np.bincount(within, of[known]) / count
         return ResidualDependence(name, unit, share, at, mean - float(mean @ count) / count.sum())
 
-    def along(self, name: str, unit: str, of: FloatArray) -> ResidualDependence:
+    def along(self, variable: Variable) -> ResidualDependence:
         """Share explained by a straight line."""
-        line = self.binned(name, unit, of, BINS)
-        x = of[self.chosen]
-        share, by_chance, _ = self.explained((x - x.mean())[:, None])
-        return replace(line, share=self._above_chance(share, by_chance, 1.0))
+        x = variable.of[self.chosen]
+        share, _ = self.explained((x - x.mean())[:, None], 1.0)
+        return replace(self.binned(variable), share=share)
 
-    def periodic(self, angle: FloatArray, unit: str) -> ResidualDependence:
+    def periodic(self, angle: Variable) -> ResidualDependence:
         """Share explained by the best sine of the angle, as of ripple or an eccentric drum."""
-        span = max(float(np.nanmax(angle) - np.nanmin(angle)), 1e-300)
-        from_start = angle - np.nanmin(angle)
+        from_start = angle.of - np.nanmin(angle.of)
+        span = max(float(np.nanmax(from_start)), 1e-300)
         # A period must fit twice into the angles seen, and hold four cells.
         orders = np.linspace(2.0, CELLS / 4.0, ORDERS)
         cell = np.minimum(from_start[self.chosen] / span * CELLS, CELLS - 1).astype(np.int64)
@@ -161,53 +145,41 @@ class Fit:
         period = span / float(orders[power.argmax()])
         phase = np.nan_to_num(2.0 * np.pi * from_start / period)
         wave = self.spread(np.column_stack([np.cos(phase), np.sin(phase)]))
-        share, by_chance, _ = self.explained(wave[self.chosen])
         # Mean of the maximum of so many exponential draws, two degrees of freedom each.
-        share = self._above_chance(share, by_chance, 2.0 * (math.log(ORDERS) + 0.577))
-        sine = self.binned("position period", unit, from_start % period, 2 * BINS)
-        return replace(sine, share=share, detail=f"{period:.3g} {unit}")
+        share, _ = self.explained(wave[self.chosen], 2.0 * (math.log(ORDERS) + 0.577))
+        sine = self.binned(Variable("position period", angle.unit, from_start % period), 2 * BINS)
+        return replace(sine, share=share, detail=f"{period:.3g} {angle.unit}")
 
-    def by_length(self, length: FloatArray, slope: FloatArray) -> ResidualDependence:
+    def by_length(self, length: Variable, slope: FloatArray) -> ResidualDependence:
         """Share explained when every length has an offset and a slope of its own."""
-        lengths, label = np.unique(length[self.chosen], return_inverse=True)
+        lengths, label = np.unique(length.of[self.chosen], return_inverse=True)
         member = (label[:, None] == np.arange(lengths.size)).astype(np.float64)
         own_slope = member * slope[self.chosen][:, None]
-        share, by_chance, _ = self.explained(np.hstack([member, own_slope]))
-        share = self._above_chance(share, by_chance, 2.0 * lengths.size - 2.0)
+        share, _ = self.explained(np.hstack([member, own_slope]), 2.0 * lengths.size - 2.0)
         mean = np.bincount(label, self.residual) / np.bincount(label)
-        return ResidualDependence("length", "m", share, lengths, mean)
-
-    def _above_chance(self, share: float, of_noise: float, freedom: float) -> float:
-        """The share less that expected by chance (epsilon squared, Kelley 1935)."""
-        chance = min(max(of_noise, freedom / max(self.independent - 1.0, 1.0)), 1.0 - 1e-9)
-        return max(0.0, (share - chance) / (1.0 - chance))
+        return ResidualDependence(length.name, length.unit, share, lengths, mean)
 
 
-def views(fitted: Fit, regime: Regime) -> list[ResidualDependence]:
-    """All views of a residual, the strongest first."""
-    found = [fitted.binned("time", "of the record", regime.part, BINS)]
-    sign = None
-    if regime.velocity is not None:
-        unit, velocity = regime.units["velocity"], regime.velocity
-        moves = np.abs(velocity) > SIGN_NOISE * regime.velocity_noise
-        sign = np.where(np.isfinite(velocity), np.where(moves, np.sign(velocity), 0.0), np.nan)
-        found.append(fitted.by_label("velocity sign", "", sign, _whole(sign + 1.0)))
-        found.append(fitted.binned("velocity", unit, velocity, BINS))
-    if regime.tension is not None:
-        unit, tension = regime.units["tension"], regime.tension
-        found.append(fitted.binned("tension", unit, tension, BINS))
-        if sign is not None:
-            crossed = (sign + 1.0) * LEVELS + quantiles(tension, LEVELS)
-            crossed[~np.isfinite(tension)] = np.nan
-            name = "velocity sign and tension"
-            found.append(fitted.by_label(name, unit, tension, _whole(crossed)))
-    if regime.angle is not None:
-        unit = regime.units["angle"]
-        found.append(fitted.binned("angle", unit, regime.angle, BINS))
-        found.append(fitted.periodic(regime.angle, unit))
-    found.append(fitted.along("command rate", regime.units["command_rate"], regime.command_rate))
-    if regime.length is not None and np.unique(regime.length).size > 1:
-        found.append(fitted.by_length(regime.length, regime.slope))
+def views(
+    fitted: Fit, variables: Sequence[Variable], slope: FloatArray
+) -> list[ResidualDependence]:
+    """All views of a residual, the strongest first.
+
+    Args:
+        fitted: The residual.
+        variables: The variables.
+        slope: Regressor of a slope per cable length, shape (samples,).
+    """
+    found = []
+    for one in variables:
+        if one.name == "command rate":
+            found.append(fitted.along(one))
+        elif one.name == "length":
+            found.append(fitted.by_length(one, slope))
+        else:
+            found.append(fitted.binned(one))
+        if one.name == "angle":
+            found.append(fitted.periodic(one))
     return sorted(found, key=lambda view: -view.share)
 
 
@@ -225,10 +197,11 @@ def strongest(found: Sequence[ResidualDependence]) -> ResidualDependence:
 
 def independent_share(residual: FloatArray) -> float:
     """Independent samples in a series, as a share of them: 1 / sum of rho^2 (Bartlett 1946)."""
+    from scipy.signal import correlate  # noqa: PLC0415  slow to import
+
     n = residual.size
     x = residual - residual.mean()
-    size = 1 << (2 * n - 1).bit_length()
-    covariance = np.fft.irfft(np.abs(np.fft.rfft(x, size)) ** 2, size)[: n // 2]
+    covariance = correlate(x, x, method="fft")[n - 1 :][: n // 2]
     if not covariance[0] > 0.0:
         return 1.0
     rho = covariance / covariance[0]
@@ -243,7 +216,3 @@ def quantiles(of: FloatArray, bins: int) -> NDArray[np.int64]:
     known = np.isfinite(of)
     edges = np.unique(np.quantile(of[known], np.linspace(0.0, 1.0, bins + 1)[1:-1]))
     return np.where(known, np.searchsorted(edges, of, side="right"), -1).astype(np.int64)
-
-
-def _whole(label: FloatArray) -> NDArray[np.int64]:
-    return np.where(np.isfinite(label), label, -1.0).astype(np.int64)

@@ -7,6 +7,7 @@ slack) answers on the even ones and an odd law (friction, saturation, a cube) on
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -49,6 +50,12 @@ class Distortion:
     kind: NDArray[np.int64]
     noise: FloatArray
 
+    def to_json(self) -> dict[str, Any]:
+        """JSON values, without the arrays."""
+        odd_dB = None if np.isnan(self.odd_dB) else self.odd_dB
+        named = {"source": self.source, "channel": self.channel}
+        return named | {"even_dB": self.even_dB, "odd_dB": odd_dB}
+
 
 def distortions(measurements: Sequence[MeasuredRecord]) -> tuple[Distortion, ...]:
     """One entry for each channel of each record with an excitation that repeats on odd lines."""
@@ -56,17 +63,14 @@ def distortions(measurements: Sequence[MeasuredRecord]) -> tuple[Distortion, ...
 
 
 def _of(m: MeasuredRecord) -> Iterator[Distortion]:
-    if m.setpoint_N is None:
-        return
-    periods = periods_of(m.setpoint_N)
-    if periods is None:
+    periods = None if m.setpoint_N is None else periods_of(m.setpoint_N)
+    if periods is None or m.setpoint_N is None:
         return
     kind = _kinds(periods.fold(m.setpoint_N)[0])
-    if kind is None:
-        return
-    for channel in CHANNELS:
-        if channel in m.outputs:
-            yield _distortion(m, channel, periods, kind)
+    if kind is not None:
+        for channel in CHANNELS:
+            if channel in m.outputs:
+                yield _distortion(m, channel, periods, kind)
 
 
 def _kinds(period: FloatArray) -> NDArray[np.int64] | None:

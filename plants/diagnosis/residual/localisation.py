@@ -4,7 +4,7 @@ Only the base-model parameters in which the balances are linear are fitted, no e
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -16,10 +16,11 @@ from plants.diagnosis.data.measured_record import MeasuredRecord
 from plants.diagnosis.data.noise_floor import ALLOWANCE, NoiseFloor
 from plants.diagnosis.data.smoothing import Smoother
 from plants.diagnosis.models.base import BaseNumbers
-from plants.diagnosis.residual.balance import Equation, equations, smoother_for
+from plants.diagnosis.residual.balance import Equation, Record, equations, smoother_for
 from plants.diagnosis.residual.dependence import (
     Fit,
     ResidualDependence,
+    Variable,
     independent_share,
     strongest,
     views,
@@ -28,12 +29,11 @@ from plants.diagnosis.residual.distortion import Distortion, distortions
 from plants.diagnosis.residual.residuals import (
     FEWEST,
     BalanceFit,
-    Record,
     fit_balance,
     inner,
     prepared,
-    regime_of,
     spectrum,
+    variables,
     widest_s,
 )
 
@@ -147,15 +147,7 @@ class ResidualLocation:
             **{key: first.get(key) for key in ("block", "regime", "band")},
             "sentence": self.sentence,
             "blocks": [block.to_json() for block in self.blocks],
-            "distortion": [
-                {
-                    "source": d.source,
-                    "channel": d.channel,
-                    "even_dB": d.even_dB,
-                    "odd_dB": None if math.isnan(d.odd_dB) else d.odd_dB,
-                }
-                for d in self.distortion
-            ],
+            "distortion": [d.to_json() for d in self.distortion],
         }
 
 
@@ -169,54 +161,49 @@ def localise(
     records = prepared(measurements, numbers, floor)
     best: dict[str, Block] = {}
     if records:
+        motion = variables(records)
         channels = frozenset.intersection(*(frozenset(r.signals) for r in records))
         for equation in equations(records[0].numbers, channels):
-            block = _block(equation, records)
+            block = _block(equation, records, motion)
             if block is not None and (
                 equation.name not in best or block.rms < best[equation.name].rms
             ):
                 best[equation.name] = block
     blocks = _responsible(list(best.values()), records[0].measurement.sampling_Hz) if best else []
-    return ResidualLocation(tuple(blocks), found, _sentence(blocks, found))
-
-
-def _block(equation: Equation, records: Sequence[Record]) -> Block | None:
-    rate = records[0].measurement.sampling_Hz
-    smoother = smoother_for(
-        equation, [(r.numbers, r.signals, r.noise) for r in records], rate, widest_s(records)
+    return ResidualLocation(
+        tuple(blocks), found, " ".join([_of_blocks(blocks), *_of_distortion(found)])
     )
+
+
+def _block(
+    equation: Equation, records: Sequence[Record], motion: Sequence[Variable]
+) -> Block | None:
+    rate = records[0].measurement.sampling_Hz
+    smoother = smoother_for(equation, records, rate, widest_s(records))
     fitted = fit_balance(equation, records, smoother)
-    regime = regime_of(records, fitted.slope)
     inside = np.isfinite(fitted.residual) & np.isfinite(fitted.noise)
-    if regime.velocity is not None:
-        inside &= np.isfinite(regime.velocity) & np.isfinite(regime.command_rate)
+    for one in motion:
+        if one.name in ("velocity", "command rate"):
+            inside &= np.isfinite(one.of)
     if inside.sum() < FEWEST:
         return None
-    residual, noise = fitted.residual[inside], fitted.noise[inside]
     ends = np.cumsum([r.measurement.samples for r in records])[:-1]
-    each, each_noise = np.split(fitted.residual, ends), np.split(fitted.noise, ends)
-    loose = [independent_share(part) for part in map(inner, each) if part.size >= FEWEST]
+    each = np.split(fitted.residual, ends)
     frequency, power = spectrum(each, rate)
-    _, noise_power = spectrum(each_noise, rate)
+    _, noise_power = spectrum(np.split(fitted.noise, ends), rate)
     low_Hz, high_Hz = _band(frequency, np.maximum(power - noise_power, 0.0))
-
-    def spread(columns: FloatArray) -> FloatArray:
-        if not equation.smooth:
-            return columns
-        split = np.split(columns, ends)
-        return np.vstack([np.column_stack([smoother.sampled(c, 1.0) for c in p.T]) for p in split])
-
+    seen = _seen(equation, smoother, fitted, inside, ends)
     allowance = ALLOWANCE * float(fitted.known[inside].std())
     return Block(
         name=equation.name,
         title=equation.title,
         unit=equation.unit,
-        rms=float(np.sqrt(np.mean(residual**2))),
-        noise_rms=float(np.sqrt(np.mean(noise**2) + allowance**2)),
+        rms=float(np.sqrt(np.mean(fitted.residual[inside] ** 2))),
+        noise_rms=float(np.sqrt(np.mean(fitted.noise[inside] ** 2) + allowance**2)),
         smoothing_s=smoother.width_s,
         low_Hz=low_Hz,
         high_Hz=high_Hz,
-        views=tuple(views(_seen(fitted, inside, spread, float(np.mean(loose))), regime)),
+        views=tuple(views(seen, motion, fitted.slope)),
         frequency_Hz=frequency,
         power=power,
         noise_power=noise_power,
@@ -225,20 +212,28 @@ def _block(equation: Equation, records: Sequence[Record]) -> Block | None:
 
 
 def _seen(
+    equation: Equation,
+    smoother: Smoother,
     fitted: BalanceFit,
     inside: NDArray[np.bool_],
-    spread: Callable[[FloatArray], FloatArray],
-    loose: float,
+    ends: NDArray[np.int64],
 ) -> Fit:
     """The residual for the dependence on variables, subsampled to at most SAMPLES_MAX."""
     stride = max(1, int(inside.sum()) // SAMPLES_MAX)
     chosen = np.flatnonzero(inside)[::stride]
+    parts = [p for p in map(inner, np.split(fitted.residual, ends)) if p.size >= FEWEST]
+    loose = float(np.mean([independent_share(part) for part in parts]))
+
+    def spread(columns: FloatArray) -> FloatArray:
+        split = np.split(columns, ends)
+        return np.vstack([np.column_stack([smoother.sampled(c, 1.0) for c in p.T]) for p in split])
+
     return Fit(
         residual=fitted.residual[chosen],
         noise=fitted.noise[chosen],
         basis=np.linalg.qr(fitted.columns[chosen])[0],
         chosen=chosen,
-        spread=spread,
+        spread=spread if equation.smooth else np.asarray,
         independent=max(2.0, min(1.0, stride * loose) * chosen.size),
     )
 
@@ -253,22 +248,16 @@ def _responsible(blocks: Sequence[Block], sampling_Hz: float) -> list[Block]:
     ordered = sorted(blocks, key=lambda block: -block.ratio)
     by_name = {block.name: block for block in blocks}
     force, gauge, eyelet = (by_name.get(name) for name in ("force", "gauge", "eyelet"))
-    if gauge is None or not max(block.ratio for block in blocks) > RATIO_MIN:
+    if gauge is None or not ordered[0].ratio > RATIO_MIN:
         return ordered
-    if (
-        eyelet is not None
-        and eyelet.ratio > RATIO_MIN
-        and _signed_R2(gauge, eyelet, sampling_Hz) > R2_MIN
-    ):
+    shown = eyelet is not None and eyelet.ratio > RATIO_MIN
+    if eyelet is not None and shown and _signed_R2(gauge, eyelet, sampling_Hz) > R2_MIN:
         return [eyelet, *(block for block in ordered if block is not eyelet)]
-    if (
-        force is not None
-        and force.ratio > RATIO_MIN
-        and _signed_R2(force, gauge, sampling_Hz) < -R2_MIN
-    ):
-        rest = [block for block in ordered if block not in (force, gauge)]
-        return [replace(gauge, title=READING), *rest, force]
-    if force is not None and force.ratio < RATIO_MIN:
+    if force is not None and force.ratio > RATIO_MIN:
+        if _signed_R2(force, gauge, sampling_Hz) < -R2_MIN:
+            rest = [block for block in ordered if block not in (force, gauge)]
+            return [replace(gauge, title=READING), *rest, force]
+    elif force is not None:
         return [replace(b, title="cable") if b is gauge else b for b in ordered]
     return ordered
 
@@ -293,12 +282,8 @@ def _band(frequency: FloatArray, power: FloatArray) -> tuple[float, float]:
     return float(frequency[low]), float(frequency[min(high, frequency.size - 1)])
 
 
-def _sentence(blocks: Sequence[Block], found: Sequence[Distortion]) -> str:
-    """The main findings in words."""
-    return " ".join([_of_blocks(blocks), *_of_distortion(found)])
-
-
 def _of_blocks(blocks: Sequence[Block]) -> str:
+    """Where the residual is, in words."""
     if not blocks:
         return "The model's equations cannot be balanced against these channels."
     first = blocks[0]
@@ -320,17 +305,18 @@ def _of_blocks(blocks: Sequence[Block]) -> str:
     return sentence + (f" Above its noise too: {', '.join(others)}." if others else "")
 
 
-def _of_distortion(found: Sequence[Distortion]) -> list[str]:
-    sentences = []
+def _of_distortion(found: Sequence[Distortion]) -> Iterator[str]:
+    """The distortion of each channel, in words."""
     for channel in dict.fromkeys(d.channel for d in found):
         of = [d for d in found if d.channel == channel]
-        odd = max((d.odd_dB for d in of if not math.isnan(d.odd_dB)), default=math.nan)
-        even = max(d.even_dB for d in of)
+        most = {
+            "odd": max((d.odd_dB for d in of if not math.isnan(d.odd_dB)), default=math.nan),
+            "even": max(d.even_dB for d in of),
+        }
         shown = [
             f"{name} distortion of {dB:.0f} dB"
-            for name, dB in (("odd", odd), ("even", even))
+            for name, dB in most.items()
             if dB >= DISTORTION_MIN_dB
         ]
-        what = " and ".join(shown) if shown else "no distortion"
-        sentences.append(f"Lines left free in {channel} show {what} over the noise.")
-    return sentences
+        what = " and ".join(shown) or "no distortion"
+        yield f"Lines left free in {channel} show {what} over the noise."

@@ -12,26 +12,19 @@ from plants.diagnosis.data.measured_record import MeasuredRecord
 from plants.diagnosis.data.noise_floor import NoiseFloor
 from plants.diagnosis.data.smoothing import Smoother, least_width
 from plants.diagnosis.models.base import BaseNumbers
-from plants.diagnosis.residual.balance import Equation, Signals
-from plants.diagnosis.residual.dependence import Regime
+from plants.diagnosis.residual.balance import Equation, Record
+from plants.diagnosis.residual.dependence import LEVELS, Variable, quantiles
 
 WIDTH_MAX = 0.02
 """Greatest smoothing width of a plant without a natural frequency, as a share of the record."""
+SIGN_NOISE = 3.0
+"""A velocity within so many times its noise has no sign."""
 VELOCITY_NOISE_MAX = 0.1
 """Noise of the velocity, as a share of it, at which its sign is reliable."""
 SEGMENT = 512
 """Samples in a segment of the spectrum."""
 FEWEST = 64
 """Fewest samples of a balance."""
-
-
-class Record(NamedTuple):
-    """One measurement with the model's numbers, its signals, and simulated noise of each."""
-
-    measurement: MeasuredRecord
-    numbers: BaseNumbers
-    signals: Signals
-    noise: Signals
 
 
 def prepared(
@@ -46,18 +39,12 @@ def prepared(
     for m, b in zip(measurements, numbers, strict=True):
         if b is None or m.sampling_Hz != rates.most_common(1)[0][0]:
             continue
-        command = m.command_A(b.newtons_per_ampere) * b.newtons_per_ampere
-        signals = {"effort_N": command}
-        measured = m.measured_current_A(b.newtons_per_ampere)
-        if measured is not None:
-            signals["current_A"] = measured
-        for name in m.outputs:
-            column = m.channel(name)
-            if column is not None:
-                signals[name] = column
-        noise = {"effort_N": np.zeros(m.samples)}
-        for name in signals.keys() - noise.keys():
-            noise[name] = rng.normal(0.0, floor.channels[name].rms, m.samples)
+        signals = {"effort_N": m.command_A(b.newtons_per_ampere) * b.newtons_per_ampere}
+        columns = {name: m.channel(name) for name in m.outputs}
+        columns["current_A"] = m.measured_current_A(b.newtons_per_ampere)
+        signals |= {name: column for name, column in columns.items() if column is not None}
+        rms = {"effort_N": 0.0} | {name: n.rms for name, n in floor.channels.items()}
+        noise = {name: rng.normal(0.0, rms[name], m.samples) for name in signals}
         records.append(Record(m, b, signals, noise))
     return records
 
@@ -108,55 +95,46 @@ def fit_balance(equation: Equation, records: Sequence[Record], smoother: Smoothe
     return BalanceFit(known - A @ found, noise_known - noise_A @ found, known, A / size, slope)
 
 
-def regime_of(records: Sequence[Record], slope: FloatArray) -> Regime:
-    """Regime of the plant at each sample of all the records.
-
-    Args:
-        records: The records.
-        slope: Regressor of a slope per cable length, shape (samples,).
-    """
+def variables(records: Sequence[Record]) -> list[Variable]:
+    """The variables that a residual may follow, at each sample of all the records."""
     first = records[0]
     has_angle, has_tension = "angle_rad" in first.signals, "tension_N" in first.signals
-    moving = "angle_rad" if has_angle else "tension_N"
-    rate = first.measurement.sampling_Hz
+    moving, rate = "angle_rad" if has_angle else "tension_N", first.measurement.sampling_Hz
 
-    def over(smoother: Smoother, name: str, *c: float, noise: bool = False) -> FloatArray:
-        signals = [r.noise if noise else r.signals for r in records]
-        return np.concatenate([smoother.sampled(s[name], *c) for s in signals])
+    def velocity(smoother: Smoother, *, noise: bool = False) -> FloatArray:
+        signals = [(r.noise if noise else r.signals)[moving] for r in records]
+        return np.concatenate([smoother.sampled(signal, 0.0, 1.0) for signal in signals])
 
     def quiet(width_s: float) -> bool:
         smoother = Smoother(width_s, rate)
-        noise = np.nanstd(over(smoother, moving, 0.0, 1.0, noise=True))
-        return bool(noise <= VELOCITY_NOISE_MAX * np.nanstd(over(smoother, moving, 0.0, 1.0)))
+        noise = np.nanstd(velocity(smoother, noise=True))
+        return bool(noise <= VELOCITY_NOISE_MAX * np.nanstd(velocity(smoother)))
 
     smoother = Smoother(least_width(quiet, 1.0 / rate, widest_s(records)), rate)
-    angle = None
-    if has_angle and (first.numbers.linear is None or not has_tension):
-        angle = np.concatenate([_angle_from_slack(r, smoother) for r in records])
-    lengths = [r.measurement.cable_length_m for r in records]
-    known = [length for length in lengths if length is not None]
+    v, commands = velocity(smoother), [(r.signals["effort_N"], r.numbers) for r in records]
+    least = SIGN_NOISE * float(np.nanstd(velocity(smoother, noise=True)))
+    sign = np.where(np.isfinite(v), np.sign(v) * (np.abs(v) > least), np.nan)
+    way = np.where(np.isfinite(sign), sign + 1.0, -1.0).astype(np.int64)
+    commanded = [smoother.held(u, b.dead_time_s, 0.0, 1.0) for u, b in commands]
     samples = [r.measurement.samples for r in records]
-    return Regime(
-        part=np.concatenate([np.arange(n) / n for n in samples]),
-        velocity=over(smoother, moving, 0.0, 1.0),
-        velocity_noise=float(np.nanstd(over(smoother, moving, 0.0, 1.0, noise=True))),
-        tension=over(smoother, "tension_N", 1.0) if has_tension else None,
-        angle=angle,
-        command_rate=np.concatenate(
-            [
-                smoother.held(r.signals["effort_N"], r.numbers.dead_time_s, 0.0, 1.0)
-                for r in records
-            ]
-        ),
-        length=np.repeat(known, samples) if len(known) == len(lengths) else None,
-        slope=slope,
-        units={
-            "velocity": "rad/s" if has_angle else "N/s",
-            "tension": "N",
-            "angle": "rad",
-            "command_rate": "N/s",
-        },
-    )
+    found = [
+        Variable("time", "of the record", np.concatenate([np.arange(n) / n for n in samples])),
+        Variable("velocity sign", "", sign, way),
+        Variable("velocity", "rad/s" if has_angle else "N/s", v),
+        Variable("command rate", "N/s", np.concatenate(commanded)),
+    ]
+    if has_tension:
+        T = np.concatenate([smoother.sampled(r.signals["tension_N"], 1.0) for r in records])
+        crossed = np.where((way < 0) | ~np.isfinite(T), -1, way * LEVELS + quantiles(T, LEVELS))
+        found.append(Variable("tension", "N", T))
+        found.append(Variable("velocity sign and tension", "N", T, crossed))
+    if has_angle and (first.numbers.linear is None or not has_tension):
+        angles = [_angle_from_slack(r, smoother) for r in records]
+        found.append(Variable("angle", "rad", np.concatenate(angles)))
+    lengths = [r.measurement.cable_length_m or math.nan for r in records]
+    if np.isfinite(lengths).all() and len(set(lengths)) > 1:
+        found.append(Variable("length", "m", np.repeat(lengths, samples)))
+    return found
 
 
 def _angle_from_slack(record: Record, smoother: Smoother) -> FloatArray:
@@ -168,18 +146,19 @@ def _angle_from_slack(record: Record, smoother: Smoother) -> FloatArray:
     return angle - float(np.nanmean(angle)) + tension / record.numbers.tension_per_angle_N_rad
 
 
-def spectrum(parts: Sequence[FloatArray], sampling_Hz: float) -> tuple[FloatArray, FloatArray]:
-    """Frequencies and power spectral density of a residual over the records."""
+def spectrum(
+    parts: Sequence[FloatArray], sampling_Hz: float, longest: int = SEGMENT
+) -> tuple[FloatArray, FloatArray]:
+    """Frequencies, Hz, and power spectral density of a signal over some records (Welch 1967)."""
     from scipy.signal import welch  # noqa: PLC0415  slow to import
 
     finite = [part for part in map(inner, parts) if part.size >= FEWEST]
-    segment = min(SEGMENT, *(part.size for part in finite)) // 2 * 2 if finite else FEWEST
-    total, weight = np.zeros(segment // 2 + 1), 0.0
+    segment = min([longest, *(part.size for part in finite)]) // 2 * 2
+    powers = [welch(part, sampling_Hz, nperseg=segment, detrend=False)[1] for part in finite]
     frequency: FloatArray = np.linspace(0.0, sampling_Hz / 2.0, segment // 2 + 1)
-    for part in finite:
-        _, power = welch(part, sampling_Hz, nperseg=segment, detrend=False)
-        total, weight = total + part.size * power, weight + part.size
-    return frequency, total / max(weight, 1.0)
+    if not finite:
+        return frequency, np.zeros(frequency.size)
+    return frequency, np.average(powers, axis=0, weights=[part.size for part in finite])
 
 
 def inner(part: FloatArray) -> FloatArray:
