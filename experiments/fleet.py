@@ -41,6 +41,7 @@ WITHIN_S = 400.0
 RIGS_PER_PROCESS = 50
 LIMITS = {
     "leases_lost": 0.0,
+    "hold_leases_lost": 0.0,
     "slowness": 1.5,
     "status_s": 0.5,
     "rss_MB": 400.0,
@@ -91,16 +92,41 @@ def usage(pid: int) -> Usage:
     return Usage(cpu_s, pages * 4096 / 1e6, threads, switches, time.monotonic())
 
 
+class Fleet(NamedTuple):
+    """A daemon with rigs behind a router: ids of their processes, the daemon's endpoint and log."""
+
+    daemon: int
+    rigs: tuple[int, ...]
+    router: int
+    endpoint: str
+    log: Path
+
+    def leases_lost(self) -> int:
+        """Number of leases that the daemon has lost so far."""
+        return self.log.read_text("utf-8").count("no renewal arrived")
+
+
+def _cpu_s(*pids: int) -> float:
+    return sum(usage(pid).cpu_s for pid in pids)
+
+
 class FleetCosts(NamedTuple):
-    """Costs of a daemon with so many rigs; cores are CPU time over time."""
+    """Costs of a daemon with so many rigs; cores are CPU time over time.
+
+    `limit` is the slowness at which rigs and router alone would take all cores: no daemon, were it
+    free of cost, tunes them faster on this machine.
+    """
 
     rigs: int
     all_tuned_s: float
     slowness: float
+    limit: float
     trials_per_s: float
+    daemon_ms_per_trial: float
+    rigs_ms_per_trial: float
+    router_ms_per_trial: float
     tune_cores: float
     hold_cores: float
-    rigs_cores: float
     tune_switches_per_s: float
     hold_switches_per_s: float
     threads: int
@@ -108,6 +134,7 @@ class FleetCosts(NamedTuple):
     status_s: float
     slowest_status_s: float
     leases_lost: int
+    hold_leases_lost: int
     rigs_lost: int
     recovered_s: float
     load: float
@@ -144,10 +171,8 @@ def started(command: list[str], **options: Any) -> Iterator[subprocess.Popen[str
 
 
 @contextmanager
-def fleet(
-    rigs: int, tuner: str, folder: Path, trials: int
-) -> Iterator[tuple[subprocess.Popen[str], list[int], str]]:
-    """A daemon with rigs behind a router; the daemon's process, the rigs' ids, its endpoint."""
+def fleet(rigs: int, tuner: str, folder: Path, trials: int) -> Iterator[Fleet]:
+    """A daemon that begins to tune rigs behind a router."""
     names = [f"rig{number:03d}" for number in range(rigs)]
     router, listen = (with_port("tcp/127.0.0.1:0") for _ in range(2))
     tables = "".join(
@@ -156,7 +181,9 @@ def fleet(
     config = folder / "daemon.toml"
     config.write_text(_DAEMON.format(listen=listen, router=router) + tables, "utf-8")
     with ExitStack() as opened:
-        opened.enter_context(started(["-m", "experiments.chaos.others", "router", router]))
+        routing = opened.enter_context(
+            started(["-m", "experiments.chaos.others", "router", router])
+        )
         command = ["-m", "experiments.fleet"]
         served = [
             opened.enter_context(
@@ -170,7 +197,8 @@ def fleet(
         log = opened.enter_context((folder / "log").open("w"))
         arguments = ["-m", "estune.cli", "daemon", str(config), "--log", "json"]
         daemon = opened.enter_context(started(arguments, stderr=log))
-        yield daemon, [process.pid for process in served], listen
+        ids = tuple(process.pid for process in served)
+        yield Fleet(daemon.pid, ids, routing.pid, listen, folder / "log")
 
 
 def measure(
@@ -182,43 +210,46 @@ def measure(
     trials: int = SEARCH_TRIALS,
 ) -> FleetCosts:
     """Tunes so many rigs with so many search trials, and holds them beside `busy` programs."""
-    with tempfile.TemporaryDirectory() as name:
-        folder = Path(name)
-        with (
-            fleet(rigs, tuner, folder, trials) as (daemon, served, listen),
-            DaemonClient(listen) as client,
-        ):
-            rigs_before = sum(usage(pid).cpu_s for pid in served)
-            before = usage(daemon.pid)
-            watch = _Watch(client, before.at_s)
-            recovered_s = _disturb(watch, busy) if busy else 0.0
-            watch.until(lambda statuses: all(s.mode in ("holding", "watching") for s in statuses))
-            tuned = usage(daemon.pid)
-            rigs_cores = (sum(usage(pid).cpu_s for pid in served) - rigs_before) / (
-                tuned.at_s - before.at_s
-            )
-            watch.for_s(hold_s)
-            held = usage(daemon.pid)
-            load = os.getloadavg()[0]
-        log = (folder / "log").read_text("utf-8")
+    with (
+        tempfile.TemporaryDirectory() as name,
+        fleet(rigs, tuner, Path(name), trials) as found,
+        DaemonClient(found.endpoint) as client,
+    ):
+        served_before = _cpu_s(*found.rigs), _cpu_s(found.router)
+        before = usage(found.daemon)
+        watch = _Watch(client, before.at_s)
+        recovered_s = _disturb(watch, busy) if busy else 0.0
+        watch.until(lambda statuses: all(s.mode in ("holding", "watching") for s in statuses))
+        tuned, lost = usage(found.daemon), found.leases_lost()
+        rigs_cpu_s = _cpu_s(*found.rigs) - served_before[0]
+        router_cpu_s = _cpu_s(found.router) - served_before[1]
+        watch.for_s(hold_s)
+        held, all_lost = usage(found.daemon), found.leases_lost()
+        load = os.getloadavg()[0]
+        rigs_lost = found.log.read_text("utf-8").count('"event": "lost"')
     tuned_s, held_s = tuned.at_s - before.at_s, held.at_s - tuned.at_s
-    all_trials = trials + OTHER_TRIALS  # of a second each
+    each = trials + OTHER_TRIALS  # of a second each
+    ms_per_trial = 1e3 / (rigs * each)
     return FleetCosts(
         rigs=rigs,
         all_tuned_s=tuned_s,
-        slowness=tuned_s / all_trials,
-        trials_per_s=rigs * all_trials / tuned_s,
+        slowness=tuned_s / each,
+        limit=max(1.0, (rigs_cpu_s + router_cpu_s) / (len(os.sched_getaffinity(0)) * each)),
+        trials_per_s=rigs * each / tuned_s,
+        daemon_ms_per_trial=(tuned.cpu_s - before.cpu_s) * ms_per_trial,
+        rigs_ms_per_trial=rigs_cpu_s * ms_per_trial,
+        router_ms_per_trial=router_cpu_s * ms_per_trial,
         tune_cores=(tuned.cpu_s - before.cpu_s) / tuned_s,
         hold_cores=(held.cpu_s - tuned.cpu_s) / held_s,
-        rigs_cores=rigs_cores,
         tune_switches_per_s=(tuned.switches - before.switches) / tuned_s,
         hold_switches_per_s=(held.switches - tuned.switches) / held_s,
         threads=tuned.threads,
         rss_MB=max(tuned.rss_MB, held.rss_MB),
         status_s=statistics.median(watch.times_s),
         slowest_status_s=max(watch.times_s),
-        leases_lost=log.count("no renewal arrived"),
-        rigs_lost=log.count('"event": "lost"'),
+        leases_lost=all_lost,
+        hold_leases_lost=all_lost - lost,
+        rigs_lost=rigs_lost,
         recovered_s=recovered_s,
         load=load,
     )
