@@ -93,7 +93,7 @@ def usage(pid: int) -> Usage:
 
 
 class Fleet(NamedTuple):
-    """A daemon with rigs behind a router: ids of their processes, the daemon's endpoint and log."""
+    """A daemon with rigs behind a router: ids of the processes, endpoint and log of the daemon."""
 
     daemon: int
     rigs: tuple[int, ...]
