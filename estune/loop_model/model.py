@@ -207,14 +207,20 @@ class FrequencyGrid(NamedTuple):
 @lru_cache(maxsize=64)
 def frequency_grid(model: LoopModel) -> FrequencyGrid:
     """The grid of a model: logarithmic, with `POINTS_PER_TURN` to a turn of its dead time."""
-    turns = POINTS_PER_TURN * (model.dead_samples + 2) // 2
+    theta, later, difference = _angles(model.dead_samples)
+    a1, a2 = model.poles
+    plant, poles = model.frequency_response(theta), 1.0 + later * (a1 + later * a2)
+    return FrequencyGrid(theta, later, difference, plant, poles)
+
+
+@lru_cache(maxsize=16)
+def _angles(dead_samples: int) -> tuple[FloatArray, ComplexArray, ComplexArray]:
+    """Angles, q^-1 and 1 - q^-1 of the grid of all models with a dead time."""
+    turns = POINTS_PER_TURN * (dead_samples + 2) // 2
     theta = np.union1d(
         np.geomspace(LOWEST_rad, math.pi, GRID_POINTS), np.linspace(0.0, math.pi, turns)[1:]
     )
-    later = np.exp(-1j * theta)
-    a1, a2 = model.poles
-    plant, poles = model.frequency_response(theta), 1.0 + later * (a1 + later * a2)
-    return FrequencyGrid(theta, later, -np.expm1(-1j * theta), plant, poles)
+    return theta, np.exp(-1j * theta), -np.expm1(-1j * theta)
 
 
 def robustness(model: LoopModel, gains: Gains, settings: ControllerSettings) -> Robustness:
