@@ -15,6 +15,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from estune.trial.records import COLUMNS
+
 BIN_s = 2e-6
 BINS = 50_000
 """Bins of a histogram, 0 to 100 ms; the last one holds all longer times."""
@@ -173,7 +175,7 @@ class Memory:
 
     def columns(self, count: int, optional: tuple[str, ...] = ()) -> dict[str, Any]:
         """The first samples of the trial as columns of a record; copied, and read-only."""
-        names = ("time_s", "setpoint_N", "tension_N", "current_A", "angle_rad", *optional)
+        names = (*COLUMNS, *optional)
         made: dict[str, Any] = {n: np.array(getattr(self, n)[:count], np.float64) for n in names}
         made["flags"] = np.array(self.flags[:count], np.uint8)
         for array in made.values():

@@ -14,6 +14,7 @@ friction and start the output is linear in the numerator; these four numbers are
 
 import math
 from collections.abc import Sequence
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -22,9 +23,12 @@ from estune.core.quantities import FloatArray
 from estune.loop_model.identification import (
     LoopFit,
     LoopRecord,
+    PoleFit,
+    by_cost,
     delayed,
     denominator,
     pole_coordinates,
+    search_dead_time,
     summarise,
 )
 from estune.loop_model.model import LoopModel
@@ -109,32 +113,20 @@ def fit_with_friction(
     if not (math.isfinite(gain) and gain != 0.0):
         return None
     signals = _Signals.of(records, gain)
-    warm = None
+    search, warm = partial(_search, signals), None
     if last is not None:
         x = np.array([*pole_coordinates(last), last.friction_N / signals.scale, 0.0])
-        best = _searched_dead_time(signals, _search(signals, x, last.dead_samples))
+        best = search_dead_time(search, search(x, last.dead_samples))
         warm = _summarise(records, signals, best)
         if warm.misfit < MISFIT_DONE:
             return warm
     screened = _Signals.of(records[:SCREENED], gain)
     starts = _starts(screened, linear.model, settling_time_s * sampling_Hz)
-    few = sorted((_search(screened, x, dead) for x, dead in starts), key=_cost)
-    found = (_search(signals, one.coordinates, one.dead) for one in few[:STARTS])
-    best = _searched_dead_time(signals, min(found, key=_cost))
+    few = sorted((_search(screened, x, dead) for x, dead in starts), key=by_cost)
+    found = (search(one.coordinates, one.dead) for one in few[:STARTS])
+    best = search_dead_time(search, min(found, key=by_cost))
     cold = _summarise(records, signals, best)
     return warm if warm is not None and warm.residual_N <= cold.residual_N else cold
-
-
-class _Try(NamedTuple):
-    """A fit at one dead time: half the squared residuals, coordinates, whole samples."""
-
-    cost: float
-    coordinates: FloatArray
-    dead: int
-
-
-def _cost(one: _Try) -> float:
-    return one.cost
 
 
 def _starts(
@@ -158,16 +150,7 @@ def _starts(
     return [(grid[i], dead) for _, i, dead in sorted(best)]
 
 
-def _searched_dead_time(signals: _Signals, best: _Try) -> _Try:
-    while True:
-        beside = [d for d in (best.dead - 1, best.dead + 1) if d >= 0]
-        better = min((_search(signals, best.coordinates, d) for d in beside), key=_cost)
-        if better.cost >= best.cost:
-            return best
-        best = better
-
-
-def _search(signals: _Signals, start: FloatArray, dead: int) -> _Try:
+def _search(signals: _Signals, start: FloatArray, dead: int) -> PoleFit:
     """Least squares from a start, by Levenberg and Marquardt."""
     from scipy.optimize import least_squares  # noqa: PLC0415  slow to import
 
@@ -188,7 +171,7 @@ def _search(signals: _Signals, start: FloatArray, dead: int) -> _Try:
     found = least_squares(
         residual, start, jac=jacobian, method="lm", xtol=1e-5, ftol=1e-6, max_nfev=25
     )
-    return _Try(float(found.cost), found.x, dead)
+    return PoleFit(float(found.cost), found.x, dead)
 
 
 def _about(signals: _Signals, x: FloatArray) -> FloatArray:
@@ -273,7 +256,7 @@ class _Output(NamedTuple):
         return 0.5 * float(np.vdot(self.residual, self.residual))
 
 
-def _summarise(records: Sequence[LoopRecord], signals: _Signals, best: _Try) -> LoopFit:
+def _summarise(records: Sequence[LoopRecord], signals: _Signals, best: PoleFit) -> LoopFit:
     """The fit with its covariances and its misfit."""
     x = best.coordinates
     at = _Output.of(signals, _positions(signals, [x])[0], best.dead)

@@ -7,8 +7,9 @@ whole number of samples, beside the last one found.
 """
 
 import math
-from collections.abc import Sequence
-from functools import lru_cache
+from collections.abc import Callable, Sequence
+from functools import lru_cache, partial
+from operator import attrgetter
 from typing import NamedTuple
 
 import numpy as np
@@ -40,6 +41,9 @@ FASTEST = 1e-20
 
 NUISANCE_APART = 1e-7
 """Least share of the largest singular value by which start state and offsets differ."""
+
+
+by_cost = attrgetter("cost")
 
 
 class LoopRecord(NamedTuple):
@@ -133,7 +137,7 @@ def fit_linear_loop(
     start = (
         _cold_start(_signals(records[:2]), sampling_Hz, settling_time_s)
         if last is None
-        else _Try(math.inf, pole_coordinates(last), last.dead_samples)
+        else PoleFit(math.inf, pole_coordinates(last), last.dead_samples)
     )
     _, coordinates, dead = _searched_dead_time(signals, start)
     return _summarise(records, signals, coordinates, dead)
@@ -154,12 +158,12 @@ def _signals(records: Sequence[LoopRecord]) -> _Signals:
     )
 
 
-class _Try(NamedTuple):
+class PoleFit(NamedTuple):
     """A fit of the poles at one dead time.
 
     Attributes:
-        cost: Half the sum of squared residuals, with the price of dead time.
-        coordinates: Of the poles.
+        cost: Half the sum of squared residuals, with the price of dead time where it has one.
+        coordinates: Of the poles, and of the friction where there is any.
         dead: Whole samples of dead time.
     """
 
@@ -168,37 +172,38 @@ class _Try(NamedTuple):
     dead: int
 
 
-def _cold_start(signals: _Signals, sampling_Hz: float, settling_time_s: float) -> _Try:
+def _cold_start(signals: _Signals, sampling_Hz: float, settling_time_s: float) -> PoleFit:
     """The best of several starts, the poles on a coarse grid, each with its best dead time."""
     scale = 2.0 * math.pi / (settling_time_s * sampling_Hz)  # rad/sample
     longest = max(2, round(settling_time_s * sampling_Hz))
     delays = sorted({0, 1, 2, *np.geomspace(3, longest, 8).astype(int).tolist()})
     starts = [np.log([scale * f, z]) for f in (0.1, 0.5, 1.5) for z in (0.2, 1.0)]
     coarse = [
-        min((_Try(_Solution.at(signals, x, d).cost, x, d) for d in delays), key=_cost)
+        min((PoleFit(_Solution.at(signals, x, d).cost, x, d) for d in delays), key=by_cost)
         for x in starts
     ]
-    found = [_fit_poles(signals, *one[1:]) for one in sorted(coarse, key=_cost)[:3]]
-    return _searched_dead_time(signals, min(found, key=_cost))
+    found = [_fit_poles(signals, *one[1:]) for one in sorted(coarse, key=by_cost)[:3]]
+    return _searched_dead_time(signals, min(found, key=by_cost))
 
 
-def _searched_dead_time(signals: _Signals, start: _Try) -> _Try:
-    """The best dead time from a start, by steps that shrink to one sample."""
-    best = _fit_poles(signals, start.coordinates, start.dead)
-    step = max(1, start.dead // 8)
+def _searched_dead_time(signals: _Signals, start: PoleFit) -> PoleFit:
+    fit = partial(_fit_poles, signals)
+    return search_dead_time(fit, fit(start.coordinates, start.dead), max(1, start.dead // 8))
+
+
+def search_dead_time(
+    fit: Callable[[FloatArray, int], PoleFit], best: PoleFit, step: int = 1
+) -> PoleFit:
+    """The best dead time about a fit, by steps that shrink to one sample."""
     while True:
         beside = [d for d in (best.dead - step, best.dead + step) if d >= 0]
-        better = min((_fit_poles(signals, best.coordinates, d) for d in beside), key=_cost)
+        better = min((fit(best.coordinates, d) for d in beside), key=by_cost)
         if better.cost < best.cost:
             best = better
         elif step == 1:
             return best
         else:
             step = max(1, step // 3)
-
-
-def _cost(one: _Try) -> float:
-    return one.cost
 
 
 def denominator(coordinates: FloatArray) -> FloatArray:
@@ -221,7 +226,7 @@ def pole_coordinates(model: LoopModel) -> FloatArray:
     return np.log([w, max(total / (2.0 * w), 1e-6)])
 
 
-def _fit_poles(signals: _Signals, start: FloatArray, dead: int) -> _Try:
+def _fit_poles(signals: _Signals, start: FloatArray, dead: int) -> PoleFit:
     """The poles of least squares from a start, by Levenberg and Marquardt."""
     from scipy.optimize import least_squares  # noqa: PLC0415  slow to import
 
@@ -242,7 +247,7 @@ def _fit_poles(signals: _Signals, start: FloatArray, dead: int) -> _Try:
         ftol=1e-8,
         max_nfev=40,
     )
-    return _Try(at(found.x).cost, found.x, dead)
+    return PoleFit(at(found.x).cost, found.x, dead)
 
 
 class _Solution(NamedTuple):

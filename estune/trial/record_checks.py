@@ -5,12 +5,10 @@ from datetime import datetime
 import numpy as np
 
 from estune.trial.description import RigDescription
-from estune.trial.records import Outcome, TrialRecord, TrialRequest
+from estune.trial.records import COLUMNS, Outcome, TrialRecord, TrialRequest
 
 STEP_MAX = 10.0
 """Sampling interval, in periods, from which the rig's clock has jumped."""
-
-_COLUMNS = ("time_s", "setpoint_N", "tension_N", "current_A", "angle_rad", "flags")
 
 
 def record_fault(record: TrialRecord, request: TrialRequest, rig: RigDescription) -> str:
@@ -48,7 +46,7 @@ def _start_fault(record: TrialRecord) -> str:
 
 
 def _length_fault(record: TrialRecord, request: TrialRequest) -> str:
-    names = (*_COLUMNS, *record.optional_columns)
+    names = (*COLUMNS, "flags", *record.optional_columns)
     lengths = {name: len(getattr(record, name)) for name in names}
     if len(set(lengths.values())) > 1:
         listed = ", ".join(f"{name} {length}" for name, length in lengths.items())
@@ -62,7 +60,7 @@ def _length_fault(record: TrialRecord, request: TrialRequest) -> str:
 def _value_fault(record: TrialRecord) -> str:
     if record.outcome is not Outcome.DONE:  # a diverged response may leave the finite range
         return ""
-    for name in _COLUMNS[:-1]:
+    for name in COLUMNS:
         finite = np.isfinite(getattr(record, name))
         if not finite.all():
             at = int(np.argmin(finite))

@@ -27,7 +27,7 @@ import numpy as np
 from estune.core.gains import GAIN_NAMES, Gains
 from estune.errors import ProtocolError
 from estune.trial.profiles import Kind, Loop
-from estune.trial.records import OPTIONAL_COLUMNS, Outcome, TrialRecord
+from estune.trial.records import COLUMNS, OPTIONAL_COLUMNS, Outcome, TrialRecord
 
 if TYPE_CHECKING:
     from pydantic import TypeAdapter
@@ -40,7 +40,6 @@ HEADER_MAX_BYTES = 64 * 2**10
 
 FAMILY, _VERSION = b"RTR", b"1"
 _PREFIX = struct.Struct("<4sIII")
-_COLUMNS = ("time_s", "setpoint_N", "tension_N", "current_A", "angle_rad")
 _FLOAT = np.dtype("<f8")
 _to_json = json.JSONEncoder(ensure_ascii=False, separators=(",", ":")).encode
 
@@ -74,7 +73,7 @@ _latest: tuple[TrialRecord | None, bytes] = None, b""
 
 def size(samples: int, *, optional: int = 0) -> int:
     """Upper bound of the size of a frame with so many optional columns, bytes."""
-    return _PREFIX.size + HEADER_MAX_BYTES + _body_size(samples, len(_COLUMNS) + optional)
+    return _PREFIX.size + HEADER_MAX_BYTES + _body_size(samples, len(COLUMNS) + optional)
 
 
 def body_at(frame: bytes) -> int:
@@ -92,7 +91,7 @@ def encode(record: TrialRecord) -> bytes:
     latest, data = _latest
     if record is latest:
         return data
-    columns = (*_COLUMNS, *record.optional_columns)
+    columns = (*COLUMNS, *record.optional_columns)
     arrays = [np.ascontiguousarray(getattr(record, name), _FLOAT) for name in columns]
     arrays.append(np.ascontiguousarray(record.flags, np.uint8))
     shapes = {array.shape for array in arrays}
@@ -128,7 +127,7 @@ def decode(data: bytes) -> TrialRecord:
     body_at = _PREFIX.size + header_length
     header = _parse_header(data[_PREFIX.size : body_at])
     optional = [name for name in OPTIONAL_COLUMNS if name in header.columns]
-    if header.columns != (*_COLUMNS, *optional):
+    if header.columns != (*COLUMNS, *optional):
         raise ProtocolError(f"record frame: unknown columns {', '.join(header.columns)} in header")
     if header.samples < 0 or _body_size(header.samples, len(header.columns)) != body_length:
         raise ProtocolError(

@@ -16,6 +16,9 @@ SATURATED, GUARD, LATE = 1, 2, 4
 """Bits of the `flags` column: command saturated, guard tripped, sample late."""
 
 
+COLUMNS = ("time_s", "setpoint_N", "tension_N", "current_A", "angle_rad")
+"""Columns of every record, beside the flags."""
+
 OPTIONAL_COLUMNS = ("reference_N", "drum_velocity_rad_s", "gravity_N", "friction_A", "inertia_A")
 """Columns that only some rigs record."""
 
@@ -164,8 +167,9 @@ def empty_record(
     request: TrialRequest, rig: RigDescription, outcome: Outcome, reason: str, at: str
 ) -> TrialRecord:
     """The record of a trial without samples, with the live gains; `at` is its time of day."""
-    names = ("time_s", "setpoint_N", "tension_N", "current_A", "angle_rad")
-    columns: dict[str, Any] = dict.fromkeys(names, np.empty(0)) | {"flags": np.empty(0, np.uint8)}
+    columns: dict[str, Any] = dict.fromkeys(COLUMNS, np.empty(0)) | {
+        "flags": np.empty(0, np.uint8)
+    }
     record = record_of(request, rig, outcome, reason, at, **columns)
     return replace(record, gains=rig.gains)
 

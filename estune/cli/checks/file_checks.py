@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 
 from estune.cli.checks import description_checks, driver_checks, trial_checks
 from estune.cli.checks.check_result import CheckResult, State, unknown
-from estune.cli.checks.run_checks import MOVE, check_in_motion
+from estune.cli.checks.run_checks import FAILED, MOVE, check_in_motion
 
 if TYPE_CHECKING:
     from estune.hardware import RigConfig
@@ -45,11 +45,7 @@ def run_file_checks(
     if not move:
         yield MOVE
     elif failed:
-        yield unknown(
-            "trials",
-            "not checked because of the failed checks above",
-            "fix those, then use estune doctor --move",
-        )
+        yield FAILED
     else:
         with HardwareRig(config) as rig:
             yield from check_in_motion(rig, about, repeats)

@@ -26,6 +26,11 @@ GENTLER = 0.5
 
 
 MOVE = unknown("trials", "not checked, because nothing may move", "use estune doctor --move")
+FAILED = unknown(
+    "trials",
+    "not checked because of the failed checks above",
+    "fix those, then use estune doctor --move",
+)
 
 
 class TrialRig(Protocol):
@@ -82,11 +87,7 @@ def run_checks(
     if not move:
         yield MOVE
     elif State.FIX in (status.state, limits.state):
-        yield unknown(
-            "trials",
-            "not checked because of the failed checks above",
-            "fix those, then use estune doctor --move",
-        )
+        yield FAILED
     else:
         yield from check_in_motion(rig, about, repeats)
 

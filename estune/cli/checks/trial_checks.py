@@ -12,6 +12,7 @@ from estune.core.quantities import FloatArray
 from estune.errors import RigError
 from estune.trial import LATE, SATURATED, Outcome, RigDescription, TrialRecord
 from estune.trial.profiles import StepProfile
+from estune.trial.records import COLUMNS
 from estune.trial.scoring import cost_of
 
 LATE_MAX = 0.01
@@ -50,8 +51,7 @@ def check_outcomes(records: Sequence[TrialRecord], step: StepProfile) -> CheckRe
                 "check the rig: these were its own gains and a gentle step",
             )
         expected = step.samples(record.sampling_Hz)
-        names = ("time_s", "setpoint_N", "tension_N", "current_A", "angle_rad", "flags")
-        columns = {name: getattr(record, name) for name in names}
+        columns = {name: getattr(record, name) for name in (*COLUMNS, "flags")}
         wrong = [name for name, column in columns.items() if len(column) != expected]
         if wrong:
             return fix(
