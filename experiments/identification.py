@@ -144,11 +144,11 @@ def targets(worst: dict[str, float], rates: dict[str, float], trials: int) -> di
 
 def main() -> int:
     """Prints the tables, or with --json one object; returns 1 where a target is missed."""
-    parser = command_line(__doc__, quick="15 seeds instead of 200")
+    parser = command_line(__doc__, quick="5 seeds instead of 200")
     parser.add_argument("--seeds", type=int, default=200, help="records of each condition")
     options = parser.parse_args()
     reels = conditions()
-    trials = study(reels, excitation(), 15 if options.quick else options.seeds)
+    trials = study(reels, excitation(), 5 if options.quick else options.seeds)
     by_condition, rates = accuracy(reels, trials), coverage(trials)
     worst = {name: max(row[name] for row in by_condition.values()) for name in LIMITS}
     figures = {"worst_error": worst, "coverage": rates, "conditions": by_condition}

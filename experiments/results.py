@@ -14,11 +14,10 @@ import math
 import sys
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
-from matplotlib.figure import Figure
-
-from estune.support.plot_style import to_png
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 
 class Target(NamedTuple):
@@ -67,8 +66,10 @@ def command_line(about: str | None, *, quick: str, out: str = "") -> argparse.Ar
     return parser
 
 
-def save_figure(figure: Figure, folder: Path, name: str) -> Path:
+def save_figure(figure: "Figure", folder: Path, name: str) -> Path:
     """Writes a figure as PNG into a folder, which is created if missing; its path."""
+    from estune.support.plot_style import to_png  # noqa: PLC0415  it loads Matplotlib
+
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / f"{name}.png"
     path.write_bytes(to_png(figure))

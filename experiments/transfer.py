@@ -121,7 +121,8 @@ def row(runs: list[Run]) -> dict[str, float]:
 
 def main() -> int:
     """Prints a row for each kind of start."""
-    options = command_line(__doc__, quick="one seed in place of ten").parse_args()
+    options = command_line(__doc__, quick="one seed in place of ten, two new reels").parse_args()
+    new = NEW[::3] if options.quick else NEW
     starts: dict[str, list[Run]] = {"law": [], "model": [], "own": []}
     with print_tables(hidden=options.json), tempfile.TemporaryDirectory() as folder:
         for seed in range(1 if options.quick else 10):
@@ -129,7 +130,7 @@ def main() -> int:
             for n, place in enumerate(EARLIER):
                 tuned(reel(*place), 100 * seed + n, folder=earlier, run=f"reel-{n}")
             law = estune.start_from(f"law:{earlier}")
-            for n, place in enumerate(NEW):
+            for n, place in enumerate(new):
                 plant = reel(*place)
                 for name, start in (("law", law), ("model", "model"), ("own", None)):
                     result = tuned(plant, 100 * seed + 50 + n, start=start, journal=False)

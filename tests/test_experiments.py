@@ -35,17 +35,22 @@ SAMPLED = {
 """Experiments whose targets are shares or means of hundreds of cases: too many to be quick."""
 
 NIGHTLY = {
+    "benchmark_link",
+    "benchmark_trials",
     "diagnosis_constants",
     "diagnosis_scale",
     "hidden_effects",
     "jitter",
     "live_page",
+    "platform_tracking",
     "sample_efficiency",
+    "scale",
     "soak",
     "sweep_law",
+    "sweep_speed",
     "two_reels",
 }
-"""Experiments whose quick form takes a minute; their subjects have tests of their own."""
+"""Experiments of a minute, or whose targets are times; their subjects have tests of their own."""
 
 
 def experiments() -> list[str]:

@@ -225,7 +225,7 @@ def drawn_ramp(rng):
     return ramp(duration=2.6, rate=200.0, phase=rng.random(), **truth), truth
 
 
-@pytest.mark.parametrize("fits", [8, pytest.param(100, marks=pytest.mark.nightly)])
+@pytest.mark.parametrize("fits", [4, pytest.param(100, marks=pytest.mark.nightly)])
 def test_confidence_intervals_match_the_spread_of_estimates(fits):
     rng, scores = np.random.default_rng(0), []
     for _ in range(fits):

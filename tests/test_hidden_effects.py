@@ -14,7 +14,7 @@ from experiments import hidden_machines
 from experiments.hidden_machines import machine as machines
 from experiments.hidden_machines.bases import REEL, UNLOADED
 from experiments.hidden_machines.machine import Drive, NoCompiler, Run
-from experiments.hidden_scores import Task, diagnose, measurement
+from experiments.hidden_scores import measurement
 from plants.diagnosis.data.measured_record import CHANNELS
 from plants.diagnosis.data.records import read_measurements
 
@@ -283,12 +283,3 @@ def imported(file: Path):
 def test_given_numbers_exclude_hidden_calibrations():
     for base in (REEL, UNLOADED):
         assert not {"gain", "push_N", "zero_N"} & set(base.given())
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", ["none", "coulomb_friction", "cable_creep", "quadratic_drag"])
-def test_hidden_effect_alone_is_named(name):
-    row = diagnose(Task(1, "plain", name))
-    assert not row.error
-    assert not row.wrong_name
-    assert row.right or not row.in_catalogue
