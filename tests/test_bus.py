@@ -301,6 +301,20 @@ def test_watch_yields_samples_of_the_active_trial():
     rig.close()
 
 
+def test_rig_is_asked_for_samples_only_while_somebody_subscribes(monkeypatch):
+    rig, asked = plants.reference_reel().rig(name="reel", pace=0.5), []
+    telemetry = type(rig).telemetry
+    monkeypatch.setattr(type(rig), "telemetry", lambda *at: asked.append(at) or telemetry(*at))
+    gains, step = rig.describe().gains, rig.describe().step
+    with zenoh.serve(rig) as server, zenoh.connect(server.endpoint) as client:
+        client.run(TrialRequest("unwatched", 0, gains, step))
+        assert not asked
+        with client.watch() as chunks:
+            client.run(TrialRequest("watched", 0, gains, step))
+            assert next(chunks).trial_id == "watched-00000"
+    rig.close()
+
+
 def test_serve_of_a_moving_rig_without_a_ledger_is_refused():
     with pytest.raises(InvalidInput, match="name a ledger file"):
         zenoh.serve(ScriptedRig(simulated=False))
