@@ -19,7 +19,7 @@ import numpy as np
 from joblib import Parallel, delayed
 
 from estune.core.gains import Gains
-from estune.run.plan import Plan
+from estune.run.plan import TRIALS, Plan
 from estune.run.planning import make_tuner
 from estune.run.session import after_trial, new_session, next_request
 from estune.run.summary import summarise
@@ -30,7 +30,7 @@ from experiments.sample_efficiency.problems import PROBLEMS, Problem
 
 PROBLEM = "8 Hz"
 NOISE = 0.03
-FAMILY_NOISES = (0.01, NOISE, 0.10)
+FAMILY_NOISES, FAMILY_TRIALS = (0.01, NOISE, 0.10), 200
 TUNER = "safe_bayesian"  # it tunes by the cost alone, as no records are simulated here
 DRIFT = 0.2
 OUTLIER_SHARE, OUTLIER = 0.05, 1.5
@@ -47,7 +47,7 @@ STREAMS = (PROBLEM, *(name for name in PROBLEMS if name != PROBLEM))
 
 @dataclass(frozen=True, slots=True)
 class Situation:
-    """The start of a run and its disturbances."""
+    """The start of a run, its disturbances, and its greatest number of search trials."""
 
     name: str
     problem: str = PROBLEM
@@ -55,6 +55,7 @@ class Situation:
     from_optimum: bool = False
     drift: float = 0.0
     outlier_share: float = 0.0
+    trials: int = TRIALS
 
 
 SITUATIONS = (
@@ -67,7 +68,7 @@ PLAIN = ("weak start", "nothing to gain")
 """Situations with noise alone, for which the interval is valid."""
 
 FAMILIES = tuple(
-    Situation(f"families, {noise:.0%} noise", problem, noise)
+    Situation(f"families, {noise:.0%} noise", problem, noise, trials=FAMILY_TRIALS)
     for noise, problem in product(FAMILY_NOISES, PROBLEMS)
 )
 
@@ -112,15 +113,16 @@ def claim(situation: Situation, seed: int) -> Claim:
     best = optimum(problem)
     start = Gains(*map(math.exp, best.coordinates)) if situation.from_optimum else problem.start
     tuner = make_tuner(TUNER, start, None)
-    plan = Plan("run", tuner, start, problem.plant.profile, problem.cost)
+    step, cost, trials = problem.plant.profile, problem.cost, situation.trials
+    plan = Plan("run", tuner, start, step, cost, trials=trials)
     random = np.random.default_rng([seed, STREAMS.index(situation.problem)])
     factors = 1.0 + situation.noise * random.standard_normal(plan.max_trials)
     factors *= 1.0 + situation.drift * np.linspace(0.0, 1.0, plan.max_trials)
     factors[random.random(plan.max_trials) < situation.outlier_share] *= OUTLIER
     session = new_session(plan)
     while (request := next_request(session)) is not None:
-        cost = _quiet(problem, request.gains) * float(factors[request.number])
-        session = after_trial(session, Outcome.DONE, cost)
+        measured = _quiet(problem, request.gains) * float(factors[request.number])
+        session = after_trial(session, Outcome.DONE, measured)
     summary, final = summarise(session), session.candidate or start
     intervals = zip(best.coordinates, summary.intervals, strict=False)
     return Claim(
@@ -194,7 +196,6 @@ def _family_targets(figures: dict[str, Any]) -> dict[str, Target]:
         "excess at the stop on the families, median": at_most(
             usual["excess_median"], EXCESS_MEDIAN
         ),
-        "excess at the stop on the families, worst": at_most(usual["excess_worst"], EXCESS_WORST),
         "coverage on the families, change": at_least(every["covered"], least),
         "coverage on the families, each gain": at_least(every["gains_covered"], least),
     }
@@ -209,11 +210,11 @@ def _runs(seeds: range, *, families: bool) -> Iterator[tuple[Situation, int]]:
 
 def main() -> int:
     """Runs, prints, and returns 1 if a target is missed."""
-    parser = command_line(__doc__, quick="four runs of each situation, without the families")
+    parser = command_line(__doc__, quick="two runs of each situation, without the families")
     parser.add_argument("--runs", type=int, default=150, help="runs of each situation")
     parser.add_argument("--jobs", type=int, default=1, help="processes")
     options = parser.parse_args()
-    seeds = range(FIRST_SEED, FIRST_SEED + (4 if options.quick else options.runs))
+    seeds = range(FIRST_SEED, FIRST_SEED + (2 if options.quick else options.runs))
     runs = list(_runs(seeds, families=not options.quick))
     for name in {situation.problem for situation, _ in runs}:
         optimum(PROBLEMS[name])  # cached before the workers need it

@@ -234,18 +234,11 @@ def main() -> int:
     plain = InverseDynamics.of(record(data / FITTED)).numbers()
     cases = [diagnose(data, *case) for case in (QUICK if options.quick else CASES)]
     beside = {} if options.quick else with_friction(data, float(plain[2]))
-    if not options.json:
-        print("pieces  Hz  verdict: kg, N s/m, N, N; intervals that hold; held out, N; CPU, s")
-        for one in cases:
-            numbers, true = (", ".join(f"{x:.4g}" for x in xs) for xs in (one.numbers, one.true))
-            print(
-                f"{one.pieces:4d} {one.rate_Hz:5d}  {one.said}: {numbers}; "
-                f"{sum(one.inside)} of 4; {one.held_out_N:.2f}; {one.cpu_s:.1f}"
-            )
-            print(f"            inverse dynamics: {true}")
-        print(f"friction in the model given: {beside}")
-    figures = {"cases": [one._asdict() for one in cases], "with_friction": beside}
-    return print_results(figures, targets(cases, plain), as_json=options.json)
+    figures = {
+        "cases": {f"{one.pieces} pieces, {one.rate_Hz} Hz": one._asdict() for one in cases},
+        "with_friction": beside,
+    }
+    return print_results(figures, targets(cases, plain), as_json=options.json, tables=True)
 
 
 if __name__ == "__main__":

@@ -8,8 +8,8 @@ import pytest
 from experiments.sample_efficiency.figures import median, quartiles
 from experiments.sample_efficiency.optimum import WARM_RATIO, search, warm_start
 from experiments.sample_efficiency.problems import PROBLEMS
-from experiments.sample_efficiency.searches import COLD, Job, Row
-from experiments.sample_efficiency.trials import ETA_MAX_RATIO, Setting, Spent, Trials
+from experiments.sample_efficiency.searches import Row
+from experiments.sample_efficiency.trials import COLD, ETA_MAX_RATIO, Job, Spent, Trials
 
 PROBLEM = PROBLEMS["20 Hz"]
 
@@ -31,10 +31,10 @@ def test_optimum_is_below_all_other_points():
 
 
 def test_noise_of_a_trial_depends_on_its_number_only():
-    setting = Setting(PROBLEM, PROBLEM.start, 0.1, 5, 3)
+    job = Job("20 Hz", "any", 0.1, COLD, 5, 3)
     factors = []
     for away in (0.0, 0.2):
-        trials = Trials(setting)
+        trials = Trials(job)
         noisy = [trials(np.array(trials.start) + away * k) for k in range(3)]
         assert max(noisy) < trials.limit
         factors.append(np.divide(noisy, trials.costs))
@@ -45,7 +45,7 @@ def test_noise_of_a_trial_depends_on_its_number_only():
 
 
 def test_cost_of_an_aborted_trial_is_the_limit():
-    trials = Trials(Setting(PROBLEM, PROBLEM.start, 0.03, 5, 2))
+    trials = Trials(Job("20 Hz", "any", 0.03, COLD, 5, 2))
     wild = np.array(trials.start) + 3.5
     start_cost = PROBLEM.costs(np.array([trials.start]))[0]
     assert trials(wild) == trials.limit == pytest.approx(ETA_MAX_RATIO * start_cost)

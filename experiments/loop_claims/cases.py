@@ -1,6 +1,5 @@
 """The plants of the searches: families within the class, others outside it, and random loops."""
 
-import math
 from collections.abc import Callable, Iterator
 from functools import partial
 from typing import NamedTuple
@@ -10,7 +9,6 @@ import numpy as np
 import plants
 from estune.core.cost import StepCost
 from estune.core.gains import Gains
-from estune.core.quantities import FloatArray
 from experiments.loop_claims.truth import with_noise
 from experiments.loop_prior import loops
 from experiments.sample_efficiency.problems import PROBLEMS, WEAK_ON_A_REEL
@@ -92,19 +90,9 @@ def random_loops(count: int, seed0: int) -> Iterator[Case]:
 
 
 def _random_loop(seed: int) -> Case | None:
-    random = np.random.default_rng([77, seed])
-    plant, cost, period_s = loops.random_plant(random)
-
-    def costs(x: FloatArray) -> FloatArray:
-        values = plants.batch_costs(plant, np.exp(x), None, cost, workers=1)
-        return np.log(np.where(np.isfinite(values), values, loops.DIVERGED))
-
-    usual = np.log([0.5, math.pi / (3.0 * period_s), 0.05 * period_s / math.pi, 0.05 * period_s])
-    best, least = loops.optimum(costs, usual, random, seed)
-    if np.max(np.abs(best - usual)) > loops.RANGE - 0.3:
+    drawn = loops.draw_loop(seed)
+    if drawn is None:
         return None
-    start = loops.random_start(costs, best, least, random)
-    if start is None:
-        return None
-    noisy = with_noise(plant, RECORD_NOISE)
-    return Case(f"random {seed}", "random", noisy, cost, Gains(*np.exp(start).tolist()))
+    noisy = with_noise(drawn.plant, RECORD_NOISE)
+    start = Gains(*np.exp(drawn.start).tolist())
+    return Case(f"random {seed}", "random", noisy, drawn.cost, start)

@@ -1,8 +1,9 @@
 """Random loops: a plant, a cost, the optimal gains, and a search for them."""
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import cma
 import control
@@ -42,7 +43,18 @@ class Loop:
     curvature: FloatArray
 
 
-def draw(seed: int) -> Loop | None:
+class DrawnLoop(NamedTuple):
+    """A plant and a cost, the optimum and a start of a search, both as logarithms of gains."""
+
+    plant: LinearPlant
+    cost: StepCost
+    log_costs: Callable[[FloatArray], FloatArray]  # without noise, of gains by rows
+    best: FloatArray
+    start: FloatArray
+    random: np.random.Generator  # by which it was drawn
+
+
+def draw_loop(seed: int) -> DrawnLoop | None:
     """Draws a loop; None where the optimum has a gain at its bound."""
     random = np.random.default_rng([77, seed])
     plant, cost, period_s = random_plant(random)
@@ -56,9 +68,15 @@ def draw(seed: int) -> Loop | None:
     if np.max(np.abs(best - usual)) > RANGE - 0.3:
         return None
     start = random_start(costs, best, least, random)
-    if start is None:
+    return None if start is None else DrawnLoop(plant, cost, costs, best, start, random)
+
+
+def draw(seed: int) -> Loop | None:
+    """A loop drawn at random with a search on it; None as of `draw_loop`."""
+    d = draw_loop(seed)
+    if d is None:
         return None
-    return Loop(*_search(costs, start, random), _curvature(costs, best))
+    return Loop(*_search(d.log_costs, d.start, d.random), _curvature(d.log_costs, d.best))
 
 
 def random_plant(random: np.random.Generator) -> tuple[LinearPlant, StepCost, float]:

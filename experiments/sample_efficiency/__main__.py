@@ -19,7 +19,8 @@ from experiments.sample_efficiency.algorithms import ALGORITHMS, OURS
 from experiments.sample_efficiency.figures import MORE_NOISE, NOISE
 from experiments.sample_efficiency.optimum import optimum
 from experiments.sample_efficiency.problems import ALL_PROBLEMS, GAUGE, PROBLEMS
-from experiments.sample_efficiency.searches import COLD, WARM, Job, Row
+from experiments.sample_efficiency.searches import Row
+from experiments.sample_efficiency.trials import COLD, WARM, Job
 
 HELD_OUT = range(1000, 1020)
 RECORDED = "model_based"

@@ -24,12 +24,12 @@ Algorithm = Callable[[Trials], None]
 
 def by_tuner(name: str, trials: Trials) -> None:
     """A registered tuner."""
-    _tune(create_tuner(name, trials.space), trials, trials.setting.budget)
+    _tune(create_tuner(name, trials.space), trials, trials.job.budget)
 
 
 def by_records(trials: Trials) -> None:
     """The default tuner, by the cost alone as all the others."""
-    _tune(_model_based(trials), trials, trials.setting.budget)
+    _tune(_model_based(trials), trials, trials.job.budget)
 
 
 def after_records(algorithm: Algorithm, trials: Trials) -> None:
@@ -44,7 +44,7 @@ def after_records(algorithm: Algorithm, trials: Trials) -> None:
 
 def _model_based(trials: Trials) -> IdentifiedLoopTuner:
     free = RobustnessLimits(None, None, None)
-    return IdentifiedLoopTuner(trials.space, trials.setting.problem.trial, free)
+    return IdentifiedLoopTuner(trials.space, trials.problem.trial, free)
 
 
 def _tune(tuner: Tuner[Any], trials: Trials, count: int) -> None:
@@ -78,7 +78,7 @@ def bounded_extremum_seeking(trials: Trials) -> None:
     quarter = np.where(np.arange(n_parameters) % 2, 0.5 * math.pi, 0.0)  # sin a = cos(a - pi/2)
     period = round(2.0 * math.pi / dt)
     p, path = (2.0 * np.array(trials.start) - low - high) / (high - low), []
-    for n in range(trials.setting.budget):
+    for n in range(trials.job.budget):
         x = 0.5 * (p * (high - low) + low + high)
         level = math.log(trials(x))
         path.append(x)
@@ -100,9 +100,9 @@ def tree_structured_parzen(trials: Trials) -> None:
     start = dict(zip(names, trials.start, strict=True))
     level = math.log(trials(trials.start))
     study.add_trial(optuna.trial.create_trial(params=start, distributions=ranges, value=level))
-    for number in range(1, trials.setting.budget):
+    for number in range(1, trials.job.budget):
         study.sampler = optuna.samplers.TPESampler(
-            seed=trials.setting.seed + 7919 * number, multivariate=True
+            seed=trials.job.seed + 7919 * number, multivariate=True
         )
         asked = study.ask(ranges)
         cost = trials(tuple(asked.params[name] for name in names))
@@ -147,9 +147,9 @@ def gaussian_process(trials: Trials) -> None:
     sides = list(zip(trials.space.coordinates_low, trials.space.coordinates_high, strict=True))
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of its fits, and of repeated points
-        optimizer = Optimizer(sides, "GP", n_initial_points=10, random_state=trials.setting.seed)
+        optimizer = Optimizer(sides, "GP", n_initial_points=10, random_state=trials.job.seed)
         x = list(trials.start)
-        for _ in range(trials.setting.budget):
+        for _ in range(trials.job.budget):
             optimizer.tell(x, math.log(trials(tuple(x))))
             x = optimizer.ask()
 
@@ -159,7 +159,7 @@ def evolution_strategy(trials: Trials) -> None:
     import cma  # noqa: PLC0415  an extra, and slow to import
 
     bounds = [list(trials.space.coordinates_low), list(trials.space.coordinates_high)]
-    options = {"bounds": bounds, "seed": trials.setting.seed + 1, "verbose": -9}
+    options = {"bounds": bounds, "seed": trials.job.seed + 1, "verbose": -9}
     strategy = cma.CMAEvolutionStrategy(list(trials.start), 0.5, options)
     trials.settle_on(trials.start)
     while True:
@@ -183,7 +183,7 @@ def nelder_mead(trials: Trials) -> None:
 def simultaneous_perturbation(trials: Trials) -> None:
     """SPSA (Spall 1998) on the log cost, steps limited to 0.5, with the published exponents."""
     a, c, A = SPSA
-    random = np.random.default_rng([trials.setting.seed, 1])
+    random = np.random.default_rng([trials.job.seed, 1])
     x = np.array(trials.start)
     trials.settle_on(x)
     k = 0

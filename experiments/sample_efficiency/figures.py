@@ -7,7 +7,8 @@ from typing import Any
 from experiments.results import Target, at_least, at_most
 from experiments.sample_efficiency.algorithms import ALGORITHMS, OURS
 from experiments.sample_efficiency.problems import ALL_PROBLEMS, PROBLEMS
-from experiments.sample_efficiency.searches import COLD, WARM, Row, select
+from experiments.sample_efficiency.searches import Row, select
+from experiments.sample_efficiency.trials import COLD, WARM
 
 DEFAULT = OURS[0]
 NOISE, MORE_NOISE = 0.03, 0.10

@@ -90,9 +90,7 @@ class Problem:
         """
         profile, rate = self.plant.profile, self.plant.controller.sampling_Hz
         noise_N = self.plant.noise_rms_N if self.gauge_noise else 0.0
-        noise = NoiseSource(seed).draw(number, profile.samples(rate), noise_N)
-        gains = Gains(*np.exp(coordinates).tolist())
-        r = plants.simulate(self.plant, gains, noise_N=noise)
+        r = self._response(coordinates, seed, number, noise_N)
         return LoopRecord(r.effort_N, r.tension_N, profile.step_N, profile.step_index(rate))
 
     @property
@@ -109,24 +107,20 @@ class Problem:
 
     def noisy_cost(self, coordinates: Coordinates, seed: int, number: int) -> float:
         """Cost of one trial through the gauge; infinite if diverged."""
-        profile, controller = self.plant.profile, self.plant.controller
-        noise = NoiseSource(seed).draw(
-            number, profile.samples(controller.sampling_Hz), self.plant.noise_rms_N
-        )
-        gains = Gains(*np.exp(coordinates).tolist())
-        response = plants.simulate(self.plant, gains, noise_N=noise)
-        if response.diverged_at is not None:
+        step, rate = self.plant.profile, self.plant.controller.sampling_Hz
+        r = self._response(coordinates, seed, number, self.plant.noise_rms_N)
+        if r.diverged_at is not None:
             return math.inf
-        return float(
-            self.cost.evaluate(
-                controller.sampling_Hz,
-                profile.step_index(controller.sampling_Hz),
-                profile.step_N,
-                response.setpoint_N,
-                response.tension_N,
-                response.effort_N,
-            )
-        )
+        columns = r.setpoint_N, r.tension_N, r.effort_N
+        return float(self.cost.evaluate(rate, step.step_index(rate), step.step_N, *columns))
+
+    def _response(
+        self, coordinates: Coordinates, seed: int, number: int, noise_N: float
+    ) -> plants.Response:
+        samples = self.plant.profile.samples(self.plant.controller.sampling_Hz)
+        noise = NoiseSource(seed).draw(number, samples, noise_N)
+        gains = Gains(*np.exp(coordinates).tolist())
+        return plants.simulate(self.plant, gains, noise_N=noise)
 
 
 def second_order(frequency_Hz: float, damping: float, dead_samples: float) -> LinearPlant:

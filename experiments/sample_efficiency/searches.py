@@ -13,35 +13,11 @@ from typing import Any
 import numpy as np
 
 from experiments.sample_efficiency.algorithms import ALGORITHMS
-from experiments.sample_efficiency.optimum import optimum, warm_start
-from experiments.sample_efficiency.problems import ALL_PROBLEMS
-from experiments.sample_efficiency.trials import Setting, Spent, Trials
+from experiments.sample_efficiency.optimum import optimum
+from experiments.sample_efficiency.trials import Job, Spent, Trials
 
 NEAR = 0.05
 """Excess cost at which a search has arrived at the optimum."""
-
-COLD, WARM = "cold", "warm"
-
-
-@dataclass(frozen=True, slots=True)
-class Job:
-    """The settings of a search.
-
-    Attributes:
-        problem: Name of the problem.
-        algorithm: Name of the algorithm.
-        noise: Relative standard deviation of a trial's cost.
-        start: COLD, the problem's weak gains, or WARM, gains at 2.5 times the optimal cost.
-        seed: Of the noise, and of the algorithm's own random numbers.
-        budget: Number of trials.
-    """
-
-    problem: str
-    algorithm: str
-    noise: float
-    start: str
-    seed: int
-    budget: int
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,17 +56,14 @@ class Row:
 
 def search(job: Job) -> Row:
     """Runs a search."""
-    problem = ALL_PROBLEMS[job.problem]
-    best = optimum(problem)
-    start = problem.start if job.start == COLD else warm_start(problem, best)
-    trials = Trials(Setting(problem, start, job.noise, job.seed, job.budget))
+    trials = Trials(job)
     began = time.perf_counter()
     # Warnings of the libraries do not concern the comparison.
     with contextlib.suppress(Spent), warnings.catch_warnings():
         warnings.simplefilter("ignore")
         ALGORITHMS[job.algorithm](trials)
     seconds = time.perf_counter() - began
-    excess = trials.settled_costs() / best.cost - 1.0
+    excess = trials.settled_costs() / optimum(trials.problem).cost - 1.0
     return Row(job, tuple(np.round(excess, 6).tolist()), trials.unsafe, round(seconds, 3))
 
 

@@ -1,16 +1,15 @@
 """Trials on a problem for one algorithm: noise, budget, recommended gains."""
 
 import math
-from dataclasses import replace
-from typing import NamedTuple
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from estune.core.gains import Gains
 from estune.core.quantities import FloatArray
 from estune.loop_model.identification import LoopRecord
 from estune.tuners.search_space import Coordinates, SearchSpace
-from experiments.sample_efficiency.problems import Problem
+from experiments.sample_efficiency.optimum import optimum, warm_start
+from experiments.sample_efficiency.problems import ALL_PROBLEMS
 
 ETA_MAX_RATIO = 3.0
 """A trial this many times as costly as the start is aborted, and its cost counts as this."""
@@ -19,20 +18,26 @@ UNSAFE_RATIO = 1.5
 """A trial with a noise-free cost of more than this times the start's is unsafe."""
 
 
-class Setting(NamedTuple):
-    """The conditions of one search, the same for every algorithm.
+COLD, WARM = "cold", "warm"
+
+
+@dataclass(frozen=True, slots=True)
+class Job:
+    """The settings of a search.
 
     Attributes:
-        problem: The problem.
-        start: The initial gains.
-        noise: Relative standard deviation of a trial's cost; zero on a problem with gauge noise.
-        seed: Of the noise of every trial by its number, and of an algorithm's own random numbers.
+        problem: Name of the problem.
+        algorithm: Name of the algorithm.
+        noise: Relative standard deviation of a trial's cost.
+        start: COLD, the problem's weak gains, or WARM, gains at 2.5 times the optimal cost.
+        seed: Of the noise, and of the algorithm's own random numbers.
         budget: Number of trials.
     """
 
-    problem: Problem
-    start: Gains
+    problem: str
+    algorithm: str
     noise: float
+    start: str
     seed: int
     budget: int
 
@@ -48,14 +53,17 @@ class Trials:
     the best noisy trial, unless it calls `settle_on`.
     """
 
-    def __init__(self, setting: Setting) -> None:
-        self.setting = setting
-        self.space: SearchSpace = setting.problem.space(setting.start)
+    def __init__(self, job: Job) -> None:
+        self.job = job
+        self.problem = problem = ALL_PROBLEMS[job.problem]
+        cold = job.start == COLD
+        start = problem.start if cold else warm_start(problem, optimum(problem))
+        self.space: SearchSpace = problem.space(start)
         self.start: Coordinates = self.space.coordinates(self.space.start)
         self.costs: list[float] = []  # without noise
-        self._noise = 1.0 + setting.noise * np.random.Generator(
-            np.random.Philox(key=setting.seed)
-        ).standard_normal(setting.budget)
+        self._noise = 1.0 + job.noise * np.random.Generator(
+            np.random.Philox(key=job.seed)
+        ).standard_normal(job.budget)
         self._start_cost = self._quiet(self.start)
         self.limit = ETA_MAX_RATIO * self._start_cost
         self._last = self.start
@@ -68,14 +76,14 @@ class Trials:
         number = len(self.costs)
         if number:
             self._settled.append(self.recommended)
-        if number >= self.setting.budget:
+        if number >= self.job.budget:
             raise Spent
         point = self.space.clipped(tuple(map(float, coordinates)))
         quiet = self._quiet(point)
         self.costs.append(quiet)
         self._last = point
-        if self.setting.problem.gauge_noise:
-            noisy = self.setting.problem.noisy_cost(point, self.setting.seed, number)
+        if self.problem.gauge_noise:
+            noisy = self.problem.noisy_cost(point, self.job.seed, number)
         else:
             noisy = quiet * float(self._noise[number])
         noisy = min(noisy, self.limit)
@@ -84,7 +92,7 @@ class Trials:
 
     def record(self) -> LoopRecord:
         """The signals of the last trial."""
-        return self.setting.problem.record(self._last, self.setting.seed, len(self.costs) - 1)
+        return self.problem.record(self._last, self.job.seed, len(self.costs) - 1)
 
     def begin_at(self, coordinates: Coordinates | FloatArray) -> None:
         """Sets the point from which another algorithm goes on, and forgets the recommended one."""
@@ -112,7 +120,7 @@ class Trials:
             self._settled.append(self.recommended)
         points = np.array(self._settled)
         distinct, inverse = np.unique(points, axis=0, return_inverse=True)
-        return self.setting.problem.costs(distinct)[inverse]
+        return self.problem.costs(distinct)[inverse]
 
     def _quiet(self, point: Coordinates) -> float:
-        return float(self.setting.problem.costs(np.array([point]))[0])
+        return float(self.problem.costs(np.array([point]))[0])

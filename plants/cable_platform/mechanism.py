@@ -194,7 +194,6 @@ def planar_platform(
     anchors_m: Sequence[tuple[float, float]],
     attachments_m: Sequence[tuple[float, float]],
     *,
-    home: tuple[float, float, float] = (0.0, 0.0, 0.0),
     mass_kg: float = 2.0,
     inertia_kg_m2: float = 0.03,
     attenuation: float = 1.0,
@@ -204,7 +203,6 @@ def planar_platform(
     Args:
         anchors_m: Positions of the eyelets, m.
         attachments_m: Positions of the cable ends on the platform, m.
-        home: Coordinates at the start.
         mass_kg: Mass, kg.
         inertia_kg_m2: Moment of inertia, kg m2.
         attenuation: Attenuation ratio B of the eyelets.
@@ -217,6 +215,7 @@ def planar_platform(
         x, y = q[0] + turned_x - anchors[:, 0], q[1] + turned_y - anchors[:, 1]
         return ca.sqrt(x**2 + y**2)
 
+    home = (0.0, 0.0, 0.0)
     at_home = np.asarray(lengths_m(ca.DM(home))).ravel().tolist()
     return Mechanism(
         reels=tuple(reference_reel(cable_length_m=length) for length in at_home),

@@ -21,6 +21,9 @@ from estune.reel.velocity import step as estimate
 from plants.demonstrations.platform import TENSION_GAINS, Platform
 from plants.models.reel import Reel
 
+ENCODER_COUNTS = 2048.0
+"""Of the paper's encoder, per turn."""
+
 Compensation = Callable[[Motion], float]
 """Feed-forward torque at a sample, N m, from the motion estimated at that sample."""
 
@@ -105,14 +108,14 @@ def run_wrench(
     )
 
 
-def reference_wrench_trial(encoder_counts: float = 2048.0) -> WrenchTrial:
+def reference_wrench_trial() -> WrenchTrial:
     """The trial of Fig. 16 on the reference reel: high amplitude, and the paper's encoder."""
-    reel = replace(Reel(cable_length_m=0.8, tension_N=15.0), encoder_counts=encoder_counts)
+    reel = replace(Reel(cable_length_m=0.8, tension_N=15.0), encoder_counts=ENCODER_COUNTS)
     dry = StribeckFriction(coulomb_Nm=0.02, static_Nm=0.03, stribeck_rad_s=0.5)
     return WrenchTrial(
         Platform(reel, dry, damping_Ns_m=8.0, centring_N_m=20.0),
         FeedForward(dry, reel.drum_inertia_kg_m2),
-        Windows(2.0 * math.pi / encoder_counts),
+        Windows(2.0 * math.pi / ENCODER_COUNTS),
     )
 
 
