@@ -1,9 +1,9 @@
-"""Jackknife errors of fitted values: coloured residuals, groups that alone determine a value."""
+"""Errors of fitted values: coloured residuals, groups that alone determine a value, laws."""
 
 import numpy as np
 import pytest
 
-from plants.diagnosis.search.intervals import jackknife
+from plants.diagnosis.search.intervals import greatest_shifts, jackknife
 
 GROUPS, EACH = 40, 50
 
@@ -32,3 +32,14 @@ def test_group_that_alone_determines_a_value_leaves_it_to_the_prior():
 
 def test_single_group_says_nothing():
     assert jackknife(np.ones((1, 10)), np.ones(10), np.zeros(10, np.int64)) == pytest.approx([0.0])
+
+
+def test_error_of_a_law_shifts_a_value_the_most_along_its_own_direction():
+    rng = np.random.default_rng(3)
+    columns = 10.0 * rng.standard_normal((3, 200)) + 30.0  # which are nearly alike
+    own = columns.T @ np.linalg.inv(columns @ columns.T)[:, 0]
+    errors = np.stack([own, *rng.standard_normal((20, 200))])
+    errors /= np.linalg.norm(errors, axis=1)[:, None]
+    shifted = np.abs(np.linalg.lstsq(columns.T, errors.T, rcond=None)[0][0])
+    assert shifted[0] == pytest.approx(greatest_shifts(columns)[0], rel=1e-3)
+    assert shifted[1:].max() < shifted[0]

@@ -25,8 +25,11 @@ class Backlash(Effect):
     without rebound: the gap's rate over a substep is that of free masses, cut at what takes the
     gap to an end of the backlash (Moreau 1988).
 
+    Real teeth give way and rebound, and where they meet decides what follows: of eight hidden
+    gears the backlash found was off by 2 to 20 %, 14 % rms.
+
     Attributes:
-        play_rad: Backlash p at the drum, rad.
+        play_rad: Backlash p at the drum, rad: that of rigid teeth which predict best.
         motor_share: Share m of the inertia, and of the viscous friction, on the motor's side.
     """
 
@@ -41,6 +44,7 @@ class Backlash(Effect):
     also = (Port.CABLE,)
     states = 2
     divides = True
+    form_error = 0.1
 
     play_rad: float = parameter(
         0.003, low=0.0, high=0.5, unit="rad", neutral=0.0, least=(Share(3.0, "angle_noise_rad"),)

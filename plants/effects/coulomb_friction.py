@@ -22,7 +22,8 @@ class CoulombFriction(Effect):
     the surfaces they creep instead of sticking, `tau = -F omega/omega_c` up to F.
 
     Attributes:
-        torque_Nm: Size F of the friction, N m.
+        torque_Nm: Size F of the friction, N m; without a gauge by the torque constant given, as
+            every torque is then.
         creep_rad_s: Velocity omega_c up to which they creep, rad/s; 0 where they stick.
     """
 

@@ -13,7 +13,8 @@ from plants.effects.plant_scale import PlantScale, digits, si
 class DeadTime(Effect):
     """Dead time between command and torque on top of the reel's own: `i(t) = u(t - d - d_reel)`.
 
-    It lengthens the reel's dead time, of which fractions of a sample are exact.
+    It lengthens the reel's dead time, of which fractions of a sample are exact. The lag of a
+    current loop much faster than the sampling counts as dead time.
 
     Attributes:
         delay_s: The dead time d added, s.

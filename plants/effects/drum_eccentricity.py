@@ -20,8 +20,13 @@ class DrumEccentricity(Effect):
 
     The torque is what the reel's own -R T lacks.
 
+    A drum is also oval. Over less than a turn that looks like a wave of another size: twelve
+    hidden drums whose second harmonic was 5 to 20 % of the first were found with an eccentricity
+    off by 0 to 28 %, 14 % rms.
+
     Attributes:
-        eccentricity: Eccentricity e, relative to the radius.
+        eccentricity: Eccentricity e, relative to the radius: that of the one wave that comes
+            nearest.
         phase_rad: Angle phi past the largest radius where the cable is just taut, rad.
     """
 
@@ -32,6 +37,7 @@ class DrumEccentricity(Effect):
     port = Port.CABLE
     also = (Port.DRUM,)
     states = angle_phase.STATES
+    form_error = 0.1
 
     eccentricity: float = parameter(0.02, low=0.0, high=0.2, neutral=0.0)
     phase_rad: float = phase()

@@ -120,6 +120,8 @@ class Effect(ABC):
         by_tension: Whether it depends on the level of the tension, not on changes of it: beside it
             an offset of the torque can be told from one of the gauge.
         smooth: Whether the trial has a derivative by the parameters that is worth following.
+        form_error: Relative standard error of its values for the ways in which machines are
+            unlike its law, where it is more than of other laws.
 
     Raises:
         InvalidInput: a parameter is outside its range.
@@ -142,6 +144,7 @@ class Effect(ABC):
     divides: ClassVar[bool] = False
     by_tension: ClassVar[bool] = False
     smooth: ClassVar[bool] = True
+    form_error: ClassVar[float] = 0.0
 
     def __post_init__(self) -> None:
         for name, p in self.parameters().items():

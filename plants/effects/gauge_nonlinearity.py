@@ -13,6 +13,9 @@ from plants.effects.plant_scale import PlantScale, digits
 class GaugeNonlinearity(Effect):
     """A gauge whose curve is bent: `y = T + c T^2`, a cantilever's second-order calibration curve.
 
+    A curve that bends more at its end than this one changes the slope found at zero, and with it
+    the gain of the torque and the inertia, by some per cent.
+
     Attributes:
         curvature_per_N: The curvature c, 1/N; the curve rises up to a tension of -1/(2 c).
     """
@@ -25,6 +28,7 @@ class GaugeNonlinearity(Effect):
     )
     excitation = "slow ramps over the whole range of tension"
     port = Port.GAUGE
+    form_error = 0.05
 
     curvature_per_N: float = parameter(1e-3, low=-0.01, high=0.02, unit="1/N", neutral=0.0)
 
