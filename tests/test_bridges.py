@@ -2,6 +2,7 @@
 
 import itertools
 import json
+import math
 import signal
 import socket
 import struct
@@ -112,6 +113,11 @@ def test_samples_are_stamped_from_the_first_telemetry_of_their_trial():
     later = clock.after(two := batch("a", 15, 2), NS + 99)
     assert next(later.samples(two)) == Sample(NS + 2_000_000, 0.0, 0.5, 1.0, 1.5)
     assert clock.after(batch("b", 0, 1), NS + 10**9).start_ns == NS + 10**9
+
+
+def test_values_that_are_no_numbers_are_left_out():
+    sample = Sample(NS, 10.0, math.nan, math.inf, -0.2)
+    assert sample.values() == {"setpoint_N": 10.0, "angle_rad": -0.2}
 
 
 class Received:

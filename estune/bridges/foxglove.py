@@ -58,9 +58,7 @@ class FoxgloveViewer:
     def show_samples(self, samples: list[Sample]) -> None:
         """Sends each sample to the clients that have subscribed."""
         for sample in samples:
-            time_ns, *values = sample
-            message = dict(zip(Sample._fields[1:], values, strict=True))
-            self._samples.log(message, log_time=time_ns)
+            self._samples.log(sample.values(), log_time=sample.time_ns)
 
     def show_state(self, state: RigState) -> None:
         """Sends the status and the live gains."""

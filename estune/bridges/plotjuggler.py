@@ -43,8 +43,7 @@ class PlotJuggler:
     def show_samples(self, samples: list[Sample]) -> None:
         """Sends a datagram for each sample."""
         for sample in samples:
-            time_ns, *values = sample
-            self._send(time_ns, dict(zip(Sample._fields[1:], values, strict=True)))
+            self._send(sample.time_ns, sample.values())
 
     def show_state(self, state: RigState) -> None:
         """Sends the status and the live gains."""
@@ -52,5 +51,5 @@ class PlotJuggler:
 
     def _send(self, time_ns: int, values: dict[str, Any]) -> None:
         data = json.dumps({"timestamp": 1e-9 * time_ns, self._rig: values}).encode()
-        with suppress(ConnectionRefusedError):  # nobody listens yet
+        with suppress(OSError):  # nobody listens yet, or no network for a moment
             self._socket.sendto(data, self._to)

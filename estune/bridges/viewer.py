@@ -1,5 +1,6 @@
 """A rig's samples and status for a program that shows them; never its lease."""
 
+import math
 import threading
 import time
 from collections.abc import Iterator
@@ -32,6 +33,12 @@ class Sample(NamedTuple):
     tension_N: float
     current_A: float
     angle_rad: float
+
+    def values(self) -> dict[str, float]:
+        """What was measured, by name; JSON has no word for a value outside the calibration."""
+        named = self._asdict()
+        del named["time_ns"]
+        return {name: value for name, value in named.items() if math.isfinite(value)}
 
 
 @dataclass(frozen=True, slots=True)
