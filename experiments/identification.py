@@ -6,12 +6,10 @@ with the reel's parameters.
 """
 
 import math
-import multiprocessing
-from concurrent.futures import ProcessPoolExecutor
-from functools import partial
 from typing import NamedTuple
 
 import numpy as np
+from joblib import Parallel, delayed
 
 from experiments.results import Target, at_most, command_line, print_results
 from plants.identify import (
@@ -99,9 +97,8 @@ def repeat(signal: Excitation, reel: Reel, seeds: range) -> list[Trial]:
 def study(reels: list[Reel], signal: Excitation, seeds: int) -> list[list[Trial]]:
     """Trials of all conditions, each with its own seeds, on all cores."""
     ranges = [range(seeds * n, seeds * (n + 1)) for n in range(len(reels))]
-    spawn = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(mp_context=spawn) as pool:
-        return list(pool.map(partial(repeat, signal), reels, ranges))
+    todo = zip(reels, ranges, strict=True)
+    return list(Parallel(n_jobs=-1)(delayed(repeat)(signal, *one) for one in todo))
 
 
 def accuracy(reels: list[Reel], trials: list[list[Trial]]) -> dict[str, dict[str, float]]:

@@ -6,14 +6,12 @@ with many seeds for the coverage of its interval, and where noise or geometry hi
 """
 
 import math
-import multiprocessing
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
-from functools import partial
 from itertools import product
 from typing import Any, NamedTuple
 
 import numpy as np
+from joblib import Parallel, delayed
 
 from estune.errors import RigError
 from experiments.results import Target, at_most, command_line, print_results
@@ -99,9 +97,9 @@ def geometries(thin: int) -> dict[str, dict[str, Any]]:
     return rows
 
 
-def _one(choices: dict[str, Any], case: Case, seed: int) -> tuple[float, bool, bool]:
+def _one(holding: str, case: Case, seed: int) -> tuple[float, bool, bool]:
     """Relative error of one measurement, whether it is covered, and whether it is resolved."""
-    result = measure(case, seed, **choices)
+    result = measure(case, seed, holding=holding)
     C, true = result.friction_coefficient, case.eyelet.coefficient
     return C.value / true - 1.0, C.low <= true <= C.high, result.resolved
 
@@ -109,26 +107,21 @@ def _one(choices: dict[str, Any], case: Case, seed: int) -> tuple[float, bool, b
 def coverage(seeds: int, thin: int) -> dict[str, dict[str, float]]:
     """Coverage of the intervals for each way of holding the other reel."""
     rows = {}
-    spawn = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(mp_context=spawn) as pool:
-        for name, holding, coefficient, benches in (
-            ("breakout, C_R 0.1", "breakout", 0.1, seeds),
-            ("breakout, C_R 0.05", "breakout", 0.05, seeds),
-            ("position, C_R 0.1", "position", 0.1, seeds // thin),  # without a target
-        ):
-            task = partial(
-                _one, {"holding": holding}, Case(replace(REFERENCE, coefficient=coefficient))
-            )
-            errors, held, resolved = map(
-                np.array, zip(*pool.map(task, range(benches)), strict=True)
-            )
-            rows[name] = {
-                "coverage": float(held.mean()),
-                "rms_error": float(np.sqrt(np.mean(errors**2))),
-                "worst_error": float(np.abs(errors).max()),
-                "resolved": float(resolved.mean()),
-                "worst_resolved_error": float(np.abs(errors[resolved]).max(initial=0.0)),
-            }
+    for name, holding, coefficient, benches in (
+        ("breakout, C_R 0.1", "breakout", 0.1, seeds),
+        ("breakout, C_R 0.05", "breakout", 0.05, seeds),
+        ("position, C_R 0.1", "position", 0.1, seeds // thin),  # without a target
+    ):
+        case, measured = Case(replace(REFERENCE, coefficient=coefficient)), delayed(_one)
+        made = Parallel(n_jobs=-1)(measured(holding, case, seed) for seed in range(benches))
+        errors, held, resolved = map(np.array, zip(*made, strict=True))
+        rows[name] = {
+            "coverage": float(held.mean()),
+            "rms_error": float(np.sqrt(np.mean(errors**2))),
+            "worst_error": float(np.abs(errors).max()),
+            "resolved": float(resolved.mean()),
+            "worst_resolved_error": float(np.abs(errors[resolved]).max(initial=0.0)),
+        }
     return rows
 
 
