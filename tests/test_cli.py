@@ -185,8 +185,8 @@ def test_folder_that_hides_an_installed_package_is_named(tmp_path):
     assert f"no 'reference_reel'; {hiding} hides the" in done.stderr.splitlines()[-1]
 
 
-def test_tune_help_lists_every_registered_tuner():
-    shown = call("tune", "--help").stdout
+def test_tune_help_lists_every_registered_tuner(here):
+    shown = here("tune", "--help")
     assert all(name in shown for name in TUNERS)
 
 
@@ -212,7 +212,7 @@ def test_list_and_show_agree_with_the_library(tuned, here):
     assert list(shown["gains"].values()) == list(result.x)
     assert shown["tuned"]["margins"]["gain_margin"] == result.tuned.margins.gain_margin
     assert [t["cost"] for t in shown["trials"]] == [e.cost for e in result.entries]
-    table = call("show", folder / "first").stdout
+    table = here("show", folder / "first")
     assert table.splitlines()[0] == done.stdout.splitlines()[0]
 
 
@@ -222,19 +222,19 @@ def test_apply_makes_gains_live_and_start_restores_the_old(tuned, endpoint, here
     done = here("apply", folder / "first", endpoint)
     assert "confirms" in done
     assert f"{result.gains.P:.6g} N/N" in done
-    assert result.rig.gains_text(result.gains) in call("discover", endpoint).stdout
+    assert result.rig.gains_text(result.gains) in here("discover", endpoint)
     here("apply", folder / "first", endpoint, "--start")
     assert result.rig.gains_text(result.start_gains) in here("discover", endpoint)
 
 
 @pytest.mark.parametrize("form", ["csv", "parquet"])
-def test_export_writes_one_file_per_trial(tuned, form, tmp_path):
+def test_export_writes_one_file_per_trial(tuned, form, tmp_path, here):
     folder, _ = tuned
     options = ("--per-trial", f"--{form}", "--out", tmp_path)
-    done = call("export", "first", "--folder", folder, *options)
+    done = here("export", "first", "--folder", folder, *options)
     trials = estune.load(folder / "first").nfev
     assert len(list(tmp_path.glob(f"*.{form}"))) == trials
-    assert done.stdout.startswith(f"{trials} trials")
+    assert done.startswith(f"{trials} trials")
 
 
 def test_ctrl_c_reports_live_gains_and_resume_continues(tmp_path, here):
@@ -265,7 +265,7 @@ def test_ctrl_c_reports_live_gains_and_resume_continues(tmp_path, here):
         assert result.rig.gains_text(result.start_gains) in here("discover", endpoint)
         (row,) = json.loads(here("list", "--folder", tmp_path, "--json"))
         assert row["state"] == "stopped"
-        assert "trials" in call("resume", tmp_path / "cut").stdout
+        assert "trials" in here("resume", tmp_path / "cut")
     again = estune.load(tmp_path / "cut")
     assert again.verdict.complete
     assert again.entries[: result.nfev] == result.entries
