@@ -43,10 +43,10 @@ class Mischief:
         self._orders: deque[str] = deque()
         threading.Thread(target=self._listen, daemon=True).start()
 
-    def is_held_back(self, message: Message, *, submit: bool) -> bool:
-        """Whether a message is held back; `submit` is whether it submits a trial."""
+    def is_held_back(self, message: Message) -> bool:
+        """Whether a command is held back."""
         self._past.append(message)
-        if not submit or not self._orders:
+        if not message.key.endswith("/submit") or not self._orders:
             return False
         late = self._orders.popleft() == "late"
         self._deliver(message, self._random.uniform(*LATE_S) if late else 0.0)
@@ -96,8 +96,7 @@ def disturbed(ask: Callable[..., bytes | None], mischief: Mischief) -> Callable[
     """`RigConnection.ask` with the mischief between it and the network."""
 
     def disturbed_ask(self: object, key: str, payload: bytes, **options: object) -> bytes | None:
-        message, submit = Message(key, payload), key.endswith("/submit")
-        if "/@cmd/" in key and mischief.is_held_back(message, submit=submit):
+        if "/@cmd/" in key and mischief.is_held_back(Message(key, payload)):
             return None
         return ask(self, key, payload, **options)
 

@@ -13,7 +13,9 @@ from plants.cable_platform.real_time import RealTimePlatform
 
 
 def main(name: str = "platform") -> int:
-    """Serves the reels of an example."""
+    """Serves the reels of an example; returns the exit code."""
+    if name not in EXAMPLES:
+        sys.exit(f"there is no example {name!r}; name one of {', '.join(EXAMPLES)}")
     mechanism, names = EXAMPLES[name]()
     with contextlib.ExitStack() as stack:
         platform = stack.enter_context(RealTimePlatform(mechanism))
