@@ -1,9 +1,6 @@
 """`estune daemon` and `estune daemon-control`: rigs that are supervised for days."""
 
-import getpass
-import os
 import signal
-import socket
 import time
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
@@ -20,6 +17,7 @@ from estune.cli.values import Flag, security_from
 from estune.core.gains import GAIN_NAMES
 from estune.errors import InvalidInput, RigError
 from estune.remote.messages.daemon import DaemonStatus, DaemonVerb, History
+from estune.support.user import user_at_host
 
 if TYPE_CHECKING:
     from estune.remote.zenoh.daemon_service import DaemonClient
@@ -117,7 +115,7 @@ def daemon_control(
         elif len(names) > 1:
             raise InvalidInput(f"name the rig with --rig: {', '.join(names)}")
         else:
-            reply = client.command(names[0], verb, _user(), why)
+            reply = client.command(names[0], verb, user_at_host()[:128], why)
             if not json:
                 print(reply, flush=True)
             answer = _status_after(client, statuses[0], verb)
@@ -240,11 +238,3 @@ def _show_history(rig: str, history: History) -> None:
         (output.local_time(row["at"]), row["verb"], row["sentence"]) for row in history.commands
     ]
     output.show_table(("at", "verb", ""), commands)
-
-
-def _user() -> str:
-    try:
-        user = getpass.getuser()
-    except (KeyError, OSError):  # a process without a user's name
-        user = str(os.getuid())
-    return f"{user}@{socket.gethostname()}"[:128]

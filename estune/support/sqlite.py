@@ -25,7 +25,6 @@ second writer. The file's `user_version` is the version of its schema.
 """
 
 import fcntl
-import getpass
 import os
 import shlex
 import sqlite3
@@ -36,6 +35,7 @@ from pathlib import Path
 from typing import IO, Any, NamedTuple, Self
 
 from estune.errors import JournalError
+from estune.support.user import user_name
 
 _LARGE_bytes = 64 * 2**20
 """Size from which on tables with checksums are not checked when a file is opened."""
@@ -283,7 +283,7 @@ def _lock(path: Path, kind: FileKind) -> IO[str]:
             "wait for it or stop it"
         ) from None
     lock.truncate(0)
-    lock.write(f"process {os.getpid()} of {_user()}\n")
+    lock.write(f"process {os.getpid()} of {user_name()}\n")
     lock.flush()
     return lock
 
@@ -324,10 +324,3 @@ def _explained(path: Path, kind: FileKind) -> Iterator[None]:
             f"{error.filename or path}: {error.strerror or error}; "
             f"choose a folder that can be written, or repair this one and {go_on}"
         ) from error
-
-
-def _user() -> str:
-    try:
-        return getpass.getuser()
-    except (KeyError, OSError):  # a process without a user's name
-        return str(os.getuid())

@@ -1,9 +1,7 @@
 """A rig in another process over Zenoh: `discover_rigs` lists the rigs, `connect` opens one."""
 
-import getpass
 import math
 import os
-import socket
 import threading
 import time
 import weakref
@@ -32,6 +30,7 @@ from estune.remote.zenoh.network import Network
 from estune.remote.zenoh.rig_connection import RigConnection, present_at
 from estune.remote.zenoh.trial_exchange import TrialExchange
 from estune.remote.zenoh.zenoh_session import AGAIN_S, close_session
+from estune.support.user import user_at_host
 from estune.trial import (
     Feedback,
     Outcome,
@@ -91,7 +90,7 @@ def connect(
     except BaseException:
         network.leave(endpoint)
         raise
-    return RemoteRig(connection, network, endpoint, holder or _holder())
+    return RemoteRig(connection, network, endpoint, holder or _this_process())
 
 
 def discover_rigs(
@@ -129,12 +128,8 @@ def _find(session: zenoh.Session, endpoint: str, rig: str | None, deadline_s: fl
         time.sleep(AGAIN_S)
 
 
-def _holder() -> str:
-    try:
-        user = getpass.getuser()
-    except (KeyError, OSError):  # a process without a user's name
-        user = str(os.getuid())
-    return f"{user}@{socket.gethostname()}, process {os.getpid()}"
+def _this_process() -> str:
+    return f"{user_at_host()}, process {os.getpid()}"
 
 
 class RemoteRig:
