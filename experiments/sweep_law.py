@@ -113,9 +113,9 @@ def run_sweep(
 def of_seeds(result: SweepResult, first: int, last: int) -> list[TunedGains]:
     """The tunings of some of the seeds."""
     return [
-        tuned
+        outcome.tuned()
         for outcome in result.outcomes
-        if first <= outcome.cell.seed < last and (tuned := outcome.tuned()) is not None
+        if first <= outcome.cell.seed < last and outcome.gains is not None
     ]
 
 

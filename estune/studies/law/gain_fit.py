@@ -1,5 +1,7 @@
 """Fit of one gain over length and tension: its points, the selected form, its uncertainty."""
 
+from array import array
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -16,7 +18,8 @@ from estune.studies.law.model_selection import (
     select_form,
 )
 from estune.studies.law.robust_regression import WeightedFit, interval_factor
-from estune.studies.law.tuned import TunedGains
+from estune.studies.law.tuned import TunedColumns
+from estune.support.lazy_sequence import LazySequence
 
 CONFIDENCE = 0.95
 """Level of the intervals in sentences and figures."""
@@ -45,7 +48,9 @@ class GainFit:
         name: Name of the gain, of `GAIN_NAMES`.
         labels: Labels of the points.
         fit: Regression of the selected form.
-        straight: The straight line a + b L, with + c T where tension was varied.
+        slope: Slope b of the straight line a + b L, in the gain's unit per m.
+        tension_effect: Slope c in tension, in the gain's unit per N, of the line a + b L + c T;
+            None where tension was not varied.
         scores: Cross-validation scores; empty with fewer than three lengths.
         R2: Share of the gains' weighted variance that the form explains.
         lack_of_fit: The test of the form against repeats; None without repeats, or without more
@@ -54,24 +59,15 @@ class GainFit:
 
     name: str
     points: Points
-    labels: tuple[str, ...]
+    labels: Sequence[str]
     form: CurveForm
     fit: WeightedFit
     curve: GainCurve
-    straight: WeightedFit
+    slope: Slope
+    tension_effect: Slope | None
     scores: tuple[Score, ...]
     R2: float
     lack_of_fit: LackOfFit | None
-
-    @property
-    def slope(self) -> Slope:
-        """Slope b of the straight line, in the gain's unit per m."""
-        return _slope(self.straight, 1)
-
-    @property
-    def tension_effect(self) -> Slope | None:
-        """Slope c in tension, in the gain's unit per N; None where tension was not varied."""
-        return _slope(self.straight, 2) if self.points.tension_varies else None
 
     @property
     def mean(self) -> float:
@@ -82,9 +78,7 @@ class GainFit:
     def outliers(self) -> tuple[str, ...]:
         """Labels of the tunings that the fit down-weights to almost nothing."""
         return tuple(
-            label
-            for label, weight in zip(self.labels, self.fit.robustness, strict=True)
-            if weight < _OUTLIER
+            self.labels[n] for n in np.flatnonzero(self.fit.robustness < _OUTLIER).tolist()
         )
 
     def to_json(self) -> dict[str, Any]:
@@ -104,20 +98,27 @@ class GainFit:
 
 
 def fit_gain(
-    name: str, index: int, tunings: tuple[TunedGains, ...], form: CurveForm | None
+    name: str,
+    index: int,
+    tunings: TunedColumns,
+    labels: LazySequence[str],
+    form: CurveForm | None,
 ) -> GainFit:
     """Fits one gain, in a given form or in the one selected by cross-validation."""
-    points, labels = _points(name, index, tunings)
-    straight = points.fit(CurveForm("linear", points.tension_varies))
+    points, labels = _points(index, tunings, labels)
+    varies = points.tension_varies
+    line = CurveForm("linear", varies)
+    straight = points.fit(line)
+    slope, tension_effect = _slope(straight, 1), _slope(straight, 2) if varies else None
     scores = cross_validate(points, straight)
     if form is None:
         # A curve is considered only where the straight line has a significant slope.
         form = select_form(
             points, scores, straight,
-            length_matters=_slope(straight, 1).is_significant,
-            tension_matters=points.tension_varies and _slope(straight, 2).is_significant,
+            length_matters=slope.is_significant,
+            tension_matters=tension_effect is not None and tension_effect.is_significant,
         )  # fmt: skip
-    fit = points.fit(form)
+    fit = straight if form == line else points.fit(form)
     offset, *others = fit.coefficients.tolist()
     curve = GainCurve(
         form.over_length,
@@ -125,19 +126,19 @@ def fit_gain(
         slope=others.pop(0) if form.over_length != "constant" else 0.0,
         per_newton=others.pop() if form.with_tension else 0.0,
     )
-    R2, lack_of_fit = _explained(points.gain, fit), _lack_of_fit(points, fit)
-    return GainFit(name, points, labels, form, fit, curve, straight, scores, R2, lack_of_fit)
+    return GainFit(
+        *(name, points, labels, form, fit, curve, slope, tension_effect, scores),
+        R2=_explained(points.gain, fit),
+        lack_of_fit=_lack_of_fit(points, fit),
+    )
 
 
 def _points(
-    name: str, index: int, tunings: tuple[TunedGains, ...]
-) -> tuple[Points, tuple[str, ...]]:
+    index: int, tunings: TunedColumns, labels: LazySequence[str]
+) -> tuple[Points, LazySequence[str]]:
     """The points of one gain, and their labels; without tunings that do not determine it."""
-    log_errors = [np.nan if t.log_errors is None else t.log_errors[index] for t in tunings]
-    log_error = np.array(log_errors)
-    gain = np.array([getattr(t.gains, name) for t in tunings])
-    length = np.array([t.length_m for t in tunings])
-    tension = np.array([t.tension_N for t in tunings])
+    length, tension = tunings.length_m, tunings.tension_N
+    gain, log_error = tunings.gains[:, index], tunings.log_errors[:, index]
     used = ~np.isinf(log_error)
     if used.sum() < 4 or np.ptp(length[used]) == 0.0:
         used[:] = True
@@ -147,8 +148,10 @@ def _points(
     # d g = g d ln g, at the mean of all g: with the gain itself as the factor, small gains would
     # have larger weights and bias the line.
     own = gain.mean() * np.where(known, log_error, typical)
+    if used.all():
+        return Points(length, tension, gain, own), labels
     points = Points(length[used], tension[used], gain[used], own[used])
-    return points, tuple(t.label for t, k in zip(tunings, used, strict=True) if k)
+    return points, LazySequence(array("q", np.flatnonzero(used)), labels.__getitem__)
 
 
 def _slope(fit: WeightedFit, column: int) -> Slope:

@@ -11,6 +11,7 @@ interval is not narrowed by the selection. Bands are those of the selected form,
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from operator import attrgetter
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -23,7 +24,8 @@ from estune.errors import InvalidInput
 from estune.studies.law.gain_fit import CONFIDENCE, GainFit, fit_gain
 from estune.studies.law.model_selection import parse_form
 from estune.studies.law.robust_regression import interval_factor
-from estune.studies.law.tuned import TunedGains
+from estune.studies.law.tuned import TunedGains, tuned_columns
+from estune.support.lazy_sequence import LazySequence
 from estune.trial.signals import REEL, Signals
 
 _NAMES = {"setpoint_filter_s": "the setpoint filter"}
@@ -57,6 +59,7 @@ class GainLaw:
 
     Attributes:
         fits: By name, in the order of `GAIN_NAMES`.
+        tunings: The tunings of the law.
         excluded: Label and reason of each excluded tuning.
         length_m: Range of tuned lengths, m.
         tension_N: Range of tuned tensions, N.
@@ -64,7 +67,7 @@ class GainLaw:
     """
 
     fits: Mapping[str, GainFit]
-    tunings: tuple[TunedGains, ...]
+    tunings: Sequence[TunedGains]
     excluded: tuple[tuple[str, str], ...]
     length_m: tuple[float, float]
     tension_N: tuple[float, float]
@@ -188,38 +191,47 @@ def fit_law(
     for name in given:
         if name not in GAIN_NAMES:
             raise InvalidInput(f"there is no gain {name!r}; the gains are {', '.join(GAIN_NAMES)}")
-    lengths, tensions = [t.length_m for t in usable], [t.tension_N for t in usable]
-    fits = {name: fit_gain(name, n, usable, given.get(name)) for n, name in enumerate(GAIN_NAMES)}
+    columns = tuned_columns(usable)
+    length_m, tension_N = columns.length_m, columns.tension_N
+    lengths = np.unique(length_m)
+    if lengths.size < 2 or len(usable) < 3:
+        raise InvalidInput(_too_few(len(usable), lengths, excluded))
+    labels = usable.map(attrgetter("label"))
+    fits = {
+        name: fit_gain(name, n, columns, labels, given.get(name))
+        for n, name in enumerate(GAIN_NAMES)
+    }
     return GainLaw(
         fits=fits,
         tunings=usable,
         excluded=excluded,
-        length_m=(min(lengths), max(lengths)),
-        tension_N=(min(tensions), max(tensions)),
+        length_m=(float(length_m.min()), float(length_m.max())),
+        tension_N=(float(tension_N.min()), float(tension_N.max())),
         signals=signals,
     )
 
 
 def _split(
     tunings: Sequence[TunedGains],
-) -> tuple[tuple[TunedGains, ...], tuple[tuple[str, str], ...]]:
+) -> tuple[LazySequence[TunedGains], tuple[tuple[str, str], ...]]:
     """The usable tunings, and label and reason of the excluded ones."""
+    used = LazySequence(range(len(tunings)), tunings.__getitem__)
     excluded = tuple(
         (t.label, "unsafe" if not t.safe else "not converged")
         for t in tunings
         if not (t.safe and t.converged)
     )
-    usable = tuple(t for t in tunings if t.safe and t.converged)
-    lengths = {t.length_m for t in usable}
-    if len(lengths) < 2 or len(usable) < 3:
-        places = ", ".join(f"{length:g} m" for length in sorted(lengths)) or "no length"
-        counts = Counter(reason for _, reason in excluded)
-        reasons = ", ".join(f"{count} {reason}" for reason, count in counts.items())
-        raise InvalidInput(
-            f"{len(usable)} tunings at {places} are too few for a law over length; tune at three "
-            "lengths or more" + (f"; left out: {reasons}" if reasons else "")
-        )
-    return usable, excluded
+    return used.where(lambda t: t.safe and t.converged), excluded
+
+
+def _too_few(number: int, lengths: FloatArray, excluded: Sequence[tuple[str, str]]) -> str:
+    places = ", ".join(f"{length:g} m" for length in lengths) or "no length"
+    counts = Counter(reason for _, reason in excluded)
+    reasons = ", ".join(f"{count} {reason}" for reason, count in counts.items())
+    return (
+        f"{number} tunings at {places} are too few for a law over length; tune at three "
+        "lengths or more" + (f"; left out: {reasons}" if reasons else "")
+    )
 
 
 def _within(values: FloatArray, limits: tuple[float, float]) -> BoolArray:

@@ -1,9 +1,15 @@
 """Data point of a law: the gains of one finished tuning, with their uncertainty."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import chain
+from typing import NamedTuple
+
+import numpy as np
 
 from estune.core.gains import Gains
+from estune.core.quantities import FloatArray
 from estune.errors import InvalidInput
 
 CELLS = "cells.csv"
@@ -51,3 +57,30 @@ class TunedGains:
                 f"{self.label}: log_errors are {self.log_errors}; give the standard errors of "
                 "ln P, ln I, ln D and ln tau_F, zero or above, or None"
             )
+
+
+class TunedColumns(NamedTuple):
+    """Data points as arrays.
+
+    Attributes:
+        length_m: Cable lengths, shape (n,).
+        tension_N: Tensions, shape (n,).
+        gains: Shape (n, 4).
+        log_errors: Standard errors of their logarithms, shape (n, 4); nan where unknown.
+    """
+
+    length_m: FloatArray
+    tension_N: FloatArray
+    gains: FloatArray
+    log_errors: FloatArray
+
+
+def tuned_columns(tunings: Sequence[TunedGains]) -> TunedColumns:
+    """The arrays of data points, each of which is read once."""
+    unknown = (math.nan,) * 4
+    rows = (
+        (t.length_m, t.tension_N, *t.gains.as_tuple(), *(t.log_errors or unknown)) for t in tunings
+    )
+    values = np.fromiter(chain.from_iterable(rows), np.float64, 10 * len(tunings))
+    table = values.reshape(-1, 10)
+    return TunedColumns(table[:, 0], table[:, 1], table[:, 2:6], table[:, 6:])

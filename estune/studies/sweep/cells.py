@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass, replace
 from importlib.metadata import version
 from itertools import product
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from estune.core.cost import StepCost
 from estune.core.gains import Gains
@@ -20,6 +20,7 @@ from estune.run.planning import known_start, make_plan, suited_step
 from estune.run.start import KnownStart
 from estune.studies.law.start import start_from
 from estune.studies.sweep.design import SweepDesign, SweptRig
+from estune.support.lazy_sequence import LazySequence
 from estune.trial import Rig, RigDescription
 from estune.trial.profiles import StepProfile
 from estune.trial.signals import REEL, Signals
@@ -27,6 +28,9 @@ from estune.tuners import DEFAULT_TUNER
 
 LENGTH_TOLERANCE_m = 1e-3
 """Largest difference between the cable length in a rig's description and in the design."""
+
+_KEY = 20
+"""Length of a key."""
 
 _NAME_IN_KEYS = {"safe_bayesian": "newton"}
 """Tuner names as cell keys have them: keys on disk are older than a tuner's present name."""
@@ -107,21 +111,54 @@ def open_rig(rig: SweptRig, model: Mapping[str, float], seed: int = 0) -> Iterat
         simulated.close()
 
 
-def expand_cells(design: SweepDesign) -> tuple[Cell, ...]:
+_Settings = tuple[
+    dict[str, Any], Gains | KnownStart | None, StepProfile, StepCost, Mapping[str, float]
+]
+"""Search, start, step, cost and model."""
+
+
+class _Place(NamedTuple):
+    """Cells that differ in their seed alone.
+
+    Attributes:
+        where: Length, tension and tuner.
+        keys: All keys, one after the other.
+    """
+
+    rig: SweptRig
+    where: tuple[float, float, str]
+    settings: _Settings
+    most_trials: int
+    signals: Signals
+    keys: str
+
+    def cell(self, seed: int) -> Cell:
+        """The cell of a seed."""
+        key = self.keys[seed * _KEY : (seed + 1) * _KEY]
+        (length, tension, tuner), (search, start, step, cost, model) = self.where, self.settings
+        place = self.rig, length, tension, tuner
+        return Cell(
+            *(key, *place, seed, search, start, step, cost, model),
+            most_trials=self.most_trials,
+            signals=self.signals,
+        )
+
+
+def expand_cells(design: SweepDesign) -> LazySequence[Cell]:
     """The cells of a design; rigs at endpoints are asked for their description, nothing moves.
 
     Raises:
         InvalidInput: a model, length, tension or limit does not fit; one line for each rig.
         RigError: a rig cannot be reached.
     """
-    cells: list[Cell] = []
+    places: list[_Place] = []
     faults: list[str] = []
     for rig in design.rigs:
         try:
-            cells += _cells_of_rig(design, rig)
+            places += _places_of_rig(design, rig)
         except InvalidInput as error:
             faults.append(str(error))
-    lengths = {cell.length_m for cell in cells}
+    lengths = {place.where[0] for place in places}
     if not faults and len(lengths) < 2:
         only = ", ".join(f"{length:g} m" for length in lengths)
         faults.append(
@@ -130,10 +167,13 @@ def expand_cells(design: SweepDesign) -> tuple[Cell, ...]:
         )
     if faults:
         raise InvalidInput("\n".join(faults))
-    return tuple(cells)
+
+    seeds = design.seeds
+    numbers = range(len(places) * seeds)
+    return LazySequence(numbers, lambda n: places[n // seeds].cell(n % seeds))
 
 
-def _cells_of_rig(design: SweepDesign, rig: SweptRig) -> list[Cell]:
+def _places_of_rig(design: SweepDesign, rig: SweptRig) -> list[_Place]:
     """The cells of one rig.
 
     Raises:
@@ -142,18 +182,18 @@ def _cells_of_rig(design: SweepDesign, rig: SweptRig) -> list[Cell]:
     source = _file_digest(rig)
     lengths = design.lengths_m if rig.is_model else [_remote_length(design, rig)]
     tensions: list[float | None] = [*design.tensions_N] or [None]
-    cells: list[Cell] = []
+    places: list[_Place] = []
     faults: list[str] = []
     for length, tension in product(lengths, tensions):
         try:
-            cells += _cells_at(design, rig, source, length, tension)
+            places += _places_at(design, rig, source, length, tension)
         except InvalidInput as error:
             place = "" if tension is None else f" and {tension:g} N"
             faults.append(f"{rig.label} at {length:g} m{place}: {error}")
     if faults:
         others = f" ({len(faults) - 1} more places do not fit)" if len(faults) > 1 else ""
         raise InvalidInput(faults[0] + others)
-    return cells
+    return places
 
 
 def _remote_length(design: SweepDesign, rig: SweptRig) -> float:
@@ -178,9 +218,9 @@ def _remote_length(design: SweepDesign, rig: SweptRig) -> float:
     return length
 
 
-def _cells_at(
+def _places_at(
     design: SweepDesign, rig: SweptRig, source: str, length: float, tension: float | None
-) -> list[Cell]:
+) -> list[_Place]:
     """The cells of one rig at one length and tension, checked against the rig's limits."""
     model = {"cable_length_m": length}
     if tension is not None:
@@ -198,17 +238,16 @@ def _cells_at(
         "bounds": dict(design.bounds) or None,
         **({"limits": design.limits} if design.limits else {}),  # keys on disk are older
     }
-    cells = []
+    places = []
     for tuner in design.tuners or [DEFAULT_TUNER]:
         plan = make_plan(
             description, "check", tuner=tuner, start=start, step=step, cost=cost, **search
         )
-        for seed in range(design.seeds):
-            fields = (length, step.preload_N, tuner, seed, search, start, step, cost, model)
-            cells.append(
-                Cell(_key(rig, source, fields), rig, *fields, plan.max_trials, description.signals)
-            )
-    return cells
+        where = length, step.preload_N, tuner
+        settings = search, start, step, cost, model
+        keys = _keys(rig, source, where, settings, design.seeds)
+        places.append(_Place(rig, where, settings, plan.max_trials, description.signals, keys))
+    return places
 
 
 def _start(
@@ -231,23 +270,29 @@ def _step(
     return step
 
 
-def _key(rig: SweptRig, source: str, fields: tuple[Any, ...]) -> str:
-    """Digest of everything that determines a cell's outcome, wherever its files lie.
+def _keys(
+    rig: SweptRig, source: str, where: tuple[float, float, str], settings: _Settings, seeds: int
+) -> str:
+    """The keys of the cells of a place, one for each seed.
+
+    Each is a digest of everything that determines the outcome, wherever its files lie: the JSON
+    list of all these values.
 
     Args:
         rig: The model or rig.
         source: Digest of the content of a model's file.
-        fields: The fields of `Cell` between `rig` and `most_trials`.
+        where: Length, tension and tuner.
+        settings: Search, start, step, cost and model.
+        seeds: Number of seeds.
     """
-    length, tension, tuner, seed, search, start, step, cost, model = fields
-    parts = [
-        version("estune"),
-        *(rig.label, rig.rig, source),
-        *(length, tension, _NAME_IN_KEYS.get(tuner, tuner), seed, search),
-        *(start and asdict(start), asdict(step), _cost_in_key(cost), model),
-    ]
-    text = json.dumps(parts, sort_keys=True, default=asdict)
-    return hashlib.sha256(text.encode()).hexdigest()[:20]
+    (length, tension, tuner), (search, start, step, cost, model) = where, settings
+    to_json = json.JSONEncoder(sort_keys=True, default=asdict).encode
+    tuner = _NAME_IN_KEYS.get(tuner, tuner)
+    before = to_json([version("estune"), rig.label, rig.rig, source, length, tension, tuner])[:-1]
+    start_values = start and asdict(start)
+    after = to_json([search, start_values, asdict(step), _cost_in_key(cost), model])[1:]
+    texts = (f"{before}, {seed}, {after}" for seed in range(seeds))
+    return "".join(hashlib.sha256(text.encode()).hexdigest()[:_KEY] for text in texts)
 
 
 def _cost_in_key(cost: StepCost) -> dict[str, Any]:

@@ -3,8 +3,10 @@
 import math
 from collections import Counter
 from collections.abc import Sequence
+from operator import attrgetter
 
 from estune.studies.sweep.outcome import CONVERGED_BELOW, CellOutcome
+from estune.support.lazy_sequence import LazySequence
 from estune.tuners import DEFAULT_TUNER
 
 LISTED_MAX = 10
@@ -14,11 +16,11 @@ _MESSAGES_MAX = 3
 """Different reasons of failure that are quoted."""
 
 
-def exclusion_sentences(outcomes: Sequence[CellOutcome]) -> tuple[str, ...]:
+def exclusion_sentences(outcomes: LazySequence[CellOutcome]) -> tuple[str, ...]:
     """A sentence for each reason: how many tunings it excludes, and what to change."""
-    failed = [o for o in outcomes if o.failed]
-    unsafe = [o for o in outcomes if not o.failed and not o.safe]
-    unfinished = [o for o in outcomes if o.safe and not o.converged]
+    failed = outcomes.where(attrgetter("failed"))
+    unsafe = outcomes.where(lambda o: not o.failed and not o.safe)
+    unfinished = outcomes.where(lambda o: o.safe and not o.converged)
     total = len(outcomes)
     sentences = []
     if failed:
@@ -30,8 +32,8 @@ def exclusion_sentences(outcomes: Sequence[CellOutcome]) -> tuple[str, ...]:
             f"{_count(unsafe, total)} had unsafe initial gains, such as {unsafe[0].cell.label} "
             f"({unsafe[0].message}): {remedy}"
         )
-    known = [o for o in unfinished if math.isfinite(o.remaining)]
-    unknown = [o for o in unfinished if not math.isfinite(o.remaining)]
+    known = unfinished.where(lambda o: math.isfinite(o.remaining))
+    unknown = unfinished.where(lambda o: not math.isfinite(o.remaining))
     if known:
         sentences.append(f"{_count(known, total)} had {_remaining(known)}: {_more_trials(known)}")
     if unknown:

@@ -13,17 +13,19 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from estune import api
 from estune.errors import EstuneError, InvalidInput, UnsafeStart
 from estune.run.journal import FILE_NAME
 from estune.run.loop import ProgressListener
-from estune.run.result import TuneResult
 from estune.run.start import KnownStart
 from estune.studies.sweep.cells import Cell, open_rig
 from estune.studies.sweep.outcome import CellOutcome, failed, finished, unsafe
 from estune.trial import Rig
+
+if TYPE_CHECKING:
+    from estune.run.result import TuneResult
 
 ORPHAN_POLL_s = 0.5
 """Interval at which a worker process checks that its parent lives."""
@@ -70,7 +72,7 @@ def run_cell(
     return failed(cell, why, time.perf_counter() - began)
 
 
-def _tune(cell: Cell, rig: Rig, runs: Path | None, watch: ProgressListener | None) -> TuneResult:
+def _tune(cell: Cell, rig: Rig, runs: Path | None, watch: ProgressListener | None) -> "TuneResult":
     name = f"cell-{cell.key}"
     if runs is not None and (runs / name / FILE_NAME).exists():
         return api.resume(runs / name, rig, watch=watch)

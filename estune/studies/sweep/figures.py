@@ -1,7 +1,7 @@
 """The paper's Figs. 12, 13 and 14 of a sweep: cost and I over trials, gains over length."""
 
-from collections import defaultdict
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from operator import attrgetter
 
 import matplotlib as mpl
 import numpy as np
@@ -12,6 +12,7 @@ from matplotlib.figure import Figure
 from estune.core.quantities import FloatArray
 from estune.studies.law.law import GainLaw
 from estune.studies.sweep.outcome import TRACE, CellOutcome, read_traces
+from estune.support.lazy_sequence import LazySequence
 from estune.support.plot_style import (
     BLACK,
     BLUE,
@@ -34,13 +35,14 @@ _CURVE_POINTS = 200
 _MOST_IN_LEGEND = 10
 _VECTORS_MAX = 2000
 """Points of a figure that are drawn one by one; more are drawn as an image."""
+_PIXELS = 1000
+"""Resolution of that image; it is 650 pixels wide."""
 
 
-def draw_costs(outcomes: Sequence[CellOutcome]) -> Figure:
+def draw_costs(outcomes: LazySequence[CellOutcome]) -> Figure:
     """Fig. 12: the cost of each search trial, one line a length: the median over its tunings."""
     figure, (ax,) = stacked(1, 3.0)
-    for length, color, traces in _by_length(outcomes):
-        costs = [np.where(t[:, _UNSAFE] == 0.0, t[:, _COST], np.nan) for t in traces]
+    for length, color, costs in _by_length(outcomes, _safe_costs):
         median = _median(costs)
         ax.plot(np.arange(1, median.size + 1), median, color=color, label=f"{length:g} m", lw=1.1)
     ax.set_yscale("log")
@@ -49,12 +51,12 @@ def draw_costs(outcomes: Sequence[CellOutcome]) -> Figure:
     return figure
 
 
-def draw_integral(outcomes: Sequence[CellOutcome]) -> Figure:
+def draw_integral(outcomes: LazySequence[CellOutcome]) -> Figure:
     """Fig. 13: the running mean of the integral gain over the search, one line a length."""
     figure, (ax,) = stacked(1, 3.0)
     column = TRACE.index("I")
-    for length, color, traces in _by_length(outcomes):
-        median = _median([_running_mean(trace[:, column]) for trace in traces])
+    for length, color, gains in _by_length(outcomes, lambda search: search[:, column].copy()):
+        median = _median([_running_mean(gain) for gain in gains])
         trial = np.arange(_SMOOTHED, _SMOOTHED + median.size)
         ax.plot(trial, median, color=color, label=f"{length:g} m", lw=1.1)
     finish(ax, axis_label("I", outcomes[0].cell.signals.gain_units["I"]), "search trial")
@@ -83,25 +85,28 @@ def draw_law(law: GainLaw, name: str, excluded: Sequence[CellOutcome]) -> Figure
         length, band.low, band.high, color=BLUE, alpha=0.25, lw=0.0, label="the law, 95 %"
     )
     ax.plot(length, band.gain, color=BLUE, lw=1.4, label=_curve_label(law, name))
-    many = fit.points.length_m.size > _VECTORS_MAX
-    ax.plot(
-        fit.points.length_m,
-        fit.points.gain,
-        ".",
-        color=BLACK,
-        ms=5,
-        label="tuned",
-        rasterized=many,
-    )
+    tuned, many = fit.points.length_m, fit.points.length_m.size > _VECTORS_MAX
+    gains = _distinct(tuned, fit.points.gain)
+    ax.plot(*gains, ".", color=BLACK, ms=5, label="tuned", rasterized=many)
     shown = [(o.cell.length_m, getattr(o.gains, name)) for o in excluded if o.gains is not None]
     if shown:
         ax.plot(*zip(*shown, strict=True), "x", color=VERMILION, ms=5, label="left out")
     finish(ax, axis_label(_LABELS[name], law.signals.gain_units[name]))
     legend(ax, columns=3)
     below.axhline(0.0, color=GREY, lw=0.8)
-    below.plot(fit.points.length_m, fit.fit.studentised, ".", color=BLACK, ms=4, rasterized=many)
+    residuals = _distinct(tuned, fit.fit.studentised)
+    below.plot(*residuals, ".", color=BLACK, ms=4, rasterized=many)
     finish(below, "residual, sd", "cable length, m")
     return figure
+
+
+def _distinct(x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Points without those that would be drawn on top of others."""
+    if x.size <= _VECTORS_MAX:
+        return x, y
+    cells = [np.rint((v - v.min()) * (_PIXELS / (np.ptp(v) or 1.0))) for v in (x, y)]
+    _, first = np.unique(cells[0] * (_PIXELS + 1) + cells[1], return_index=True)
+    return x[first], y[first]
 
 
 def _curve_label(law: GainLaw, name: str) -> str:
@@ -111,17 +116,20 @@ def _curve_label(law: GainLaw, name: str) -> str:
     return f"{law.fits[name].curve}{at}"
 
 
-def _by_length(outcomes: Sequence[CellOutcome]) -> Iterator[tuple[float, str, list[FloatArray]]]:
-    """Length, colour, and the search trials of each tuning there, read one length at a time."""
-    at: dict[float, list[CellOutcome]] = defaultdict(list)
-    for outcome in outcomes:
-        if outcome.trials:
-            at[outcome.cell.length_m].append(outcome)
+def _safe_costs(search: FloatArray) -> FloatArray:
+    return np.where(search[:, _UNSAFE] == 0.0, search[:, _COST], np.nan)
+
+
+def _by_length(
+    outcomes: LazySequence[CellOutcome], column: Callable[[FloatArray], FloatArray]
+) -> Iterator[tuple[float, str, list[FloatArray]]]:
+    """Length, colour, and a column of each search there; the other columns are not kept."""
+    at = outcomes.where(attrgetter("trials")).groups(attrgetter("cell.length_m"))
     # The colour map is distinguishable in grey; its palest end is not used.
     shares = np.linspace(0.0, 0.88, len(at))
     for length, share in zip(sorted(at), shares, strict=True):
-        traces = [trace[trace[:, 0] == 1.0] for trace in read_traces(at[length])]
-        searches = [trace for trace in traces if trace.size]
+        columns = (column(trace[trace[:, 0] == 1.0]) for trace in read_traces(at[length]))
+        searches = [values for values in columns if values.size]
         if searches:
             yield length, to_hex(mpl.colormaps["viridis"](share)), searches
 

@@ -5,19 +5,22 @@ from collections.abc import Iterable, Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
 from estune.core.gains import GAIN_NAMES, Gains
 from estune.core.quantities import FloatArray
+from estune.errors import InvalidInput
 from estune.run.ending import RunEnding
-from estune.run.result import TuneResult
 from estune.run.session import Phase, is_unsafe
 from estune.studies.law.tuned import TunedGains
 from estune.studies.sweep.cells import Cell
 from estune.support.sqlite import FileKind, SqliteFile
 from estune.tuners.interface import ConvergenceEstimate, PredictingTuner
+
+if TYPE_CHECKING:
+    from estune.run.result import TuneResult
 
 CONVERGED_BELOW = 0.05
 """A search has converged if it may improve the cost by no more than this share of it."""
@@ -114,10 +117,14 @@ class CellOutcome:
             f"{100.0 * CONVERGED_BELOW:g} %); give it more trials"
         )
 
-    def tuned(self) -> TunedGains | None:
-        """Its data point of a law over length; None where it could not be run."""
+    def tuned(self) -> TunedGains:
+        """Its data point of a law over length.
+
+        Raises:
+            InvalidInput: it could not be run, and has no gains.
+        """
         if self.gains is None:
-            return None
+            raise InvalidInput(f"{self.cell.label} has no gains: {self.message}")
         return TunedGains(
             label=self.cell.label,
             length_m=self.cell.length_m,
@@ -162,7 +169,7 @@ def unsafe(cell: Cell, start: Gains, why: str, duration_s: float) -> CellOutcome
     return CellOutcome(cell, str(RunEnding.UNSAFE_START), why, gains=start, duration_s=duration_s)
 
 
-def finished(cell: Cell, result: TuneResult, duration_s: float) -> CellOutcome:
+def finished(cell: Cell, result: "TuneResult", duration_s: float) -> CellOutcome:
     """Outcome of a cell whose tuning ended by itself."""
     trace, tuner = _trace(result), result.plan.tuner
     estimate = None
@@ -190,7 +197,7 @@ def finished(cell: Cell, result: TuneResult, duration_s: float) -> CellOutcome:
     )
 
 
-def _trace(result: TuneResult) -> FloatArray:
+def _trace(result: "TuneResult") -> FloatArray:
     """The trials that are not void, shape (trials, 7)."""
     rows = [
         (
@@ -218,7 +225,7 @@ def _late_decrease(trace: FloatArray) -> float:
     return max(0.0, decrease / float(after.mean())) if decrease > 2.0 * error else 0.0
 
 
-def _log_errors(result: TuneResult, estimate: ConvergenceEstimate) -> tuple[float, ...] | None:
+def _log_errors(result: "TuneResult", estimate: ConvergenceEstimate) -> tuple[float, ...] | None:
     """Standard errors of ln P, ln I, ln D and ln tau_F from the tuner's intervals.
 
     Infinite for a gain that was not tuned or whose interval spans all of its range; None where

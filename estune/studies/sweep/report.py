@@ -1,6 +1,7 @@
 """Report page of a sweep: its laws, the paper's figures of them, and the excluded cells."""
 
 from collections.abc import Iterator
+from operator import attrgetter
 
 from estune.core.gains import GAIN_NAMES
 from estune.studies.law.law import GainLaw
@@ -100,17 +101,17 @@ def _points_csv(law: GainLaw, name: str) -> str:
 
 def _design(result: SweepResult) -> Table:
     """The settings that the cells share, and their ranges."""
-    cells = [outcome.cell for outcome in result.outcomes]
+    cell = result.outcomes[0].cell
+    places = attrgetter("cell.rig.label", "cell.length_m", "cell.tension_N", "cell.tuner")
+    rigs, lengths, tensions, tuners = map(set, zip(*result.outcomes.groups(places), strict=True))
     rows = {
-        "rigs": ", ".join(dict.fromkeys(cell.rig.label for cell in cells)),
-        "lengths": ", ".join(f"{value:g}" for value in sorted({c.length_m for c in cells})) + " m",
-        "tensions": ", ".join(
-            cells[0].signals.measured(v, 6) for v in sorted({c.tension_N for c in cells})
-        ),
-        "tuners": ", ".join(dict.fromkeys(cell.tuner for cell in cells)),
+        "rigs": ", ".join(sorted(rigs)),
+        "lengths": ", ".join(f"{value:g}" for value in sorted(lengths)) + " m",
+        "tensions": ", ".join(cell.signals.measured(value, 6) for value in sorted(tensions)),
+        "tuners": ", ".join(sorted(tuners)),
         "repeats of each": str(result.design.seeds),
-        "search trials": f"at most {cells[0].search['trials']}",
-        "control-move penalty": f"{cells[0].cost.move_weight:g}",
+        "search trials": f"at most {cell.search['trials']}",
+        "control-move penalty": f"{cell.cost.move_weight:g}",
     }
     return Table((), tuple(rows.items()))
 

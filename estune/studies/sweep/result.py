@@ -2,9 +2,10 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 from operator import attrgetter
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -16,6 +17,7 @@ from estune.studies.law.tuned import CELLS
 from estune.studies.sweep.design import SweepDesign
 from estune.studies.sweep.exclusions import exclusion_sentences
 from estune.studies.sweep.outcome import CellOutcome
+from estune.support.lazy_sequence import LazySequence
 from estune.support.notebook_card import card
 from estune.support.whole_file import write_file
 
@@ -32,7 +34,8 @@ DIMENSIONS = ("length_m", "tension_N", "tuner", "seed", "rig")
 _UNITS = {**GAIN_UNITS, "duration_s": "s", "length": "m", "tension": "N"}
 
 
-class Series(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class Series:
     """Cells that share one law.
 
     Attributes:
@@ -40,7 +43,7 @@ class Series(NamedTuple):
     """
 
     label: str
-    outcomes: tuple[CellOutcome, ...]
+    outcomes: LazySequence[CellOutcome]
 
     def law(self) -> GainLaw:
         """The law over length, of the cells that are safe and converged.
@@ -48,8 +51,12 @@ class Series(NamedTuple):
         Raises:
             InvalidInput: too few are left; the message counts the excluded ones by reason.
         """
-        tunings = [tuned for o in self.outcomes if (tuned := o.tuned()) is not None]
-        return fit_law(tunings, signals=self.outcomes[0].cell.signals)
+        return self._law
+
+    @cached_property
+    def _law(self) -> GainLaw:
+        with_gains = self.outcomes.where(lambda o: o.gains is not None)
+        return fit_law(with_gains.map(CellOutcome.tuned), signals=self.outcomes[0].cell.signals)
 
     def law_or_reason(self) -> GainLaw | str:
         """The law, or why there is none and what to change."""
@@ -78,7 +85,7 @@ class Series(NamedTuple):
         """
         from estune.studies.sweep import figures  # noqa: PLC0415  slow to import
 
-        return figures.draw_law(self.law(), name, [o for o in self.outcomes if o.excluded])
+        return figures.draw_law(self.law(), name, self.outcomes.where(attrgetter("excluded")))
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,28 +97,24 @@ class SweepResult:
     """
 
     design: SweepDesign
-    outcomes: tuple[CellOutcome, ...]
+    outcomes: LazySequence[CellOutcome]
     folder: Path
 
-    @property
-    def failed(self) -> tuple[CellOutcome, ...]:
+    @cached_property
+    def failed(self) -> LazySequence[CellOutcome]:
         """The cells that could not be run; a further call of the sweep tries them again."""
-        return tuple(outcome for outcome in self.outcomes if outcome.failed)
+        return self.outcomes.where(attrgetter("failed"))
 
-    @property
-    def excluded(self) -> tuple[CellOutcome, ...]:
+    @cached_property
+    def excluded(self) -> LazySequence[CellOutcome]:
         """The cells that a law excludes: failed, unsafe or not converged."""
-        return tuple(outcome for outcome in self.outcomes if outcome.excluded)
+        return self.outcomes.where(attrgetter("excluded"))
 
-    @property
+    @cached_property
     def series(self) -> tuple[Series, ...]:
         """One for each tuner and model; all rigs at endpoints make one together."""
-        groups: dict[tuple[str, str], list[CellOutcome]] = {}
-        for outcome in self.outcomes:
-            rig = outcome.cell.rig
-            name = rig.label if rig.is_model else "rigs"
-            groups.setdefault((name, outcome.cell.tuner), []).append(outcome)
-        return tuple(Series(", ".join(key), tuple(group)) for key, group in groups.items())
+        groups = self.outcomes.groups(_series_of)
+        return tuple(Series(", ".join(key), group) for key, group in groups.items())
 
     def law(self) -> GainLaw:
         """The law over length of a sweep of one series.
@@ -194,6 +197,11 @@ class SweepResult:
     def _repr_html_(self) -> str:
         heading, *laws = repr(self).split("\n")
         return card(heading, good=not self.excluded, sentences=laws)
+
+
+def _series_of(outcome: CellOutcome) -> tuple[str, str]:
+    rig = outcome.cell.rig
+    return rig.label if rig.is_model else "rigs", outcome.cell.tuner
 
 
 def _gain_columns(index: int, name: str) -> dict[str, Callable[[CellOutcome], Any]]:
