@@ -1,15 +1,17 @@
 """Operating curves of the numbers that decide a diagnosis.
 
-Each number of `plants.diagnosis.search.constants` is changed alone. Verdicts and intervals are
-worked out again from the fits that `experiments.hidden_effects` stored (`--rows`); without such a
-file, cases of the validation block are diagnosed first. Numbers that are found in the noise are
-tried on machines with mains interference and coarse readings, and on sound ones.
+Each number of `plants.diagnosis.search.constants` is changed alone. Verdicts are worked out again
+from the fits that `experiments.hidden_effects` stored (`--rows`); without such a file cases of the
+validation block are diagnosed first. Intervals are worked out again from models that are right of
+machines with one effect. Numbers that are found in the noise are tried on machines with mains
+interference and coarse readings, and on sound ones.
 """
 
 import json
 import math
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
+from statistics import median
 from typing import NamedTuple
 from unittest import mock
 
@@ -18,12 +20,13 @@ from matplotlib.figure import Figure
 import plants
 from experiments import hidden_machines
 from experiments.hidden_effects import FIRST_SEED, OUT, tasks
-from experiments.hidden_scores import Held, Row, Task, diagnose, measurement, model
+from experiments.hidden_scores import Row, Task, diagnose, measurement, model
 from experiments.results import command_line, print_results, save_figure
-from plants.diagnosis.data.noise_floor import ALLOWANCE
-from plants.diagnosis.search import mains_interference
+from plants.diagnosis import build_diagnosis
+from plants.diagnosis.search import intervals, mains_interference
 from plants.diagnosis.search.constants import CONSTANTS, Constants
 from plants.diagnosis.search.decide import decide, probabilities
+from plants.diagnosis.search.model_fitter import CandidateFit, ModelFitter
 from plants.effects import EFFECTS
 
 DECIDING = {
@@ -38,18 +41,18 @@ DECIDING = {
 }
 """Numbers whose curve is drawn from stored fits: verdicts and probabilities."""
 WIDENING = {
-    "student": (1.5, 2.0, 2.3, 2.6, 3.2),
-    "form_least": (0.0, 0.005, 0.01, 0.015, 0.03),
-    "form_taken_up": (0.0, 0.1, 0.15, 0.3, 0.5),
+    "base_least": (0.0, 0.0005, 0.001, 0.002, 0.004),
+    "form_least": (0.0, 0.003, 0.005, 0.0075, 0.015),
+    "form_taken_up": (0.0, 0.1, 0.15, 0.2, 0.3),
 }
-"""The same of intervals."""
+"""Those whose curve takes models that are right: intervals."""
 IN_NOISE = {
     "coarse": (1.0, 2.0, 3.0, 5.0, 8.0),
     "line": (5.0, 15.0, 30.0, 60.0, 150.0),
     "audible": (0.1, 0.25, 0.5, 1.0, 2.0),
 }
 """Numbers whose curve takes new base fits. `shown` decides no verdict, only a list."""
-CASES, NOISE_CASES = 100, 12
+CASES, NOISE_CASES, RIGHT_CASES = 100, 12, 60
 
 
 class Point(NamedTuple):
@@ -94,34 +97,38 @@ def confidence(rows: Iterable[Row], c: Constants) -> tuple[float, float]:
     return tuple(total / max(number, 1.0) for total, number in sums.values())  # type: ignore[return-value]
 
 
-def coverage(rows: Iterable[Row], c: Constants) -> tuple[float, float]:
+class RightModel(NamedTuple):
+    """A model that was rightly believed, and the true values of what it fits, by name."""
+
+    fits: tuple[ModelFitter, CandidateFit, CandidateFit]
+    true: dict[str, float]
+
+
+def right_models(cases: int) -> list[RightModel]:
+    """The models believed of machines with one effect, where they are right."""
+    found = []
+    for n in range(cases):
+        case, secret = hidden_machines.draw(FIRST_SEED + n, "plain")
+        records = [measurement(record) for record in case.records]
+        with mock.patch.object(build_diagnosis, "intervals", wraps=intervals.intervals) as last:
+            answer = plants.explain(model(case), records)
+        if tuple(sorted(e.name for e in answer.effects)) in secret.accepted:
+            own = {f"{e}.{n}": v for e, of in secret.parameters.items() for n, v in of.items()}
+            found.append(RightModel(last.call_args.args, own | secret.calibrations))
+    return found
+
+
+def coverage(models: Sequence[RightModel], c: Constants) -> tuple[float, float]:
     """Share of intervals that hold the truth, and their median relative half width."""
     held, widths = [], []
-    for row in rows:
-        if not row.right or not row.models:
-            continue
-        before, after = row.models[0].J, min(m.J for m in row.models)
-        left = min(max(after - 1.0, 0.0) / max(before, 1e-300), 1.0)
-
-        def form(of: Constants, one: Held, left: float = left) -> float:
-            least = of.form_least if "." in one.name else ALLOWANCE / of.student
-            return max(least, of.form_taken_up * math.sqrt(left))
-
-        for one in (*row.intervals, *row.calibrations):
-            size = abs(one.value)
-            stated = _half_width(one) / CONSTANTS.student
-            s = math.sqrt(max(stated**2 - (form(CONSTANTS, one) * size) ** 2, 0.0))
-            half = c.student * math.hypot(s, form(c, one) * size)
-            held.append(abs(one.true - one.value) <= half)
-            widths.append(half / max(size, 1e-300))
-    widths.sort()
-    middle = widths[len(widths) // 2] if widths else math.nan
-    return sum(held) / max(len(held), 1), middle
-
-
-def _half_width(one: Held) -> float:
-    """Half the width of an interval, that of a log scale included."""
-    return min(one.high - one.value, 0.5 * (one.high - one.low))
+    with mock.patch.object(intervals, "CONSTANTS", c):
+        for one in models:
+            stated = intervals.intervals(*one.fits)
+            for name in stated.keys() & one.true.keys():
+                low, high = stated[name].low, stated[name].high
+                held.append(low <= one.true[name] <= high)
+                widths.append(0.5 * (high - low) / max(abs(stated[name].value), 1e-300))
+    return sum(held) / max(len(held), 1), median(widths) if widths else math.nan
 
 
 def in_noise(cases: int, c: Constants) -> tuple[float, float]:
@@ -173,11 +180,12 @@ def main() -> int:
     else:
         todo: list[Task] = tasks(CASES, FIRST_SEED)
         rows = [diagnose(task) for task in (todo[:6] if options.quick else todo)]
+    right = right_models(1 if options.quick else RIGHT_CASES)
     noisy = 1 if options.quick else NOISE_CASES
     curves = {
         **{n: curve(n, v, lambda c: again(rows, c)) for n, v in DECIDING.items()},
         **{n: curve(n, DECIDING[n], lambda c: confidence(rows, c)) for n in ("effective", "form")},
-        **{n: curve(n, v, lambda c: coverage(rows, c)) for n, v in WIDENING.items()},
+        **{n: curve(n, v, lambda c: coverage(right, c)) for n, v in WIDENING.items()},
         **{
             n: curve(n, v[1:4] if options.quick else v, lambda c: in_noise(noisy, c))
             for n, v in IN_NOISE.items()
