@@ -20,6 +20,16 @@ def _controller() -> Any:
     return ThreadpoolController()
 
 
+def _take_control() -> None:
+    """Lets this thread change the limit.
+
+    Otherwise threadpoolctl ignores all threads but the first that changed it, while that one lives.
+    """
+    from threadpoolctl import OpenBLASController  # noqa: PLC0415  slow to import
+
+    OpenBLASController.clear_controlling_thread(force=True)
+
+
 @contextmanager
 def one_blas_thread() -> Iterator[None]:
     """Holds BLAS to one thread while any thread of the program is inside.
@@ -31,6 +41,7 @@ def one_blas_thread() -> Iterator[None]:
     global _users, _limits  # noqa: PLW0603  the setting is one of the process
     with _lock:
         if _users == 0:
+            _take_control()
             _limits = _controller().limit(limits=1, user_api="blas")
         _users += 1
     try:
@@ -39,4 +50,5 @@ def one_blas_thread() -> Iterator[None]:
         with _lock:
             _users -= 1
             if _users == 0:
+                _take_control()
                 _limits.restore_original_limits()
