@@ -18,15 +18,8 @@ import plants
 from estune.core.gains import Gains
 from estune.trial import TrialRecord, TrialRequest
 from estune.trial.profiles import AnyProfile, ChirpProfile, StepProfile, TriangleProfile
-from experiments.results import (
-    Target,
-    at_least,
-    at_most,
-    command_line,
-    print_results,
-    print_tables,
-)
-from experiments.scale import print_table
+from experiments.results import Target, at_least, at_most, command_line, print_results
+from experiments.scale import growth_exponents
 from plants.effects import CoulombFriction
 
 SAMPLES = 10_000
@@ -107,13 +100,12 @@ def main() -> int:
     options = parser.parse_args()
     sizes = options.records or (QUICK_RECORDS if options.quick else RECORDS)
     rows = [dict(measure(records)._asdict()) for records in sizes]
-    with print_tables(hidden=options.json):
-        print_table(rows)
     targets: dict[str, Target] = {
         **{name: at_most(rows[-1][name], limit) for name, limit in LIMITS.items()},
         "is_right": at_least(min(row["is_right"] for row in rows), 1.0),
     }
-    return print_results({"sizes": rows}, targets, as_json=options.json)
+    figures = {"sizes": rows, "growth exponents": growth_exponents(list(sizes), rows)}
+    return print_results(figures, targets, as_json=options.json, tables=True)
 
 
 if __name__ == "__main__":

@@ -82,7 +82,11 @@ def print_tables(*, hidden: bool) -> contextlib.AbstractContextManager[object]:
 
 
 def print_figures(figures: Mapping[str, Any]) -> None:
-    """Prints single figures line by line, and figures by name, again by name, as a table."""
+    """Prints single figures line by line, and figures by name, again by name, as a table.
+
+    A list of figures by name is a table, too.
+    """
+    figures = {name: _by_number(value) for name, value in figures.items()}
     for name, value in figures.items():
         if not isinstance(value, Mapping):
             print(f"{name:40} {_text(value)}")
@@ -132,6 +136,12 @@ def print_results(
             limits = " to ".join(map(_text, limit if isinstance(limit, tuple) else (limit,)))
             print(f"{'met' if met else 'MISSED':6} {name}: {_text(value)}, limit {limits}")
     return 0 if all(target.met for target in targets.values()) else 1
+
+
+def _by_number(value: Any) -> Any:
+    if isinstance(value, list) and value and all(isinstance(row, Mapping) for row in value):
+        return {str(number): row for number, row in enumerate(value, 1)}
+    return value
 
 
 def _text(value: Any) -> str:

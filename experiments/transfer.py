@@ -24,14 +24,7 @@ from estune.run.planning import known_start
 from estune.run.result import TuneResult
 from estune.run.session import Phase
 from experiments.loop_claims import true_sensitivity
-from experiments.results import (
-    at_least,
-    at_most,
-    command_line,
-    print_figures,
-    print_results,
-    print_tables,
-)
+from experiments.results import at_least, at_most, command_line, print_results
 from plants.models.reel import Reel
 
 EARLIER = ((0.5, 1.0), (0.7, 0.9), (0.9, 1.2), (1.15, 0.8), (1.4, 1.1))
@@ -124,7 +117,7 @@ def main() -> int:
     options = command_line(__doc__, quick="one seed in place of ten, two new reels").parse_args()
     new = NEW[::3] if options.quick else NEW
     starts: dict[str, list[Run]] = {"law": [], "model": [], "own": []}
-    with print_tables(hidden=options.json), tempfile.TemporaryDirectory() as folder:
+    with tempfile.TemporaryDirectory() as folder:
         for seed in range(1 if options.quick else 10):
             earlier = Path(folder) / f"seed-{seed}"
             for n, place in enumerate(EARLIER):
@@ -135,8 +128,7 @@ def main() -> int:
                 for name, start in (("law", law), ("model", "model"), ("own", None)):
                     result = tuned(plant, 100 * seed + 50 + n, start=start, journal=False)
                     starts[name].append(measured(plant, result))
-        figures = {name: row(runs) for name, runs in starts.items()}
-        print_figures({"starts": figures})
+    figures = {name: row(runs) for name, runs in starts.items()}
     known = [figures["law"], figures["model"]]
     targets = {
         "first_trial_within_5_%_share": at_least(
@@ -145,7 +137,7 @@ def main() -> int:
         "search_trials_worst": at_most(max(f["search_trials_worst"] for f in known), 6.0),
         "unsafe": at_most(sum(f["unsafe"] for f in known), 0.0),
     }
-    return print_results(figures, targets, as_json=options.json)
+    return print_results({"starts": figures}, targets, as_json=options.json, tables=True)
 
 
 if __name__ == "__main__":

@@ -18,14 +18,7 @@ from estune.loop_model.optimum import RobustnessLimits
 from experiments.loop_claims.cases import Case, families, outside, random_loops
 from experiments.loop_claims.search import Searched, search
 from experiments.loop_claims.truth import EVALUATIONS, TrueLoop, Truth, constrained_optimum
-from experiments.results import (
-    Target,
-    at_least,
-    at_most,
-    command_line,
-    print_results,
-    print_tables,
-)
+from experiments.results import Target, at_least, at_most, command_line, print_results
 
 TRIALS_MAX = 24
 KINDS: dict[str, Callable[[int, int], Iterator[Case]]] = {
@@ -33,28 +26,14 @@ KINDS: dict[str, Callable[[int, int], Iterator[Case]]] = {
     "outside": lambda *_: outside(),
     "random": random_loops,
 }
-COLUMNS = {
-    "found": "{:6.1f}",
-    "stays": "{:6.1f}",
-    "trials": "{:7.1f}",
-    "ended": "{:6.0%}",
-    "unsafe": "{:7d}",
-    "excess": "{:8.1%}",
-    "worst_excess": "{:8.1%}",
-    "sensitivity": "{:6.2f}",
-    "overshoot": "{:6.1%}",
-    "kept": "{:6.0%}",
-    "claims": "{:7.0%}",
-    "covered": "{:8.0%}",
-    "broken": "{:7.2f}",
-    "misfit": "{:7.2%}",
-}
-"""Columns of the table: medians over the seeds, but for the worst of `unsafe`, `worst_excess`,
-`broken` (true Ms over the end of the claimed interval), and shares of the seeds in %."""
 
 
 def measure(case: Case, noise: float, seeds: Sequence[int], evaluations: int) -> dict[str, Any]:
-    """The row of a plant; the first seed is of the search for the start of its optimum."""
+    """The row of a plant: medians over the seeds, worst values, and shares of the seeds.
+
+    `broken` is the worst of true Ms over the end of the claimed interval. The first seed is of the
+    search for the start of the optimum.
+    """
     limits = RobustnessLimits()
     start = np.log(case.start.as_tuple())
     Ms, overshoot = limits.max_sensitivity or math.inf, limits.max_overshoot or math.inf
@@ -150,14 +129,11 @@ def main() -> int:
     if quick:
         cases = [*cases[1:7:2], cases[8]]
     rows = []
-    with print_tables(hidden=options.json):
-        print(f"{'plant':18} " + " ".join(f"{name[:7]:>7}" for name in COLUMNS))
-        for case in cases:
-            row = measure(case, options.noise, seeds, evaluations)
-            rows.append(row)
-            cells = (f"{text.format(row[name]):>7}" for name, text in COLUMNS.items())
-            print(f"{case.name:18} " + " ".join(cells), flush=True)
-    return print_results({"rows": rows}, targets_of(rows, options.noise), as_json=options.json)
+    for number, case in enumerate(cases, 1):
+        print(f"{case.name}, {number} of {len(cases)}", file=sys.stderr, flush=True)
+        rows.append(measure(case, options.noise, seeds, evaluations))
+    reached = targets_of(rows, options.noise)
+    return print_results({"rows": rows}, reached, as_json=options.json, tables=True)
 
 
 if __name__ == "__main__":
