@@ -23,7 +23,7 @@ def _controller() -> Any:
 def _take_control() -> None:
     """Lets this thread change the limit.
 
-    Otherwise threadpoolctl ignores all threads but the first that changed it, while that one lives.
+    Otherwise threadpoolctl ignores every thread but the first that changed it, while that lives.
     """
     from threadpoolctl import OpenBLASController  # noqa: PLC0415  slow to import
 
