@@ -30,7 +30,6 @@ from estune.core.gains import Gains
 from estune.core.quantities import FloatArray
 from estune.run.planning import make_plan
 from estune.run.session import Phase, after_trial, new_session, next_request
-from estune.trial import Outcome, TrialRequest
 from estune.trial.loop_records import loop_signals
 from estune.trial.scoring import cost_of
 from estune.tuners import create_tuner
@@ -67,7 +66,6 @@ TARGETS: dict[str, tuple[float, Callable[[float, float], Target]]] = {
     "memory_growth_MB": (2.0, at_most),  # over further batches
     "slowest_effect_times_bare": (5.0, at_most),
     "slowest_engine_us": (50.0, at_most),  # gradient or extremum seeking, ask and tell
-    "engine_trials_per_s": (5000.0, at_least),  # ask, simulate, evaluate, tell
     "ask_and_tell_safe_bayesian_us": (2500.0, at_most),
     "ask_and_tell_model_based_us": (30_000.0, at_most),
 }
@@ -266,22 +264,16 @@ def memory_MB() -> float:
 
 
 def measure_tuners(trials: int) -> dict[str, float]:
-    """Ask and tell alone, and the whole loop.
+    """Ask and tell; `experiments.sweep_speed` has the time of whole tunings.
 
     The engines cost microseconds. The Bayesian search pays milliseconds to need fewer trials than
     these, and the search by the records tens of milliseconds to need fewer than that one.
     """
     figures: dict[str, float] = {}
     for name in ENGINES:
-        tuner = create_tuner(name, SEARCHED)
-        figures[f"ask_and_tell_{name}_us"] = median_block(asking(tuner), trials)
-        figures[f"loop_{name}_trials_per_s"] = 1e6 / median_block(tuning(tuner, name), trials)
-    figures["slowest_engine_us"] = max(
-        value for name, value in figures.items() if name.startswith("ask_and_tell")
-    )
-    figures["engine_trials_per_s"] = min(
-        value for name, value in figures.items() if name.startswith("loop")
-    )
+        asked = asking(create_tuner(name, SEARCHED))
+        figures[f"ask_and_tell_{name}_us"] = median_block(asked, trials)
+    figures["slowest_engine_us"] = max(figures.values())
     bayesian = create_tuner("safe_bayesian", SEARCHED)
     figures["ask_and_tell_safe_bayesian_us"] = median_block(asking(bayesian), trials // 5)
     figures["ask_and_tell_model_based_us"] = statistics.median(
@@ -328,21 +320,6 @@ def asking(tuner: Any) -> Iterator[None]:
     for number in itertools.count():
         state = tuner.tell(state, Observation(1.0 + 0.1 * math.sin(number)))
         tuner.ask(state)
-        yield
-
-
-def tuning(tuner: Any, run: str) -> Iterator[None]:
-    """Ask, simulate, evaluate, tell, trial after trial, without a journal."""
-    rig = (REEL + FRICTION).rig()
-    description = rig.describe()
-    cost = StepCost(description.settling_time_s, move_weight=0.2)
-    state = tuner.start()
-    for number in itertools.count():
-        gains = tuner.space.gains(tuner.ask(state))
-        record = rig.run(TrialRequest(run, number, gains, description.step))
-        eta = cost_of(record, description.step, cost, description.newtons_per_ampere)
-        censored = record.outcome is not Outcome.DONE or not math.isfinite(eta)
-        state = tuner.tell(state, Observation(eta, censored=censored))
         yield
 
 
