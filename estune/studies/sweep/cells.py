@@ -29,7 +29,7 @@ from estune.tuners import DEFAULT_TUNER
 LENGTH_TOLERANCE_m = 1e-3
 """Largest difference between the cable length in a rig's description and in the design."""
 
-_KEY = 20
+KEY_LENGTH = 20
 """Length of a key."""
 
 _NAME_IN_KEYS = {"safe_bayesian": "newton"}
@@ -134,7 +134,7 @@ class _Place(NamedTuple):
 
     def cell(self, seed: int) -> Cell:
         """The cell of a seed."""
-        key = self.keys[seed * _KEY : (seed + 1) * _KEY]
+        key = self.keys[seed * KEY_LENGTH : (seed + 1) * KEY_LENGTH]
         (length, tension, tuner), (search, start, step, cost, model) = self.where, self.settings
         place = self.rig, length, tension, tuner
         return Cell(
@@ -292,7 +292,7 @@ def _keys(
     start_values = start and asdict(start)
     after = to_json([search, start_values, asdict(step), _cost_in_key(cost), model])[1:]
     texts = (f"{before}, {seed}, {after}" for seed in range(seeds))
-    return "".join(hashlib.sha256(text.encode()).hexdigest()[:_KEY] for text in texts)
+    return "".join(hashlib.sha256(text.encode()).hexdigest()[:KEY_LENGTH] for text in texts)
 
 
 def _cost_in_key(cost: StepCost) -> dict[str, Any]:

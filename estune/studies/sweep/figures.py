@@ -137,13 +137,11 @@ def _by_length(
 def _median(rows: Sequence[FloatArray]) -> FloatArray:
     """Median over rows of unequal length, up to the median length."""
     columns = sorted(row.size for row in rows)[(len(rows) - 1) // 2]
-    table = np.full((len(rows), columns), np.nan)
-    for place, row in zip(table, rows, strict=True):
+    table = np.full((columns, len(rows)), np.nan)
+    for place, row in zip(table.T, rows, strict=True):
         place[: row.size] = row[:columns]
-    defined = np.isfinite(table).any(axis=0)
-    median = np.full(columns, np.nan)
-    median[defined] = np.nanmedian(table[:, defined], axis=0)
-    return median
+    safe = (column[np.isfinite(column)] for column in table)
+    return np.array([np.median(costs) if costs.size else np.nan for costs in safe])
 
 
 def _running_mean(values: FloatArray) -> FloatArray:

@@ -4,15 +4,18 @@ import json
 import math
 import struct
 from array import array
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from datetime import UTC, datetime
-from itertools import chain, compress
+from itertools import compress
 from pathlib import Path
 from typing import Any, Self
 
+import numpy as np
+from numpy.typing import NDArray
+
 from estune.core.gains import GAIN_NAMES, Gains
-from estune.studies.sweep.cells import Cell
+from estune.studies.sweep.cells import KEY_LENGTH, Cell
 from estune.studies.sweep.outcome import FAILED, KIND, TRACE, CellOutcome
 from estune.support.lazy_sequence import LazySequence
 from estune.support.sqlite import SqliteFile
@@ -67,15 +70,17 @@ class SweepStore:
                     finished_at,
                 )
 
-    def missing(self, cells: Iterable[Cell]) -> list[Cell]:
+    def missing(self, cells: Sequence[Cell]) -> list[Cell]:
         """Those of some cells that are not finished, or failed.
 
         Raises:
             JournalError: the file cannot be read.
         """
-        rows = chain.from_iterable(self._pages("key, ending"))
-        finished = {key for key, ending in rows if ending != FAILED}
-        return [cell for cell in cells if cell.key not in finished]
+        keys, missing = _Keys(cells), np.ones(len(cells), bool)
+        for rows in self._pages("key, ending"):
+            places = keys.places([key for key, ending in rows if ending != FAILED])
+            missing[places[places >= 0]] = False
+        return [cells[place] for place in np.flatnonzero(missing).tolist()]
 
     def outcomes(self, cells: Sequence[Cell]) -> LazySequence[CellOutcome]:
         """The stored outcomes of cells, in their order; their traces stay in the file.
@@ -83,11 +88,12 @@ class SweepStore:
         Raises:
             JournalError: the file cannot be read.
         """
-        places = {cell.key: place for place, cell in enumerate(cells)}
+        keys = _Keys(cells)
         stored = _PackedOutcomes(cells, self._file.path)
         for rows in self._pages("key, ending, message, facts, length(trace)"):
-            for key, *row in rows:
-                if (place := places.get(key)) is not None:
+            places = keys.places([row[0] for row in rows]).tolist()
+            for place, (_, *row) in zip(places, rows, strict=True):
+                if place >= 0:
                     stored.add(place, row)
         return LazySequence(stored.places, stored.outcome)
 
@@ -111,6 +117,21 @@ def _facts(outcome: CellOutcome) -> dict[str, Any]:
         **{name: _to_json(getattr(outcome, name)) for name in _NUMBERS},
         "unsafe_trials": outcome.unsafe_trials,
     }
+
+
+class _Keys:
+    """Places of cells by their keys, 0.03 kB each, where a dictionary takes 0.2 kB."""
+
+    def __init__(self, cells: Sequence[Cell]) -> None:
+        keys = np.fromiter((cell.key.encode() for cell in cells), f"S{KEY_LENGTH}", len(cells))
+        self._order = np.argsort(keys)
+        self._keys = keys[self._order]
+
+    def places(self, keys: Sequence[str]) -> NDArray[np.int64]:
+        """The place of each key; -1 for those of other cells."""
+        wanted = np.array(keys, f"S{KEY_LENGTH}")
+        at = np.minimum(np.searchsorted(self._keys, wanted), self._keys.size - 1)
+        return np.where(self._keys[at] == wanted, self._order[at], -1)
 
 
 _PACKED = struct.Struct(f"<4i??{2 * len(GAIN_NAMES) + len(_NUMBERS)}d")
