@@ -41,7 +41,6 @@ def light_and_dark(figure: Figure) -> str:
 
 def narrow(figure: Figure) -> Figure:
     """The figure, laid out again for a small screen with texts of the same size."""
-    figure.draw_without_rendering()
     room = (NARROW_in - ORDINATE_in) * figure.dpi
     for ax in figure.axes:
         shown = ax.get_legend()
@@ -49,7 +48,6 @@ def narrow(figure: Figure) -> Figure:
         while shown and shown.get_window_extent().width > room and columns > 1:
             columns -= 1
             legend(ax, columns)  # matplotlib does not lay out a legend again
-            figure.draw_without_rendering()
             shown = ax.get_legend()
     figure.set_size_inches(NARROW_in, figure.get_figheight())
     return figure
