@@ -174,7 +174,6 @@ def diagnosis(**changes) -> Diagnosis:
             "backlash": "the tension never fell below 3 N",
             "drum_eccentricity": "the drum turned only 0.13 of a turn",
         },
-        ruled_out=("Coulomb friction leaves 9.8 times the noise floor.",),
         next_experiment=None,
         findings=(
             DataIssue("refused", "this is nan; remove the row", "tension_N", 17, "runs/bad.csv"),

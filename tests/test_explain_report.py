@@ -72,7 +72,6 @@ def test_page_contains_all_of_the_diagnosis(named, shown):
         named.effects[0].effect.appearance,
         *(finding.sentence for finding in named.findings),
         *named.not_excited.values(),
-        *summary.reasons(named),
     ):
         assert sentence.replace("\N{NO-BREAK SPACE}", " ") in found.text, sentence
     assert named.where.sentence[1:] in found.text
@@ -98,13 +97,14 @@ def test_page_needs_no_network_and_no_other_file(shown):
             assert all(link.startswith("#") for link in links)
 
 
-def test_page_is_reproducible(named, shown):
-    assert render(page(named)) == shown[0]
+def test_page_is_reproducible(named):
+    short = replace(named, where=NO_BLOCKS)
+    assert render(page(short)) == render(page(short))
 
 
 def test_page_escapes_user_text(named):
     hostile = '<script>alert("&")</script>'
-    text = render(page(replace(named, sentence=hostile, ruled_out=(hostile,), where=NO_BLOCKS)))
+    text = render(page(replace(named, sentence=hostile, where=NO_BLOCKS)))
     assert "<script>" not in text
     assert hostile in Page(text).text
 
@@ -112,12 +112,11 @@ def test_page_escapes_user_text(named):
 @pytest.mark.parametrize(
     "made",
     [
-        nothing_found(),
+        nothing_found(where=NO_BLOCKS),
         nothing_found(
             candidates=(),
             calibrations=(),
             not_excited={},
-            ruled_out=(),
             findings=(),
             where=NO_BLOCKS,
         ),

@@ -116,14 +116,12 @@ class Stage(NamedTuple):
     Attributes:
         fitter: Model and records.
         fit: Its fit.
-        ratio: Prediction error on data left out, in times the noise floor.
-        added: Slug of what it added, or None.
+        step: What it added, and its prediction error on data left out.
     """
 
     fitter: ModelFitter
     fit: CandidateFit
-    ratio: float
-    added: str | None
+    step: SearchStep
 
 
 def build_diagnosis(inputs: DiagnosisInputs) -> Diagnosis:
@@ -132,7 +130,7 @@ def build_diagnosis(inputs: DiagnosisInputs) -> Diagnosis:
     before, after = stages[0], stages[-1]
     first = intervals(before.fitter, before.fit, before.fit)
     last = intervals(after.fitter, after.fit, before.fit) if after is not before else first
-    steps = [_step(one) for one in stages]
+    steps = [one.step for one in stages]
     # In words as of the plant that was fitted: a system of python-control has units only there.
     plant = inputs.done.fitter.model
     effects = [e for e in _in_order(stages) if e is not MainsInterference]
@@ -153,7 +151,6 @@ def build_diagnosis(inputs: DiagnosisInputs) -> Diagnosis:
     )
     said = verdict_sentence(verdict, judged, named, steps, unit)
     held = None if inputs.held is None else hold_out(inputs.held, before.fit, after.fit)
-    rests = {e.name for e in added} | set(judged.tied)
     return Diagnosis(
         verdict=verdict,
         sentence=" ".join([*(f"{one.sentence}." for one in limits), said]),
@@ -169,7 +166,6 @@ def build_diagnosis(inputs: DiagnosisInputs) -> Diagnosis:
         where=located_in_own_units(inputs.done.where, scale),
         calibrations=_calibrations(before.fit, first, last, scale),
         not_excited={**not_excited(inputs.done.found), **inputs.choice.unavailable},
-        ruled_out=tuple(f"{c.sentence}." for c in listed if c.name not in rests),
         next_experiment=_next(inputs, judged, verdict, base, steps[-1].ratio),
         findings=inputs.findings,
         steps=tuple(steps),
@@ -203,8 +199,8 @@ def _validated(inputs: DiagnosisInputs) -> tuple[list[Stage], Conclusion]:
         stages.append(_stage(fitter, one, added))
         there = one.names
     base, last = stages[len(stages) - len(fits)], stages[-1]
-    share = explained_share(base.ratio, last.ratio)
-    agrees = share >= CONSTANTS.named_share or last.ratio**2 <= CONSTANTS.floor
+    share = explained_share(base.step.ratio, last.step.ratio)
+    agrees = share >= CONSTANTS.named_share or last.step.ratio**2 <= CONSTANTS.floor
     if len(fits) > 1 and inputs.wrong is None and not agrees:
         reason = (
             f"{' and '.join(e.title for e in judged.best.effects)} would explain it, but on "
@@ -218,22 +214,17 @@ def _validated(inputs: DiagnosisInputs) -> tuple[list[Stage], Conclusion]:
 
 
 def _stage(fitter: ModelFitter, one: CandidateFit, added: str | None) -> Stage:
-    residuals = held_out(fitter, one)
-    return Stage(fitter, one, float(np.sqrt(np.mean(residuals**2))), added)
+    ratio, floor = float(np.sqrt(np.mean(held_out(fitter, one) ** 2))), floor_of(fitter)
+    return Stage(fitter, one, SearchStep(added, ratio * floor, floor, ratio))
 
 
 def _in_order(stages: Sequence[Stage]) -> list[type[Effect]]:
     """The effects of the last stage in the order in which they were added."""
-    order = [one.added for one in stages]
+    order = [one.step.effect for one in stages]
     return sorted(
         stages[-1].fit.effects,
         key=lambda e: order.index(e.name) if e.name in order else len(order),
     )
-
-
-def _step(one: Stage) -> SearchStep:
-    floor = floor_of(one.fitter)
-    return SearchStep(one.added, one.ratio * floor, floor, one.ratio)
 
 
 def _errors(step: SearchStep, one: Stage) -> ModelErrors:
@@ -259,8 +250,6 @@ def _next(
     ratio_after: float,
 ) -> NextExperiment | None:
     """The experiment that would decide between tied models, or show the error best."""
-    if verdict not in ("ambiguous", "unknown"):
-        return None
     plant = inputs.done.fitter.model
     singles = (inputs.done.found.fits.get(frozenset({name})) for name in judged.tied)
     rivals = {

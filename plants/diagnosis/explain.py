@@ -4,7 +4,6 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from estune.errors import InvalidInput
 from estune.recordings.column_map import AS_NAMED, ColumnMap
 from estune.support.blas import one_blas_thread
 from estune.trial import RigDescription, TrialRecord
@@ -109,9 +108,6 @@ def _explained(
     progress("checking the records", 0.02)
     measurements, looked = check(read.measurements, model)
     findings = (*read.findings, *looked)
-    if not measurements:
-        refused = "; ".join(str(f) for f in findings if f.level == "refused")
-        raise InvalidInput(f"no record can be used: {refused or 'there is none'}")
     noise = noise_floor(measurements)
     recorded, line, done, choice = _searches(model, measurements, noise, effects, progress)
     progress("refitting with parts left out", 0.85)

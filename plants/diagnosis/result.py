@@ -329,7 +329,6 @@ class DiagnosisResult:
         where: Localisation of the base model's residual.
         calibrations: The base model's numbers and how they shifted.
         not_excited: Effects that these records cannot show, with the reason.
-        ruled_out: What was ruled out and why, one sentence each.
         next_experiment: The trial that would decide, or None.
         findings: Issues of the data.
         steps: Prediction error on data left out, step by step.
@@ -360,7 +359,6 @@ class DiagnosisResult:
     where: ResidualLocation
     calibrations: tuple[BaseParameter, ...]
     not_excited: Mapping[str, str]
-    ruled_out: tuple[str, ...]
     next_experiment: NextExperiment | None
     findings: tuple[DataIssue, ...]
     steps: tuple[SearchStep, ...]

@@ -96,6 +96,11 @@ class MultisineProfile(Excitation):
         return _excited(self.first_line, self.last_line, self.lines)
 
     @property
+    def last_Hz(self) -> float:
+        """Frequency of the highest line."""
+        return self.last_line / self.period_s
+
+    @property
     def extremes_N(self) -> tuple[float, float]:
         """Bounds of the setpoint, N: held between any samples, and at most 2 % too wide."""
         size = self.rms_N * _multisine_peak(

@@ -71,7 +71,8 @@ def check(
         if not any(issue.level == "refused" for issue in own):
             usable.append(m)
     if not usable:
-        raise InvalidInput(f"no record can be used: {'; '.join(map(str, issues))}")
+        why = "; ".join(map(str, issues)) or "there is none"
+        raise InvalidInput(f"no record can be used: {why}")
     return tuple(usable), tuple(issues)
 
 

@@ -1,7 +1,7 @@
 """A measured record as the diagnosis takes it, and issues found in one."""
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -68,25 +68,14 @@ class MeasuredRecord:
 
         A rig without an encoder or a gauge fills the column of its record with zeros.
         """
-        angle, tension, reference = record.angle_rad, record.tension_N, record.reference_N
-        return cls(
-            name=record.trial_id,
-            rig=record.rig,
-            sampling_Hz=record.sampling_Hz,
-            cable_length_m=record.cable_length_m,
-            preload_N=record.preload_N,
-            loop=record.loop,
-            profile=record.profile,
-            gains=record.gains,
-            time_s=record.time_s,
-            setpoint_N=record.setpoint_N,
-            current_A=record.current_A,
-            tension_N=tension if tension.any() else None,
-            angle_rad=angle if angle.any() else None,
-            reference_N=reference if reference is not None and reference.any() else None,
-            flags=record.flags,
-            source=record.trial_id,
-        )
+        names = ("rig", "sampling_Hz", "cable_length_m", "preload_N", "loop", "profile", "gains")
+        columns = ("time_s", "setpoint_N", "current_A", "flags")
+        same = {name: getattr(record, name) for name in (*names, *columns)}
+        read = {name: getattr(record, name) for name in OUTPUTS}
+        there: dict[str, Any] = {
+            n: None if c is None or not c.any() else c for n, c in read.items()
+        }
+        return cls(name=record.trial_id, source=record.trial_id, **same, **there)
 
     @property
     def samples(self) -> int:

@@ -26,10 +26,13 @@ def spectral_rms(deviation: FloatArray) -> float:
     The median over overlapping segments of the periodogram (so that bursts do not count) is
     freed of lines and summed over frequency (Welch 1967; bias of the median as in SciPy).
     """
-    power, width = _spectrum(deviation, average="median")
-    neighbours = _running_median(power, 2 * max(4, power.size // 20) + 1)
+    from scipy.ndimage import median_filter  # noqa: PLC0415  slow to import
+
+    power, line = _spectrum(deviation, average="median")
+    width = min(2 * max(4, power.size // 20) + 1, 2 * ((power.size - 1) // 2) + 1)
+    neighbours = median_filter(power, width, mode="mirror")
     quiet = np.where(power > LINE * neighbours, neighbours, power)
-    return float(np.sqrt(quiet.sum() * width))
+    return float(np.sqrt(quiet.sum() * line))
 
 
 def upper_rms(signal: FloatArray) -> float:
@@ -93,10 +96,3 @@ def _median_bias(number: int) -> float:
     """Median of so many periodograms of noise over their mean (Allen et al. 2012, appendix B)."""
     even = 2.0 * np.arange(1.0, (number - 1) // 2 + 1)
     return float(1.0 + np.sum(1.0 / (even + 1.0) - 1.0 / even))
-
-
-def _running_median(power: FloatArray, width: int) -> FloatArray:
-    width = min(width, 2 * ((power.size - 1) // 2) + 1)
-    padded = np.pad(power, width // 2, mode="reflect")
-    found: FloatArray = np.median(np.lib.stride_tricks.sliding_window_view(padded, width), axis=-1)
-    return found

@@ -72,12 +72,6 @@ class NoiseFloor:
         noise = max(self._rms(channel), least_rms)
         return float((noise**2 + (ALLOWANCE * signal_rms) ** 2) ** 0.5)
 
-    def to_json(self) -> dict[str, Any]:
-        """The pooled figures as JSON values."""
-        return {
-            name: {"rms": n.rms, "lsb": n.lsb, "how": n.how} for name, n in self.channels.items()
-        }
-
     def _rms(self, channel: str) -> float:
         return self.channels[channel].rms if channel in self.channels else float("nan")
 

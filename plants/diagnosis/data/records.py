@@ -86,11 +86,8 @@ def drum_of(model: Any) -> Drum:
 
 
 def _same(one: MeasuredRecord, other: MeasuredRecord) -> bool:
-    columns = [(one.channel(name), other.channel(name)) for name in OUTPUTS]
-    return all(
-        (a is None and b is None) or (a is not None and b is not None and np.array_equal(a, b))
-        for a, b in columns
-    )
+    columns = ([np.asarray(m.channel(name)) for m in (one, other)] for name in OUTPUTS)
+    return all(np.array_equal(a, b) for a, b in columns)
 
 
 def _read_all(

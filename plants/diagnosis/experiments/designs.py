@@ -235,7 +235,7 @@ TRIANGLE = "a triangle of {0.period_s:g} s about {0.preload_N:.3g} N"
 ONWARD = "pulses that turn the drum onward, {0.period_s:g} s each"
 """Triangles of zero mean force, but not zero mean speed."""
 LOOPS = "loops about {0.preload_N:.3g} N that shrink from one to the next"
-SINES = "a multisine about {0.preload_N:.3g} N, to line {0.last_line} of {0.period_s:g} s"
+SINES = "a multisine about {0.preload_N:.3g} N up to {0.last_Hz:.3g} Hz"
 SWEEP = "a sweep about {0.preload_N:.3g} N up to {0.last_Hz:.3g} Hz"
 STAIRS = "{0.stairs} stairs up and down, {0.hold_s:g} s each"
 

@@ -184,9 +184,7 @@ def at_rig(model: Any, about: RigDescription) -> Any:
         wanted["torque_constant_Nm_A"] = model.torque_constant_Nm_A * factor
         wanted["current_limit_A"] = model.current_limit_A / factor
     has = {field.name for field in fields(model)}
-    return replace(
-        model, **{name: v for name, v in wanted.items() if name in has and v is not None}
-    )
+    return replace(model, **{n: v for n, v in wanted.items() if n in has and v is not None})
 
 
 def _diagnose_rounds(

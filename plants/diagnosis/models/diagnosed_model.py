@@ -5,7 +5,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, Literal, NamedTuple, Self
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
@@ -112,7 +112,6 @@ class DiagnosedModel(ABC):
         measurements: The records.
         effects: Effects of the given model, without calibration; their parameters are free.
         output: Unit of prediction errors: that of the first output.
-        reasons: Base-model parameters that are held fixed, with the reason in words.
         sizes: Scale of the signals, in the units of the effects.
         placed_by: Channel that the initial states are estimated from, or None.
         newtons_per_ampere: Effort per command of an open-loop record.
@@ -137,8 +136,6 @@ class DiagnosedModel(ABC):
         self.calibration = next(
             (e for e in getattr(model, "effects", ()) if isinstance(e, Calibration)), Calibration()
         )
-        self.reasons: dict[str, str] = {}
-        self._starts: dict[str, float] = {}
         self.sizes = self._sizes()
 
     # Declared by each kind of model.
@@ -149,7 +146,7 @@ class DiagnosedModel(ABC):
 
     @abstractmethod
     def _calibrations(self) -> list[Slot]:
-        """The free base-model parameters; `reasons` receives the fixed ones."""
+        """The free base-model parameters; those that cannot be told are held."""
 
     @abstractmethod
     def structure(self, effects: tuple[type[Effect], ...]) -> PathStructure | TracedStructure:
@@ -209,8 +206,7 @@ class DiagnosedModel(ABC):
                 single records are ignored.
             effects: The effects the fit added, in the predictor's order.
         """
-        known = {**self._starts, **values}
-        own = {name: known[name] for name in self.model.own_numbers if name in known}
+        own = {name: values[name] for name in self.model.own_numbers if name in values}
         return replace(self.model, effects=self.built(values, effects), **own)
 
     @property
@@ -225,8 +221,7 @@ class DiagnosedModel(ABC):
     @cached_property
     def base(self) -> list[Slot]:
         """The base-model parameters with their initial values."""
-        slots = (*self._calibrations(), *self.sensors(), *self._current_sensor())
-        return [self._started(slot) for slot in slots]
+        return [*self._calibrations(), *self.sensors(), *self._current_sensor()]
 
     def slots(self, added: Sequence[type[Effect]]) -> list[Slot]:
         """All free parameters: of the base model, the records and the effects."""
@@ -238,16 +233,8 @@ class DiagnosedModel(ABC):
             for name, p in cls.parameters().items():
                 given = None if effect is None else float(getattr(effect, name))
                 free = self._of_effect(cls, slug, name, p, given)
-                found.append(self._started(Slot(free, f"{n}.{name}")))
+                found.append(Slot(free, f"{n}.{name}"))
         return found
-
-    def at(self, values: Mapping[str, float]) -> Self:
-        """The model with the values of a base fit as initial values."""
-        later = object.__new__(type(self))
-        vars(later).update(vars(self))
-        vars(later).pop("base", None)
-        later._starts = {**self._starts, **values}
-        return later
 
     def command_N(self, measurement: MeasuredRecord) -> FloatArray:
         """The recorded command as effort, N, shape (samples,)."""
@@ -308,12 +295,6 @@ class DiagnosedModel(ABC):
         """The model's effects and the added ones, which have no values yet."""
         return [*((type(e), e) for e in self.effects), *((cls, None) for cls in added)]
 
-    def _started(self, slot: Slot) -> Slot:
-        start = self._starts.get(slot.free.name)
-        if start is None:
-            return slot
-        return slot._replace(free=replace(slot.free, start=start))
-
     def _of_effect(
         self, cls: type[Effect], slug: str, name: str, p: Parameter, given: float | None
     ) -> Free:
@@ -348,6 +329,11 @@ def from_zero(name: str, unit: str, value: float, most: float) -> Free:
     return Free(name, unit, value, 0.0, most, "linear", BASE)
 
 
+def of_calibration(free: Free, name: str = "", factor: float = 1.0) -> Slot:
+    """A parameter of the calibration, by its own name there."""
+    return Slot(free, f"{CALIBRATION}.{name or free.name}", factor)
+
+
 def diagnosed(model: Any, measurements: Sequence[MeasuredRecord]) -> DiagnosedModel:
     """The model as the diagnosis uses it.
 
@@ -371,7 +357,6 @@ def diagnosed(model: Any, measurements: Sequence[MeasuredRecord]) -> DiagnosedMo
         raise InvalidInput(
             f"the model predicts {' and '.join(found.outputs)}, and no record has such a column"
         )
-    found.slots(())  # fills in the reasons
     return found
 
 

@@ -10,10 +10,10 @@ import numpy as np
 from estune.core.quantities import FloatArray
 from plants.diagnosis.data.measured_record import MeasuredRecord
 from plants.diagnosis.models.diagnosed_model import (
-    CALIBRATION,
     DiagnosedModel,
     Slot,
     either_way,
+    of_calibration,
 )
 from plants.diagnosis.models.signal_scales import units
 from plants.models.linear_signal_path import READINGS_PER_ANGLE
@@ -48,6 +48,5 @@ class DiagnosedPlant(DiagnosedModel):
         start = self.calibration.gauge_offset_N * self.reading_unit
         outputs = [m.tension_N for m in self.measurements if m.tension_N is not None]
         reach = 2.0 * max(float(np.abs(y).max()) for y in outputs) + abs(start)
-        self.reasons["input_offset"] = "an offset of the input looks like one of the output"
         free = either_way("output_offset", "", start, reach)
-        return Slot(free, f"{CALIBRATION}.gauge_offset_N", 1.0 / self.reading_unit)
+        return of_calibration(free, "gauge_offset_N", 1.0 / self.reading_unit)

@@ -12,12 +12,12 @@ from estune.interop import linear_model, sampled_model
 from plants.diagnosis.data.measured_record import MeasuredRecord
 from plants.diagnosis.data.noise_floor import noise_floor
 from plants.diagnosis.models.diagnosed_model import (
-    CALIBRATION,
     RANGE,
     Free,
     Local,
     Slot,
     either_way,
+    of_calibration,
     positive,
 )
 from plants.diagnosis.models.diagnosed_plant import DiagnosedPlant
@@ -78,21 +78,18 @@ class DiagnosedLinear(DiagnosedPlant):
 
     @property
     def _linear(self) -> Any:
-        """The continuous model with the starts of the fit."""
-        values = {k: self._starts.get(k, v) for k, v in self.values.items()}
-        return linear_model(transfer_function(self.kinds, values), self.values["dead_time_s"])
+        """The continuous model."""
+        return self.model.model
 
     def _calibrations(self) -> list[Slot]:
         names = [name for name in self.kinds.own if name != "rate_rad_s"]
         slots = [Slot(_free(name, self.values[name]), name) for name in names]
-        if "origin" in self.kinds.poles:
+        if "origin" in self.kinds.poles:  # where the output stands says nothing
             torque = self.model.torque_unit
             start = self.calibration.torque_offset_Nm * torque
             reach = torque * max(self.sizes.torque_max_Nm, 1e-12)
             free = either_way("input_offset", "", start, reach)
-            slots.append(Slot(free, f"{CALIBRATION}.torque_offset_Nm", 1.0 / torque))
-            self.reasons["output_offset"] = "a plant that integrates stands anywhere"
-            return slots
+            return [*slots, of_calibration(free, "torque_offset_Nm", 1.0 / torque)]
         return [*slots, self.output_offset()]
 
     def sensors(self) -> list[Slot]:
@@ -121,14 +118,14 @@ class DiagnosedLinear(DiagnosedPlant):
     def local(self, measurement: MeasuredRecord) -> Local:
         """The plant with a constant input error."""
         n = self.kinds.order
-        p = {k: self._starts.get(k, v) for k, v in self.numbers(measurement).items()}
+        p = self.numbers(measurement)
         A, B, C = self.kinds.numeric(p)
         output = C * p["angle_unit"]
         # The states are the reading and its derivatives without input.
         rows = np.array([output @ np.linalg.matrix_power(A, k) for k in range(n)])
         u = self.command_N(measurement) / p["torque_unit"]
-        lead = MEAN_LEAD_samples * self._starts.get("input_slope", self._slope)
-        dead_time_s = p["dead_time_s"] - lead / measurement.sampling_Hz
+        lead_s = MEAN_LEAD_samples * self._slope / measurement.sampling_Hz
+        dead_time_s = p["dead_time_s"] - lead_s
         return Local(A, B, output, u, dead_time_s, rows)
 
     @cached_property
@@ -159,7 +156,7 @@ class DiagnosedLinear(DiagnosedPlant):
         self, values: Mapping[str, float], effects: Sequence[type[Effect]] = ()
     ) -> LinearPlant:
         """The plant with these values; a `Calibration` holds the offset."""
-        known = {**self.values, **self._starts, **values}
+        known = {**self.values, **values}
         # A controller holds its command: a lead is less dead time there.
         lead_s = MEAN_LEAD_samples * known.get("input_slope", self._slope)
         lead_s /= self.measurements[0].sampling_Hz

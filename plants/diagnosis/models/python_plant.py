@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 
 from plants.diagnosis.data.measured_record import MeasuredRecord
-from plants.diagnosis.models.diagnosed_model import CALIBRATION, Local, Slot, positive
+from plants.diagnosis.models.diagnosed_model import Local, Slot, of_calibration, positive
 from plants.diagnosis.models.diagnosed_plant import DiagnosedPlant
 from plants.effects import Effect
 from plants.models.python_plant import PythonPlant
@@ -36,4 +36,4 @@ class DiagnosedFunction(DiagnosedPlant):
 
     def _calibrations(self) -> list[Slot]:
         gain = positive("input_gain", "", self.calibration.torque_gain)
-        return [Slot(gain, f"{CALIBRATION}.torque_gain"), self.output_offset()]
+        return [of_calibration(gain, "torque_gain"), self.output_offset()]

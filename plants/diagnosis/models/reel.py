@@ -12,14 +12,13 @@ from plants.cable.taut import GRAVITY_M_S2
 from plants.diagnosis.data.measured_record import MeasuredRecord
 from plants.diagnosis.models.calibration import SaggingCalibration
 from plants.diagnosis.models.diagnosed_model import (
-    CALIBRATION,
     DiagnosedModel,
-    Free,
     Local,
     Slot,
     either_way,
     free_drum,
     from_zero,
+    of_calibration,
     positive,
 )
 from plants.diagnosis.models.initial_states import shifted
@@ -148,9 +147,8 @@ class DiagnosedReel(DiagnosedModel):
         return float(max(rates))
 
     def _at(self, m: MeasuredRecord) -> Reel:
-        """The reel at a record's length, with the starts of the fit."""
-        known = {k: v for k, v in self._starts.items() if k in ReelStructure.OWN}
-        return replace(self.model, cable_length_m=self.length(m), effects=(), **known)
+        """The reel without effects at a record's length."""
+        return replace(self.model, cable_length_m=self.length(m), effects=())
 
     def numbers(self, measurement: MeasuredRecord) -> dict[str, float]:
         """The reel's own numbers at the record's length and rate."""
@@ -163,9 +161,6 @@ class DiagnosedReel(DiagnosedModel):
         if measurement.tension_N is None:
             return np.empty(0)
         return measurement.tension_N / self._per_angle(measurement)
-
-    def _unstarted(self, m: MeasuredRecord) -> Reel:
-        return replace(self.model, cable_length_m=self.length(m), effects=())
 
     def _calibrations(self) -> list[Slot]:
         r, c = self.model, self.calibration
@@ -184,39 +179,26 @@ class DiagnosedReel(DiagnosedModel):
             unit = "N m s/rad per m"
             found.append(from_zero("viscous_friction_per_length_Ns", unit, start, most))
             found.append(positive("cable_EA_N", "N", r.cable_EA_N))
-        else:
-            same = "the records have one cable length"
-            self.reasons["viscous_friction_per_length_Ns"] = same
-            self.reasons["cable_EA_N"] = same
-        # Of one length, the softer of cable and structure stands for both.
+        # Of one length, the softer of cable and structure stands for both; without gauge or
+        # encoder only ratios to the stiffness show.
         soft = not differ and np.mean(lengths) / r.cable_EA_N > 1.0 / r.structure_stiffness_N_m
         if self.has_gauge and self.has_encoder and soft:
             found.append(positive("cable_EA_N", "N", r.cable_EA_N))
-            self.reasons["structure_stiffness_N_m"] = self.reasons.pop("cable_EA_N")
         elif self.has_gauge and self.has_encoder:
             found.append(positive("structure_stiffness_N_m", "N/m", r.structure_stiffness_N_m))
-        else:
-            missing = "encoder" if self.has_gauge else "gauge"
-            self.reasons["structure_stiffness_N_m"] = (
-                f"without {missing} only ratios to the stiffness show"
-            )
         slots = [Slot(free, free.name) for free in found]
-        if self.has_gauge:
-            slots.append(_of_calibration(positive("torque_gain", "", c.torque_gain)))
-            reach = max(self.sizes.torque_max_Nm / r.drum_radius_m, r.tension_max_N)
-            slots.append(
-                _of_calibration(either_way("gauge_offset_N", "N", c.gauge_offset_N, reach))
-            )
-        else:
-            self.reasons["torque_gain"] = "without gauge only ratios to the gain show"
-            self.reasons["gauge_offset_N"] = "there is no gauge"
-        self.reasons["torque_offset_Nm"] = (
-            "an offset of the torque looks like one of the gauge and the encoder"
-        )
-        return slots
+        if not self.has_gauge:  # only ratios to the torque's gain show
+            return slots
+        reach = max(self.sizes.torque_max_Nm / r.drum_radius_m, r.tension_max_N)
+        offset = either_way("gauge_offset_N", "N", c.gauge_offset_N, reach)
+        gain = positive("torque_gain", "", c.torque_gain)
+        return [*slots, of_calibration(gain), of_calibration(offset)]
 
     def slots(self, added: Sequence[type[Effect]]) -> list[Slot]:
-        """The free parameters; with the torque's offset where it is identifiable."""
+        """The free parameters; with the torque's offset where it is identifiable.
+
+        Elsewhere it looks like an offset of the gauge and the encoder.
+        """
         found = super().slots(added)
         laws = (type(self.calibration), *(type(effect) for effect in self.effects), *added)
         identifiable = self.is_often_slack or any(law.by_tension for law in laws)
@@ -227,13 +209,13 @@ class DiagnosedReel(DiagnosedModel):
             "torque_offset_Nm", "N m", given, max(self.sizes.torque_max_Nm, abs(given))
         )
         column = f"{len(self.effects) + len(added)}.{free.name}"
-        return [*found, self._started(Slot(free, column))]
+        return [*found, Slot(free, column)]
 
     @property
     def _unit_friction(self) -> float:
         """Friction that would damp the reel by a tenth of critical, N m s/rad."""
         m = self.measurements[0]
-        kappa = drum_stiffness_Nm_rad(self._unstarted(m), self.preload(m))
+        kappa = drum_stiffness_Nm_rad(self._at(m), self.preload(m))
         return float(0.1 * math.sqrt(kappa * self.model.drum_inertia_kg_m2))
 
     def sensors(self) -> list[Slot]:
@@ -266,7 +248,7 @@ class DiagnosedReel(DiagnosedModel):
 
     def _per_angle(self, m: MeasuredRecord) -> float:
         """Tension per angle of the linear law, N/rad."""
-        stiffness = float(cable_stiffness_N_m(self._unstarted(m), self.preload(m)))
+        stiffness = float(cable_stiffness_N_m(self._at(m), self.preload(m)))
         return stiffness * self.model.drum_radius_m
 
     def local(self, measurement: MeasuredRecord) -> Local:
@@ -278,12 +260,11 @@ class DiagnosedReel(DiagnosedModel):
         if measurement.angle_rad is None or tension is None:
             return drum
         r, rate = self._at(measurement), measurement.sampling_Hz
-        gain = self._starts.get("torque_gain", self.calibration.torque_gain)
         drive = shifted(self.command_N(measurement), r.dead_time_s * rate)
         # The tension is a curve through its samples, delayed by the gauge.
         lag_s = r.gauge_damping / (math.pi * r.gauge_Hz)
         pull = shifted(np.nan_to_num(tension), -0.5 - lag_s * rate)
-        torque = r.drum_radius_m * (gain * drive - pull)
+        torque = r.drum_radius_m * (self.calibration.torque_gain * drive - pull)
         return drum._replace(B=drum.B / r.drum_inertia_kg_m2, input=torque)
 
     @property
@@ -294,7 +275,3 @@ class DiagnosedReel(DiagnosedModel):
         )
         J = self._at(self.measurements[0]).drum_inertia_kg_m2
         return float(HORIZON / math.sqrt(slowest / J))
-
-
-def _of_calibration(free: Free) -> Slot:
-    return Slot(free, f"{CALIBRATION}.{free.name}")

@@ -10,13 +10,13 @@ from estune.core.quantities import FloatArray
 from plants.diagnosis.data.measured_record import MeasuredRecord
 from plants.diagnosis.data.noise import step_of
 from plants.diagnosis.models.diagnosed_model import (
-    CALIBRATION,
     DiagnosedModel,
     Local,
     Slot,
     either_way,
     free_drum,
     from_zero,
+    of_calibration,
     positive,
 )
 from plants.effects import Effect, Role
@@ -80,12 +80,10 @@ class DiagnosedDrum(DiagnosedModel):
         friction = from_zero("viscous_friction_Nms", "N m s/rad", p.viscous_friction_Nms, most)
         reach = max(self.sizes.torque_max_Nm, 1e-12)
         offset = either_way("torque_offset_Nm", "N m", c.torque_offset_Nm, reach)
-        self.reasons["torque_gain"] = "without gauge only the ratio of gain to inertia shows"
-        self.reasons["encoder_zero_rad"] = "nothing depends on where the angle is zero"
         return [
             Slot(inertia, inertia.name),
             Slot(friction, friction.name),
-            Slot(offset, f"{CALIBRATION}.torque_offset_Nm"),
+            of_calibration(offset),
         ]
 
     def slots(self, added: Sequence[type[Effect]]) -> list[Slot]:
@@ -102,7 +100,7 @@ class DiagnosedDrum(DiagnosedModel):
         for n, angle in turning:
             middle, name = float(angle.mean()), f"encoder_zero_rad[{n}]"
             free = either_way(name, "rad", middle, 2.0 * math.pi, f"record {n}")
-            found.append(self._started(Slot(free, "angle_zero", record=n)))
+            found.append(Slot(free, "angle_zero", record=n))
         return found
 
     def local(self, measurement: MeasuredRecord) -> Local:

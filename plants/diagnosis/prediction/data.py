@@ -59,7 +59,6 @@ class PredictionData:
 
     Attributes:
         measurements: The records.
-        horizon_s: Length of a window, or None for a free run.
         record_samples: Samples of each record.
         preload: Tension at which a record's constants are taken.
         reading: Reading at rest with which each record begins.
@@ -75,7 +74,6 @@ class PredictionData:
     """
 
     measurements: tuple[MeasuredRecord, ...]
-    horizon_s: float | None
     record_samples: NDArray[np.int64]
     preload: FloatArray
     reading: FloatArray
@@ -109,7 +107,6 @@ def prepare_data(
     measured, source, block_end, index = _entries(model, measurements, starts, noise)
     return PredictionData(
         measurements=measurements,
-        horizon_s=horizon_s,
         record_samples=np.array([m.samples for m in measurements], np.int64),
         preload=np.array([model.preload(m) for m in measurements], np.float64),
         reading=np.array([start.reading for start in starts], np.float64),

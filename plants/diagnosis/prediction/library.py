@@ -53,7 +53,7 @@ class Library:
         equations = structure.equations()
         names = (*structure.parameter_names, *SENSORS)
         self.columns = {name: n for n, name in enumerate(names)}
-        self.placed = equations.place.numel_in(2) if equations.place is not None else 0
+        self.placed = equations.place.numel_in(2)
         try:
             library = c_compiler.load(_source(equations, self.columns["delay_samples"]))
         except PlantError as error:

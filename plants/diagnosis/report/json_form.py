@@ -2,41 +2,29 @@
 
 import math
 from collections.abc import Mapping
-from dataclasses import asdict
+from dataclasses import fields, is_dataclass
 from typing import Any
 
-from plants.diagnosis.result import DiagnosisResult, HoldOut, NextExperiment, SearchStep
+from plants.diagnosis.result import (
+    Candidate,
+    DiagnosisResult,
+    HoldOut,
+    NextExperiment,
+    SearchStep,
+)
 
 
 def to_json(d: DiagnosisResult) -> dict[str, Any]:
     """The diagnosis as JSON values; what is not a finite number is null."""
     unit = d.unit
+    believed = {e.name for e in d.effects} | set(d.ambiguous)
     errors = {"given": d.given, "before": d.before, "after": d.after}
     values = {
         "verdict": d.verdict,
         "sentence": d.sentence,
-        "effects": [
-            {
-                "name": effect.name,
-                "title": effect.title,
-                "sentence": effect.sentence,
-                "parameters": {n: asdict(i) for n, i in effect.parameters.items()},
-            }
-            for effect in d.effects
-        ],
+        "effects": [_fields(effect, "effect") for effect in d.effects],
         "ambiguous": d.ambiguous,
-        "candidates": [
-            {
-                "name": c.name,
-                f"gap_{unit}": c.gap * d.floor,
-                "gap_floors": c.gap,
-                "closure": c.closure,
-                "explains": c.cosine2,
-                "probability": c.probability,
-                "sentence": c.sentence,
-            }
-            for c in d.candidates
-        ],
+        "candidates": [_candidate(c, d) for c in d.candidates],
         **{f"gap_{name}_{unit}": e.gap for name, e in errors.items()},
         f"floor_{unit}": d.floor,
         **{f"gap_{name}_floors": e.ratio for name, e in errors.items()},
@@ -44,27 +32,36 @@ def to_json(d: DiagnosisResult) -> dict[str, Any]:
         **{f"free_run_{name}_{unit}": e.rms for name, e in errors.items()},
         "where": d.where.to_json(),
         "not_excited": d.not_excited,
-        "ruled_out": d.ruled_out,
+        "ruled_out": [f"{c.sentence}." for c in d.candidates if c.name not in believed],
         "next_experiment": d.next_experiment and _trial(d.next_experiment),
-        "declared": [asdict(effect) for effect in d.declared],
+        "declared": d.declared,
         "hold_out": d.hold_out and _hold_out(d.hold_out, unit),
-        "calibrations": {
-            c.name: {k: v for k, v in asdict(c).items() if k != "name"} for c in d.calibrations
-        },
+        "calibrations": {c.name: _fields(c, "name") for c in d.calibrations},
         "steps": [_step(step, unit) for step in d.steps],
-        "noise": d.noise.to_json(),
+        "noise": d.noise.channels,
         "exit_code": d.exit_code,
-        "limitations": [asdict(one) for one in d.limitations],
-        "findings": [asdict(finding) for finding in d.findings],
-        "splits": [asdict(part) for part in d.splits],
+        "limitations": d.limitations,
+        "findings": d.findings,
+        "splits": d.splits,
     }
     return {name: finite_json(value) for name, value in values.items()}
+
+
+def _fields(one: Any, without: str = "") -> dict[str, Any]:
+    """The fields of a dataclass, without one of them."""
+    return {f.name: getattr(one, f.name) for f in fields(one) if f.name != without}
+
+
+def _candidate(c: Candidate, d: DiagnosisResult) -> dict[str, Any]:
+    gaps = {f"gap_{d.unit}": c.gap * d.floor, "gap_floors": c.gap}
+    shares = {"closure": c.closure, "explains": c.cosine2, "probability": c.probability}
+    return {"name": c.name, **gaps, **shares, "sentence": c.sentence}
 
 
 def _trial(one: NextExperiment) -> dict[str, Any]:
     named = {"name": one.trial.name, "file": one.file_name, "command": one.command}
     rest = {"sentence": one.sentence, "separation": one.separation, "tried": one.tried}
-    return named | rest | {"profile": asdict(one.trial.profile)}
+    return named | rest | {"profile": one.trial.profile}
 
 
 def _hold_out(held: HoldOut, unit: str) -> dict[str, Any]:
@@ -80,7 +77,9 @@ def _step(step: SearchStep, unit: str) -> dict[str, Any]:
 
 
 def finite_json(value: Any) -> Any:
-    """JSON values with null for every number that is not finite."""
+    """JSON values of anything, with null for every number that is not finite."""
+    if is_dataclass(value):
+        value = _fields(value)
     if isinstance(value, Mapping):
         return {str(key): finite_json(item) for key, item in value.items()}
     if isinstance(value, list | tuple):

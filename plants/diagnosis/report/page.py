@@ -7,7 +7,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from estune.support import html_page
-from estune.support.html_page import Block, Bullets, Drawing, Heading, Page, Paragraph, Section
+from estune.support.html_page import Block, Drawing, Heading, Page, Paragraph, Section
 from estune.support.plot_style import WIDTH_in, new_figure
 from plants.diagnosis.report import figures, residual_figures, summary
 from plants.diagnosis.result import DiagnosisResult, Trace
@@ -135,8 +135,6 @@ def _ranking(d: DiagnosisResult) -> list[Block]:
         draw = partial(figures.draw_ranking, d=d)
         blocks.append(_plot(draw, "ranking", "error left", 1.0 + 0.3 * count))
     blocks.append(_table(summary.ranking(d)))
-    if summary.reasons(d):
-        blocks += [Heading("Ruled out"), Bullets(summary.reasons(d))]
     if d.not_excited:
         blocks += [Heading("What these records cannot show"), _table(summary.not_excited(d))]
     return blocks

@@ -193,12 +193,6 @@ def distortions(d: DiagnosisResult) -> Table:
     return Table(("record", "channel", "even lines, over the noise", "odd lines"), tuple(rows))
 
 
-def reasons(d: DiagnosisResult) -> tuple[str, ...]:
-    """Effects ruled out and the reasons, beyond the numbers of the ranking."""
-    known = {c.sentence.rstrip(".").lower() for c in d.candidates}
-    return tuple(text for text in d.ruled_out if text.rstrip(".").lower() not in known)
-
-
 def noises(d: DiagnosisResult) -> Table:
     """The noise of each channel, and how it was estimated."""
     scale = PlantScale.of(d.base_model)
