@@ -6,9 +6,11 @@ have as many cells (`experiments.large_sweep`). Times are process times of whole
 start of Python.
 """
 
+import contextlib
 import functools
 import math
 import os
+import shutil
 import signal
 import sys
 import tempfile
@@ -20,7 +22,8 @@ from typing import Any, NamedTuple
 import estune
 import plants
 from estune.core.gains import Gains
-from estune.run.journal import FILE_NAME
+from estune.run.journal import FILE_NAME, Journal
+from estune.run.loop import Stopped
 from estune.trial import RigDescription, TrialRecord, TrialRequest
 from experiments.command_costs import command_costs
 from experiments.fleet import HOLD_S, SEARCH_TRIALS, measure, targets_of
@@ -44,6 +47,10 @@ QUICK_SEARCH_TRIALS = 4
 CELLS = (700, 7_000, 100_000)
 QUICK_CELLS = (70,)
 TUNER = "killingsworth"
+EPILOG = (
+    "The quick form takes 2 min of process time. The full one holds fleets of 10 to 200 rigs, and "
+    "makes journals of up to 100 000 trials (1 GB) and sweeps of up to 100 000 cells (0.5 GB)."
+)
 LIMITS = {"show_s": 1.5, "resume_s": 4.0, "parquet_s": 60.0, "bytes_per_trial": 10_000.0}
 SWEEP_MB_MAX = 200.0
 _RECORDED = 64
@@ -51,7 +58,13 @@ _RECORDED = 64
 
 
 class RecordedRig:
-    """A rig that answers with recorded trials in turn, whatever the gains."""
+    """A rig that answers with recorded trials in turn, whatever the gains.
+
+    Attributes:
+        stops_at: Number of the trial that is interrupted instead; None for none.
+    """
+
+    stops_at: int | None = None
 
     def __init__(self) -> None:
         self._rig = plants.reference_reel().rig()
@@ -68,6 +81,8 @@ class RecordedRig:
 
     def run(self, request: TrialRequest) -> TrialRecord:
         """A recorded trial under the id and with the gains of the request."""
+        if request.number == self.stops_at:
+            raise KeyboardInterrupt
         recorded = self._records[request.number % _RECORDED]
         return replace(recorded, trial_id=request.trial_id, gains=request.gains)
 
@@ -101,24 +116,30 @@ class JournalCosts(NamedTuple):
 
 
 def measure_journal(trials: int, folder: Path) -> JournalCosts:
-    """Makes a run of so many trials, and times the commands that read it."""
+    """Makes a run of so many trials, and times the commands that read it.
+
+    The run is interrupted before its last trial of the search, so that `resume` reads what there
+    is, and runs and confirms the rest.
+    """
     run = folder / f"scale-{trials}"
-    if not (run / FILE_NAME).exists():
-        target = "experiments.scale:recorded_rig"
-        options: dict[str, Any] = {"tuner": TUNER, "tolerance": 0.0, "trials": trials}
-        estune.tune(target, folder=folder, run=run.name, watch=None, **options)
-    size = (run / FILE_NAME).stat().st_size
+    rig = recorded_rig()
+    rig.stops_at = trials
+    options: dict[str, Any] = {"tuner": TUNER, "tolerance": 0.0, "trials": trials}
+    with contextlib.suppress(Stopped):
+        estune.tune(rig, folder=folder, run=run.name, watch=None, **options)
+    with Journal.open(run, write=True) as journal:
+        journal.note(target="experiments.scale:recorded_rig")
+    resume_s = command_costs("resume", run, "--quiet").cpu_s
     exported = run / "parquet"
     costs = JournalCosts(
         trials=trials,
-        bytes_per_trial=size / len(estune.load(run).entries),
+        bytes_per_trial=(run / FILE_NAME).stat().st_size / len(estune.load(run).entries),
         show_s=command_costs("show", run).cpu_s,
-        resume_s=command_costs("resume", run, "--quiet").cpu_s,
-        parquet_s=command_costs("export", run, "--parquet", "--out", exported).cpu_s,
+        resume_s=resume_s,
+        parquet_s=command_costs("export", run, "--quiet", "--out", exported).cpu_s,
         parquet_MB=sum(file.stat().st_size for file in exported.iterdir()) / 1e6,
     )
-    for file in exported.iterdir():
-        file.unlink()
+    shutil.rmtree(run)
     return costs
 
 
@@ -155,7 +176,7 @@ def journal_table(sizes: Sequence[int], folder: Path) -> list[dict[str, float]]:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Measures, prints, and returns the exit code."""
     parser = command_line(__doc__, quick="25 rigs, journals of 200 and 1 000 trials, 70 cells")
-    parser.add_argument("--folder", type=Path, help="folder for the journals, to keep them")
+    parser.epilog = EPILOG
     parser.add_argument("--rigs", type=int, nargs="*", help="numbers of rigs; none for no fleet")
     parser.add_argument("--trials", type=int, nargs="*", help="lengths of journals; or none")
     parser.add_argument("--cells", type=int, nargs="*", help="numbers of cells of sweeps; or none")
@@ -181,7 +202,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             print_figures({"growth exponent": growth_exponents(rigs, fleet)})
         if trials:
             print(f"load {os.getloadavg()[0]:.1f}")
-            journal = journal_table(trials, options.folder or Path(temporary))
+            journal = journal_table(trials, Path(temporary))
             limits = LIMITS.items()
             targets |= {f"journal_{name}": at_most(journal[-1][name], m) for name, m in limits}
         if cells:

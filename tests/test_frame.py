@@ -1,6 +1,7 @@
 """The record frame: decoded bit for bit; any other bytes are refused."""
 
 import json
+import math
 import struct
 import zlib
 from dataclasses import replace
@@ -13,8 +14,11 @@ from hypothesis.extra.numpy import arrays
 
 from estune.core.gains import Gains
 from estune.errors import ProtocolError
+from estune.remote.ledger import MemoryLedger
+from estune.remote.zenoh.trial_execution import SharedRigState, TrialExecutor
 from estune.trial import OPTIONAL_COLUMNS, Outcome, TrialRecord, TrialRequest, record_frame
 from tests.support_rigs import description, response, same
+from tests.support_runs import ArithmeticRig
 
 finite = st.floats(allow_nan=False, allow_infinity=False)
 positive = st.floats(min_value=0.0, exclude_min=True, allow_infinity=False)
@@ -175,3 +179,16 @@ def test_frame_over_the_limit_is_refused_on_both_sides(record):
 def test_encode_refuses_what_decode_would_refuse(record, change, complaint):
     with pytest.raises(ProtocolError, match=complaint):
         record_frame.encode(replace(record, **change))
+
+
+def test_trial_is_refused_before_it_runs_if_its_record_may_not_fit():
+    rig = ArithmeticRig()
+    reel = rig.describe()
+    reel = replace(reel, limits=replace(reel.limits, duration_max_s=math.inf))
+    executor = TrialExecutor(rig, MemoryLedger(), SharedRigState(rig, "", lambda: None), reel)
+    columns = 5 + len(OPTIONAL_COLUMNS)
+    most = (record_frame.MAX_BYTES - record_frame.size(0)) // (8 * columns + 1)
+    for samples, fits in ((most, True), (most + 1, False)):
+        step = replace(reel.step, duration_s=samples / reel.controller.sampling_Hz)
+        request = TrialRequest("long", 0, reel.gains, step)
+        assert (executor.limit_violation(request) is None) == fits

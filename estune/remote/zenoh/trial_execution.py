@@ -24,6 +24,7 @@ from estune.remote.state_machine.reply_codes import OF_TRIAL, ReplyCode
 from estune.remote.state_machine.state import RigAction, RigState, Transition
 from estune.remote.state_machine.trials import TrialEvent, TrialState
 from estune.trial import (
+    OPTIONAL_COLUMNS,
     Feedback,
     Outcome,
     Rig,
@@ -199,7 +200,8 @@ class TrialExecutor:
             samples = request.profile.samples(self.description.controller.sampling_Hz)
         except InvalidInput as error:
             return error
-        if record_frame.size(samples, optional=1) <= record_frame.MAX_BYTES:
+        # With all columns of a compensation: it must not fail once the trial has been run.
+        if record_frame.size(samples, optional=len(OPTIONAL_COLUMNS)) <= record_frame.MAX_BYTES:
             return None
         return InvalidInput(
             f"a trial of {samples} samples does not fit into a record of {record_frame.MAX_BYTES} "
