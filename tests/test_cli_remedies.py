@@ -1,18 +1,16 @@
 """What commands say and leave behind where they are refused, stopped or unfinished."""
 
-import os
-import subprocess
+import io
 import sys
 from pathlib import Path
 
 import pytest
 
 import plants
-from estune.cli import run
+from estune.cli import main, run
 from estune.remote.zenoh.endpoints import intended_endpoint
 from estune.run.loop import Stopped
 
-HERE = Path(__file__).parent.parent
 REEL = plants.reference_reel()
 
 
@@ -110,16 +108,26 @@ def test_export_ends_lines_as_unix_does(tmp_path):
 
 
 @pytest.mark.parametrize("encoding", ["cp1252", "latin-1", "ascii"])
-def test_output_in_a_poor_encoding_is_plain_text_and_no_traceback(encoding, tmp_path):
-    environment = {**os.environ, "PYTHONIOENCODING": encoding}
-    command = [sys.executable, "-m", "estune.cli", "tune", "plants:reference_reel"]
-    done = subprocess.run(
-        [*command, "--trials", "1", "--quiet", "--folder", tmp_path],
-        cwd=HERE, env=environment, capture_output=True, check=False,
-    )  # fmt: skip
-    assert not done.stderr
-    assert done.returncode in (0, 7)
-    out = done.stdout.decode(encoding)
+def test_output_in_a_poor_encoding_is_plain_text_and_no_traceback(encoding, tmp_path, monkeypatch):
+    written = {name: io.BytesIO() for name in ("stdout", "stderr")}
+    for name, stream in written.items():
+        monkeypatch.setattr(sys, name, io.TextIOWrapper(stream, encoding, write_through=True))
+    monkeypatch.setattr(sys, "path", [*sys.path])
+    with pytest.raises(SystemExit) as ended:
+        main(
+            [
+                "tune",
+                "plants:reference_reel",
+                "--trials",
+                "1",
+                "--quiet",
+                "--folder",
+                str(tmp_path),
+            ]
+        )
+    assert ended.value.code in (0, 7)
+    assert not written["stderr"].getvalue()
+    out = written["stdout"].getvalue().decode(encoding)
     assert "cost eta" in out
     assert ("±" in out) is (encoding != "ascii")
     assert "+/-" in out or encoding != "ascii"

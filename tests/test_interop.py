@@ -318,7 +318,7 @@ def test_closed_loop_at_gain_margin_is_marginally_stable(name):
 def test_stability_matches_the_eigenvalues():
     rng = np.random.default_rng(1)
     stable = 0
-    for _ in range(120):
+    for _ in range(40):
         sampling_Hz = 10.0 ** rng.uniform(0.0, 4.0)
         system = control.tf([1.0], [1.0])
         for _ in range(rng.integers(1, 4)):
@@ -339,7 +339,7 @@ def test_stability_matches_the_eigenvalues():
         if abs(radius - 1.0) > 1e-6:
             assert margins(model, gains, controller).stable is (radius < 1.0)
             stable += radius < 1.0
-    assert 20 < stable < 100
+    assert 7 < stable < 33
 
 
 @pytest.mark.parametrize(
