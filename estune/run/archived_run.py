@@ -20,6 +20,7 @@ from estune.run.plan import Plan
 from estune.run.planning import description_from_json, plan_from_json
 from estune.run.session import Phase, Session, is_censored, is_safe, new_session
 from estune.run.summary import summarise
+from estune.support.garbage import collection_paused
 from estune.trial import Outcome
 from estune.tuners import Observation, Point, SearchSpace, tuner_name, tuner_space
 
@@ -46,6 +47,7 @@ def is_stored(journal: Journal) -> bool:
     return journal.fact("status") == "finished" and journal.fact("compared") is not None
 
 
+@collection_paused()
 def load_finished(journal: Journal) -> TuningRun:
     """A finished run from its journal alone.
 
@@ -107,15 +109,14 @@ class UnavailableTuner:
 
 def _session(session: Session, entries: list[JournalEntry], journal: Journal) -> Session:
     """The session at the end of a run, from the phases of its trials."""
-    counted = [e for e in entries if e.outcome and not e.outcome.is_void]
-    phases: dict[Phase, list[JournalEntry]] = {phase: [] for phase in Phase}
-    for entry in counted:
-        phases[entry.phase].append(entry)
-    search = phases[Phase.SEARCH]
+    done = Outcome.DONE  # compared first: a run may have 100 000 trials
+    counted = [e for e in entries if e.outcome is done or (e.outcome and not e.outcome.is_void)]
+    search = [e for e in counted if e.phase is Phase.SEARCH]
+    others = [e for e in counted if e.phase is not Phase.SEARCH]
     session = replace(
         session,
         number=len(counted),
-        baseline=tuple(e.cost for e in phases[Phase.BASELINE]),
+        baseline=tuple(e.cost for e in others if e.phase is Phase.BASELINE),
         search_trials=len(search),
         search_end=journal.fact("search_end") or f"the search took {len(search)} trials",
     )
@@ -128,14 +129,16 @@ def _session(session: Session, entries: list[JournalEntry], journal: Journal) ->
         session = replace(session, tuner_state=state)
     declined = sum(e.outcome is Outcome.DECLINED for e in counted)
     censored = len(search) - len(safe)
-    censored += sum(_censored(session, e) for e in counted if e.phase is not Phase.SEARCH)
+    censored += sum(_censored(session, e) for e in others)
     choice, confirmation = journal.fact("compared") or ((), ())
     return replace(
         session,
         unsafe=censored - declined,
         declined=declined,
-        choice=_repeats(session, phases[Phase.CHOOSE], choice),
-        confirmation=_repeats(session, phases[Phase.CONFIRM], confirmation),
+        choice=_repeats(session, [e for e in others if e.phase is Phase.CHOOSE], choice),
+        confirmation=_repeats(
+            session, [e for e in others if e.phase is Phase.CONFIRM], confirmation
+        ),
     )
 
 
