@@ -12,15 +12,25 @@ INDEPENDENT = ("test_experiments", "test_explain_friction", "test_explain_plants
 """Files of long tests without shared fixtures, which may run in different processes."""
 
 LONGEST = (
-    "test_hidden_block",
     "test_docs",
-    "test_explain",
     *INDEPENDENT,
-    "README",
+    "test_improve",
     "test_daemon",
     "test_cli",
+    "test_explain",
     "test_bus",
-    "test_hidden_effects",
+    "test_notebooks",
+    "test_hidden_block",
+    "test_explain_report",
+    "test_paper",
+    "test_friction",
+    "README",
+    "test_hardware",
+    "test_drivers",
+    "test_model_based",
+    "test_explain_cli",
+    "test_force_bench",
+    "test_journal",
 )
 """Files that start first, so that no process is left with a long one at the end."""
 

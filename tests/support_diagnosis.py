@@ -202,6 +202,10 @@ def diagnosis(**changes) -> Diagnosis:
     return replace(made, **changes)
 
 
+NO_BLOCKS = replace(diagnosis().where, blocks=(), distortion=(), sentence="")
+"""A residual without the figures that take most of a page's time."""
+
+
 def deciding() -> NextExperiment:
     """A slow triangle that would tell two kinds of friction apart."""
     why = "a slow triangle tells coulomb_friction and dahl_hysteresis apart: by 3.1 sigmas"

@@ -96,7 +96,7 @@ def test_friction_is_identified_in_the_notation_of_other_simulators(friction, na
     [
         (31001, "unloaded", "directional_friction", "difference_Nms"),
         (31003, "unloaded", "current_lag", "lag_s"),
-        (31000, "plain", "load_friction", "load_share"),
+        pytest.param(31000, "plain", "load_friction", "load_share", marks=pytest.mark.nightly),
     ],
 )
 def test_effect_of_a_real_drive_is_identified_in_a_hidden_machine(seed, variant, effect, size):

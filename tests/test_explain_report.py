@@ -20,7 +20,7 @@ from plants.diagnosis.report import figures, summary
 from plants.diagnosis.report.page import page
 from plants.diagnosis.result import ModelErrors
 from plants.effects import EFFECTS, Effect, Port, parameter, plant_scale
-from tests.support_diagnosis import FOUND, deciding, diagnosis, nothing_found
+from tests.support_diagnosis import FOUND, NO_BLOCKS, deciding, diagnosis, nothing_found
 
 
 class Page(HTMLParser):
@@ -45,10 +45,6 @@ class Page(HTMLParser):
         self.words.append(data)
         if self.open and self.open[-1] == "td":
             self.cells.append(data.replace("\N{NO-BREAK SPACE}", " "))
-
-
-NO_BLOCKS = replace(diagnosis().where, blocks=(), distortion=(), sentence="")
-"""Their figures take most of the time."""
 
 
 @pytest.fixture(scope="module")
