@@ -48,8 +48,8 @@ CELLS = (700, 7_000, 100_000)
 QUICK_CELLS = (70,)
 TUNER = "killingsworth"
 EPILOG = (
-    "The quick form takes 2 min of process time. The full one holds fleets of 10 to 200 rigs, and "
-    "makes journals of up to 100 000 trials (1 GB) and sweeps of up to 100 000 cells (0.5 GB)."
+    "The full form holds fleets of 10 to 200 rigs, and makes journals of up to 100 000 trials "
+    "(1 GB) and sweeps of up to 100 000 cells (0.5 GB) in a temporary folder."
 )
 LIMITS = {"show_s": 1.5, "resume_s": 4.0, "parquet_s": 60.0, "bytes_per_trial": 10_000.0}
 SWEEP_MB_MAX = 200.0
