@@ -120,7 +120,7 @@ def _facts(outcome: CellOutcome) -> dict[str, Any]:
 
 
 class _Keys:
-    """Places of cells by their keys, 0.03 kB each, where a dictionary takes 0.2 kB."""
+    """Places of cells by their keys, which are held as one sorted array."""
 
     def __init__(self, cells: Sequence[Cell]) -> None:
         keys = np.fromiter((cell.key.encode() for cell in cells), f"S{KEY_LENGTH}", len(cells))
@@ -139,7 +139,7 @@ _PACKED = struct.Struct(f"<4i??{2 * len(GAIN_NAMES) + len(_NUMBERS)}d")
 
 
 class _PackedOutcomes:
-    """Outcomes of many cells as bytes, 0.12 kB each, where their objects take 0.75 kB."""
+    """Outcomes of many cells as bytes: 0.13 kB each, a sixth of their objects."""
 
     def __init__(self, cells: Sequence[Cell], path: Path) -> None:
         self._cells, self._path = cells, path
