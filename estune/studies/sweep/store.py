@@ -139,7 +139,7 @@ _PACKED = struct.Struct(f"<4i??{2 * len(GAIN_NAMES) + len(_NUMBERS)}d")
 
 
 class _PackedOutcomes:
-    """Outcomes of many cells as bytes: 0.13 kB each, a sixth of their objects."""
+    """Outcomes of many cells as bytes: 0.12 kB each, a sixth of their objects."""
 
     def __init__(self, cells: Sequence[Cell], path: Path) -> None:
         self._cells, self._path = cells, path
