@@ -381,6 +381,12 @@ class DiagnosisResult:
         return share if self.effects else math.nan
 
     @property
+    def ruled_out(self) -> tuple[str, ...]:
+        """Sentences on the effects that are not believed."""
+        believed = {effect.name for effect in self.effects} | set(self.ambiguous)
+        return tuple(f"{c.sentence}." for c in self.candidates if c.name not in believed)
+
+    @property
     def exit_code(self) -> int:
         """Exit code of `estune explain`: `LIMITED`, `FAULTY`, or 0."""
         if any(one.by_data for one in self.limitations):

@@ -17,7 +17,6 @@ from plants.diagnosis.result import (
 def to_json(d: DiagnosisResult) -> dict[str, Any]:
     """The diagnosis as JSON values; what is not a finite number is null."""
     unit = d.unit
-    believed = {e.name for e in d.effects} | set(d.ambiguous)
     errors = {"given": d.given, "before": d.before, "after": d.after}
     values = {
         "verdict": d.verdict,
@@ -32,7 +31,7 @@ def to_json(d: DiagnosisResult) -> dict[str, Any]:
         **{f"free_run_{name}_{unit}": e.rms for name, e in errors.items()},
         "where": d.where.to_json(),
         "not_excited": d.not_excited,
-        "ruled_out": [f"{c.sentence}." for c in d.candidates if c.name not in believed],
+        "ruled_out": d.ruled_out,
         "next_experiment": d.next_experiment and _trial(d.next_experiment),
         "declared": d.declared,
         "hold_out": d.hold_out and _hold_out(d.hold_out, unit),
