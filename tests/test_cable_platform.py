@@ -1,5 +1,7 @@
 """Reels that hold a platform: equations, tension distribution, pose control."""
 
+import time
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -7,11 +9,12 @@ from hypothesis import strategies as st
 from scipy.optimize import minimize
 
 from estune.core.gains import Gains
-from estune.errors import InvalidInput
+from estune.errors import InvalidInput, RigError
 from estune.reel.hybrid import SwitchingRules
-from estune.trial import Feedback
+from estune.trial import Feedback, Setpoint
 from plants.cable_platform import PoseController, Simulation, distribute
 from plants.cable_platform.examples import platform
+from plants.cable_platform.real_time import RealTimePlatform
 from plants.models.reel import SAFE_GAINS
 
 TUNED = Gains(P=1.055, I=28.1, D=0.0178, setpoint_filter_s=0.0018)
@@ -128,3 +131,12 @@ def test_reels_hold_their_position_where_no_tensions_balance_the_wrench():
     assert update(0.12, 15.0, far) == {0.11}  # the angle at the switch
     assert update(0.12, LOW_N - 0.1, far) == {None}  # a slack cable is taken in
     assert update(0.13, 15.0, home) == {None}
+
+
+def test_reels_of_a_failed_simulation_refuse_setpoints(monkeypatch):
+    with RealTimePlatform(MECHANISM) as running:
+        monkeypatch.setattr(running.simulation, "sample", lambda: 1 / 0)
+        with pytest.raises(RigError, match="the simulation has failed: division by zero"):
+            for _ in range(1000):
+                running.follow(0, Setpoint(10.0))
+                time.sleep(0.01)

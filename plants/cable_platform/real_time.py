@@ -1,5 +1,6 @@
 """A simulated platform in real time, and each of its reels as a rig that follows setpoints."""
 
+import logging
 import math
 import threading
 import time
@@ -31,6 +32,8 @@ GUARD = Limits(tension_max_N=60.0, rate_max_N_s=8000.0)
 RETURN_N_S = 50.0
 """Rate at which the setpoint returns to the hold tension, N/s."""
 
+_log = logging.getLogger(__name__)
+
 _WAKE_S = 1e-3
 _BEHIND_S = 0.05
 """Time that is made up for after a pause of the thread, s; beyond, the simulation is late."""
@@ -60,7 +63,7 @@ class RealTimePlatform:
         self._latched = [""] * self._hold_N.size
         self._time_s = 0.0
         self._ended = threading.Event()
-        self._thread = threading.Thread(target=self._run, name="platform", daemon=True)
+        self._thread = threading.Thread(target=self._guarded_run, name="platform", daemon=True)
 
     def __enter__(self) -> Self:
         self.simulation.sample()  # builds the equations
@@ -108,6 +111,15 @@ class RealTimePlatform:
             self._latched[number], self._guards[number] = "", None
             self.simulation.setpoints.tension_N[number] = self._hold_N[number]
             self.simulation.setpoints.in_tension[number] = True
+
+    def _guarded_run(self) -> None:
+        """Runs to the end; a simulation that fails holds every reel in its safe state."""
+        try:
+            self._run()
+        except Exception as error:  # noqa: BLE001  whatever fails must be noticed by the reels
+            _log.exception("the simulation has failed")
+            with self.lock:
+                self._latched = [f"the simulation has failed: {error}"] * len(self._latched)
 
     def _run(self) -> None:
         period_s, began_s = 1.0 / self.simulation.mechanism.sampling_Hz, time.monotonic()
