@@ -133,10 +133,14 @@ def test_reels_hold_their_position_where_no_tensions_balance_the_wrench():
     assert update(0.13, 15.0, home) == {None}
 
 
+def follow_often(running: RealTimePlatform) -> None:
+    for _ in range(1000):
+        running.follow(0, Setpoint(10.0))
+        time.sleep(0.01)
+
+
 def test_reels_of_a_failed_simulation_refuse_setpoints(monkeypatch):
     with RealTimePlatform(MECHANISM) as running:
         monkeypatch.setattr(running.simulation, "sample", lambda: 1 / 0)
         with pytest.raises(RigError, match="the simulation has failed: division by zero"):
-            for _ in range(1000):
-                running.follow(0, Setpoint(10.0))
-                time.sleep(0.01)
+            follow_often(running)
