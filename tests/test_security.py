@@ -102,7 +102,7 @@ def test_user_with_look_right_cannot_publish_as_the_rig(users):
         zenoh.connect(server.endpoint, security=users["anna"]) as anna,
         zenoh.connect(server.endpoint, security=users["guest"]) as guest,
     ):
-        anna._changed.clear()
+        anna._at_rest.clear()
         guest._connection.session.put(guest._connection.keys.status, b"forged")
         guest._connection.session.liveliness().declare_token(
             guest._connection.keys.alive("0badf00d")
