@@ -3,6 +3,7 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -264,7 +265,7 @@ class ModelFitter:
         row = running.row({name: value for name, value in values.items() if name in known})
         return running.predict(row[None, :])
 
-    @property
+    @cached_property
     def scale(self) -> RecordScale:
         """Scales that sizes of effects are judged by."""
         angle_rad, tension_N = self.floor.angle_rad, self.floor.tension_N

@@ -193,8 +193,8 @@ def _fit_all(
         fitted = fit_added(fitter, current, one, _simpler(one.effect, fits), least=least)
         if least > fitted.J:
             fitted = fitter.refine(fitted, 40)
-            least = fitted.J
         fits.append(fitted)
+        least = _least(fitter, fits)
     found.add(_finished(fitter, fits))
 
 
@@ -215,7 +215,14 @@ def _fit_rest(fitter: ModelFitter, found: SearchResult) -> None:
         for name, one in found.screened.items()
         if frozenset({name}) not in found.fits and may_be_nonlinear(one)
     ]
-    found.add(_finished(fitter, fits, found.of(1)[0].J if found.fits else math.inf))
+    found.add(_finished(fitter, fits, _least(fitter, found.of(1))))
+
+
+def _least(fitter: ModelFitter, fits: Iterable[CandidateFit]) -> float:
+    """J of the best of the fits that could be believed: no other stands in another's way."""
+    scale = fitter.scale
+    sized = (one for one in fits if is_named(one) and summarise(one, scale).eligible)
+    return min((one.J for one in sized), default=math.inf)
 
 
 def _finished(
@@ -225,7 +232,7 @@ def _finished(
     ranked = sorted(fits, key=lambda f: f.J)
     done: list[CandidateFit] = []
     for one in ranked:
-        limit = min([least, *(f.J for f in done)])
+        limit = min(least, _least(fitter, done))
         limit = limit if math.isfinite(limit) else one.J
         near = BEHIND * limit > one.J and len(done) < LEADING
         done.append(fitter.refine(one, 40 if one is ranked[0] else 15) if near else one)

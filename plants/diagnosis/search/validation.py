@@ -13,16 +13,20 @@ REFITTED = 4
 
 
 def held_out(fitter: ModelFitter, one: CandidateFit) -> FloatArray:
-    """Whitened residuals, (entries,), each predicted by a fit to the other two thirds."""
+    """Whitened residuals, (entries,), each predicted by a fit to the other two thirds.
+
+    Values of single records, as their encoder's zero, stay as all of the record gives them: they
+    belong to no law, and a part of a record may not determine them.
+    """
     predictor, entries = one.fitted.predictor, fitter.entries
+    shared = np.setdiff1d(one.fitted.moved, fitter.moves(predictor, frozenset()))
     part = thirds(fitter)[entries]
     residuals = np.zeros(entries.size)
     for n in range(THIRDS):
         left, rest = part == n, part != n
         if not left.any() or not rest.any():
             left = rest = np.ones(entries.size, np.bool_)
-        moved = one.fitted.moved
-        values = fit(predictor, one.fitted.values, moved, entries[rest], REFITTED).values
+        values = fit(predictor, one.fitted.values, shared, entries[rest], REFITTED).values
         residuals[left] = predictor.residuals(values[None, :], entries[left])[0]
     return residuals
 
