@@ -32,6 +32,7 @@ from plants.diagnosis.improvement.result import Improvement, ImprovementRound
 from plants.diagnosis.improvement.tuning import Tuned, TuneOptions, tune_with_model
 from plants.diagnosis.progress import Progress, silent
 from plants.diagnosis.report.diagnosis import Diagnosis
+from plants.diagnosis.search.constants import CONSTANTS
 from plants.effects import Effect
 from plants.models.model_file import to_toml
 from plants.models.mounting import MountedModel
@@ -233,9 +234,16 @@ def _new_experiments(lab: ExperimentRunner, found: Diagnosis) -> list[Experiment
 
 
 def _selected_model(last: ImprovementRound) -> Any:
-    """The model to be used after the last round, with the noise that was measured."""
+    """The model to be used after the last round, with the noise that was measured.
+
+    A model whose own numbers leave nothing keeps them: what the records hardly determine, as the
+    offsets of drive and gauge beside each other, would else be worse.
+    """
     found = last.diagnosis
-    model = found.base_model if found.verdict in ("none", "unknown") else found.augmented
+    model = found.augmented
+    if found.verdict in ("none", "unknown"):
+        explained = found.given.ratio**2 <= CONSTANTS.floor
+        model = found.model if explained else found.base_model
     noise = found.noise.channels.get("tension_N")
     if noise is None or not is_dataclass(model) or isinstance(model, type):
         return model
