@@ -25,7 +25,9 @@ from estune.remote import zenoh
 from estune.remote.messages.daemon import DaemonStatus
 from estune.remote.zenoh.daemon_service import DaemonClient
 from estune.remote.zenoh.endpoints import with_port
+from estune.support.child_process import child_process, next_line
 from estune.trial import TrialRequest
+from experiments.busy import busy
 from experiments.results import Target, at_most
 
 TUNER = "safe_bayesian"
@@ -153,21 +155,11 @@ def serve_rigs(router: str, names: list[str]) -> None:
 
 
 @contextmanager
-def started(command: list[str], **options: Any) -> Iterator[subprocess.Popen[str]]:
-    """A process that has printed its first line; killed at the end."""
-    with subprocess.Popen(  # noqa: S603  our own modules
-        [sys.executable, *command],
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        text=True,
-        **options,
-    ) as process:
-        try:
-            if not process.stdout or not process.stdout.readline():
-                raise EstuneError(f"{' '.join(command[:3])} does not start")
-            yield process
-        finally:
-            process.kill()
+def started(*arguments: str, **options: Any) -> Iterator[subprocess.Popen[str]]:
+    """A program of ours that has printed its first line; killed at the end."""
+    with child_process(*arguments, **options) as process:
+        next_line(process)
+        yield process
 
 
 @contextmanager
@@ -181,22 +173,17 @@ def fleet(rigs: int, tuner: str, folder: Path, trials: int) -> Iterator[Fleet]:
     config = folder / "daemon.toml"
     config.write_text(_DAEMON.format(listen=listen, router=router) + tables, "utf-8")
     with ExitStack() as opened:
-        routing = opened.enter_context(
-            started(["-m", "experiments.chaos.others", "router", router])
-        )
-        command = ["-m", "experiments.fleet"]
+        routing = opened.enter_context(started("experiments.chaos.others", "router", router))
+        quiet, some = {"stderr": subprocess.DEVNULL}, RIGS_PER_PROCESS
         served = [
             opened.enter_context(
-                started(
-                    [*command, router, *names[first:][:RIGS_PER_PROCESS]],
-                    stderr=subprocess.DEVNULL,
-                )
+                started("experiments.fleet", router, *names[first:][:some], **quiet)
             )
-            for first in range(0, rigs, RIGS_PER_PROCESS)
+            for first in range(0, rigs, some)
         ]
         log = opened.enter_context((folder / "log").open("w"))
-        arguments = ["-m", "estune.cli", "daemon", str(config), "--log", "json"]
-        daemon = opened.enter_context(started(arguments, stderr=log))
+        arguments = "estune.cli", "daemon", str(config), "--log", "json"
+        daemon = opened.enter_context(started(*arguments, stderr=log))
         ids = tuple(process.pid for process in served)
         yield Fleet(daemon.pid, ids, routing.pid, listen, folder / "log")
 
@@ -284,16 +271,11 @@ class _Watch:
         return statuses
 
 
-def _disturb(watch: _Watch, busy: int) -> float:
+def _disturb(watch: _Watch, programs: int) -> float:
     """Lets programs compute for a while, and returns the time from their end to recovery, s."""
     watch.until(lambda statuses: all(s.mode == "tuning" for s in statuses))
-    programs = [subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(busy)]
-    try:
+    with busy(programs):
         watch.for_s(BUSY_S)
-    finally:
-        for program in programs:
-            program.kill()
-            program.wait()
     ended_s = time.monotonic()
     watch.until(lambda statuses: not any(s.trouble or s.paused for s in statuses))
     return time.monotonic() - ended_s

@@ -85,17 +85,22 @@ def linear_plant() -> Iterator[Any]:
 RIGS = {"linear_plant": linear_plant, "served_reel": served_reel, "emulated_reel": emulated_reel}
 
 
-def improved(rig: Any, folder: Path, tuning: TuneOptions) -> tuple[Improvement, int]:
-    """The improvement of a rig, and how often it was interrupted."""
-    for interruptions in range(ATTEMPTS - 1):
+def improved(rig: Any, folder: Path, tuning: TuneOptions) -> tuple[Improvement | None, int]:
+    """The improvement of a rig, None where it never ends, and how often it was interrupted.
+
+    Hardware that has stopped is cleared between the calls, as its operator does.
+    """
+    for interruptions in range(ATTEMPTS):
         try:
             return plants.improve(rig, folder=folder, tuning=tuning), interruptions
         except RigError as error:
             print(f"interrupted: {error}", flush=True)
-    return plants.improve(rig, folder=folder, tuning=tuning), ATTEMPTS - 1
+            if isinstance(rig, HardwareRig):
+                rig.clear()
+    return None, ATTEMPTS
 
 
-def figures_of(found: Improvement) -> dict[str, float]:
+def figures_of(found: Improvement) -> dict[str, float | None]:
     """Errors of the predicted costs, and trials that ended outside what is safe."""
     records = [
         record_frame.decode(path.read_bytes()) for path in (found.folder / "records").iterdir()
@@ -124,11 +129,14 @@ def main() -> int:
             print(f"improving the {name.replace('_', ' ')}", flush=True)
             with RIGS[name]() as rig:
                 found, count = improved(rig, Path(folder) / name, TRIALS[options.quick])
-            one = figures[name] = figures_of(found) | {"interruptions": float(count)}
-            targets[f"{name}_error_improved"] = at_most(one["error_improved"], PREDICTED_WITHIN)
-            targets[f"{name}_guarded"] = at_most(one["trials_ended_by_a_guard"], 0.0)
+            one = figures[name] = figures_of(found) if found else dict[str, float | None]()
+            one["interruptions"] = float(count)
+            targets[f"{name}_error_improved"] = at_most(
+                one.get("error_improved"), PREDICTED_WITHIN
+            )
+            targets[f"{name}_guarded"] = at_most(one.get("trials_ended_by_a_guard"), 0.0)
             targets[f"{name}_begins_no_worse"] = at_most(
-                one["cost_where_its_tuning_begins"], 1.02 * one["cost_own"]
+                one.get("cost_where_its_tuning_begins"), 1.02 * (one.get("cost_own") or 0.0)
             )
     return print_results(figures, targets, as_json=options.json, tables=True)
 

@@ -194,7 +194,7 @@ def _fit_all(
         if least > fitted.J:
             fitted = fitter.refine(fitted, 40)
         fits.append(fitted)
-        least = _least(fitter, fits)
+        least = min(least, _least(fitter, [fitted]))
     found.add(_finished(fitter, fits))
 
 
