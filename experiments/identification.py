@@ -12,7 +12,7 @@ import numpy as np
 from joblib import Parallel, delayed
 
 from experiments.results import Target, at_most, command_line, print_results
-from plants.identify import (
+from plants.bench.identify import (
     Band,
     Excitation,
     SecondOrderFit,

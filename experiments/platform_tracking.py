@@ -25,8 +25,8 @@ from estune.remote.zenoh import RemoteRig, SetpointStream, connect
 from estune.support.plot_style import BLUE, GREY, VERMILION, finish, legend, new_figure
 from estune.trial import Setpoint
 from experiments.results import Target, at_least, at_most, command_line, print_results, save_figure
-from plants.cable_platform import PoseController
-from plants.cable_platform.examples import platform, served
+from plants.bench.cable_platform import PoseController
+from plants.bench.cable_platform.examples import platform, served
 
 RADIUS_M, TURN_HZ = 0.1, 0.35
 NATURAL_RAD_S, DAMPING_RATIO = 10.0, 1.0

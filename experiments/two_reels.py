@@ -15,7 +15,7 @@ from joblib import Parallel, delayed
 
 from estune.errors import RigError
 from experiments.results import Target, at_most, command_line, print_results
-from plants.two_reel_bench import (
+from plants.bench.two_reels import (
     Eyelet,
     Gauge,
     ReelModel,

@@ -12,9 +12,9 @@ from estune.core.gains import Gains
 from estune.errors import InvalidInput, RigError
 from estune.reel.hybrid import SwitchingRules
 from estune.trial import Feedback, Setpoint
-from plants.cable_platform import PoseController, Simulation, distribute
-from plants.cable_platform.examples import platform
-from plants.cable_platform.real_time import RealTimePlatform
+from plants.bench.cable_platform import PoseController, Simulation, distribute
+from plants.bench.cable_platform.examples import platform
+from plants.bench.cable_platform.real_time import RealTimePlatform
 from plants.models.reel import SAFE_GAINS
 
 TUNED = Gains(P=1.055, I=28.1, D=0.0178, setpoint_filter_s=0.0018)

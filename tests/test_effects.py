@@ -11,10 +11,10 @@ from estune.errors import InvalidInput
 from estune.trial import TrialRequest
 from estune.trial.profiles import StepProfile
 from plants import effects
+from plants.bench.identify import Band, multisine, open_loop_record
 from plants.conformance.effect import EffectConformance
 from plants.conformance.reel_runs import GAINS, REEL, UP, readings, rest, rollout, wander
 from plants.effects import EFFECTS, Effect, EyeletFriction, Port, Quantisation, RecordScale, Role
-from plants.identify import Band, multisine, open_loop_record
 from plants.simulation.trial_loop import CompiledLoop, VirtualLoop, loop_functions
 
 SLUGS = [

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from plants import reference_reel
+from plants.bench.identify.excitation import Band, chirp, multisine
+from plants.bench.identify.open_loop import open_loop_record
 from plants.diagnosis.data.measured_record import MeasuredRecord
 from plants.diagnosis.data.noise import spectral_rms, step_of, upper_rms
 from plants.diagnosis.data.noise_floor import noise_floor
 from plants.diagnosis.data.periods import periods_of
-from plants.identify.excitation import Band, chirp, multisine
-from plants.identify.open_loop import open_loop_record
 
 RATE = 632.0
 REEL = reference_reel()

@@ -10,12 +10,12 @@ import pytest
 from estune.cli import run
 from estune.core.gains import Gains
 from estune.errors import InvalidInput
-from plants.cable_platform import bench_carriage
-from plants.cable_platform.force_benches import SimulatedForceBench, open_benches
+from plants.bench.cable_platform import bench_carriage
+from plants.bench.cable_platform.force_benches import SimulatedForceBench, open_benches
+from plants.bench.two_reels.felt_force import felt_force
+from plants.bench.two_reels.force_procedure import ForceSample, ForceTest
+from plants.bench.two_reels.outside_force import with_outside_force
 from plants.models.reel import SAFE_GAINS, reference_reel
-from plants.two_reel_bench.felt_force import felt_force
-from plants.two_reel_bench.force_test import ForceSample, ForceTest
-from plants.two_reel_bench.outside_force import with_outside_force
 from tests.test_setpoints import served_bench
 
 TUNED = Gains(P=1.055, I=28.1, D=0.0178, setpoint_filter_s=0.0018)

@@ -11,13 +11,13 @@ from scipy.stats import chi2
 from estune.errors import InvalidInput
 from estune.reel.friction import FeedForward, StribeckFriction
 from estune.reel.velocity import Motion, Windows
-from plants.demonstrations.friction_compensation import (
+from plants.bench.demonstrations.friction_compensation import (
     reference_wrench_trial,
     run_high_and_low,
     run_wrench,
 )
-from plants.identify.friction_ramp import fit_friction
-from plants.identify.torque_ramp import RampRecord
+from plants.bench.identify.friction_ramp import fit_friction
+from plants.bench.identify.torque_ramp import RampRecord
 
 DRY = StribeckFriction(coulomb_Nm=0.02, static_Nm=0.03, stribeck_rad_s=0.8)
 COUNTS = 8192.0

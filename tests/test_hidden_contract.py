@@ -15,11 +15,11 @@ from experiments.hidden_machines.effects import CATALOGUE
 from experiments.hidden_machines.machine import Drive, NoCompiler, run
 from experiments.hidden_machines.records import Record, machine
 from experiments.hidden_scores import measurement
+from plants.bench.identify import Band, multisine, open_loop_record
 from plants.diagnosis.data.measured_record import MeasuredRecord
 from plants.diagnosis.models.diagnosed_model import diagnosed
 from plants.diagnosis.prediction.prediction import Predictor
 from plants.effects import EFFECTS
-from plants.identify import Band, multisine, open_loop_record
 
 RATE, LENGTH_m, TENSION_N = 632.0, 0.8, 15.0
 CLOSEST = 2e-3

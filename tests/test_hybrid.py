@@ -12,7 +12,7 @@ from estune.core.pidf import ControllerSettings, PidfState
 from estune.errors import InvalidInput
 from estune.reel import hybrid
 from estune.reel.hybrid import HybridCoefficients, HybridSignals, HybridState, SwitchingRules
-from plants.demonstrations.workspace_boundary import reference_boundary_trial, run_boundary
+from plants.bench.demonstrations.workspace_boundary import reference_boundary_trial, run_boundary
 
 RATE = 632.0
 

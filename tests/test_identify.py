@@ -13,7 +13,7 @@ from estune.core.initial import propose
 from estune.core.margins import sample_plant
 from estune.core.second_order import GaugeMode, SecondOrder, hooke_constant
 from estune.errors import InvalidInput
-from plants.identify import (
+from plants.bench.identify import (
     Band,
     Condition,
     Dependence,

@@ -9,10 +9,10 @@ import plants
 from estune.errors import InvalidInput
 from estune.trial import SATURATED, TrialRequest
 from plants import reference_reel
+from plants.bench.identify.excitation import Band, chirp, multisine
+from plants.bench.identify.open_loop import open_loop_record
 from plants.diagnosis.checks.quality import check
 from plants.diagnosis.data.measured_record import MeasuredRecord
-from plants.identify.excitation import Band, chirp, multisine
-from plants.identify.open_loop import open_loop_record
 from tests.support_measurements import open_loop
 
 RATE = 632.0

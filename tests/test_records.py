@@ -13,10 +13,10 @@ from estune.cli import run
 from estune.errors import InvalidInput
 from estune.run.export import columns, export_trials, metadata
 from plants import reference_reel
+from plants.bench.identify.excitation import Band, multisine
+from plants.bench.identify.open_loop import open_loop_record
 from plants.diagnosis.data.measured_record import CHANNELS, MeasuredRecord
 from plants.diagnosis.data.records import read_measurements
-from plants.identify.excitation import Band, multisine
-from plants.identify.open_loop import open_loop_record
 from tests.support_runs import ArithmeticRig
 
 RATE = 632.0

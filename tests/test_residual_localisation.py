@@ -11,6 +11,8 @@ from scipy.signal import lfilter
 
 from estune.trial import LinearModel, TrialRequest
 from plants import reference_reel
+from plants.bench.identify.excitation import Band, chirp, multisine
+from plants.bench.identify.open_loop import open_loop_record
 from plants.diagnosis.data.measured_record import MeasuredRecord
 from plants.diagnosis.data.noise_floor import noise_floor
 from plants.diagnosis.data.smoothing import Smoother
@@ -26,8 +28,6 @@ from plants.effects import (
     MainsInterference,
     TorqueRipple,
 )
-from plants.identify.excitation import Band, chirp, multisine
-from plants.identify.open_loop import open_loop_record
 
 BASE = reference_reel()
 SINES = multisine(BASE.sampling_Hz, Band(1.0, 60.0, periods=3), 4.0)

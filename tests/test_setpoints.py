@@ -11,8 +11,8 @@ from estune.errors import InvalidInput, RigError
 from estune.remote.state_machine.setpoint_age import SetpointAge
 from estune.remote.zenoh import SetpointStream, connect, serve
 from estune.trial import SETPOINT_S, Setpoint
-from plants.cable_platform import RealTimePlatform
-from plants.cable_platform.examples import bench
+from plants.bench.cable_platform import RealTimePlatform
+from plants.bench.cable_platform.examples import bench
 from tests.support_rigs import ScriptedRig
 
 HOLD_N = 15.0

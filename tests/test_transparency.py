@@ -12,8 +12,8 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import gmean
 
 from estune.errors import InvalidInput
-from plants import two_reel_bench as tr
-from plants.two_reel_bench import contact, friction_ratio, geometry, index
+from plants.bench import two_reels as tr
+from plants.bench.two_reels import contact, friction_ratio, geometry, index
 
 cones = st.floats(0.0, 1.5)
 turns = st.floats(-7.0, 7.0)

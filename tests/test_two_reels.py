@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from scipy.optimize import brentq
 
 from estune.errors import InvalidInput, RigError
-from plants import two_reel_bench as tr
+from plants.bench import two_reels as tr
 from tests.test_transparency import slides_at
 
 SETPOINTS = (8.0, 16.0, 24.0, 32.0, 40.0)

@@ -4,7 +4,7 @@ from matplotlib.figure import Figure
 
 from estune.support.plot_style import BLUE, GREY, VERMILION, finish, legend, stacked
 from experiments.paper import PaperFigure
-from plants.two_reel_bench import (
+from plants.bench.two_reels import (
     WEBER_LIMIT,
     Eyelet,
     ReelModel,

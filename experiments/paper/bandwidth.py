@@ -13,14 +13,14 @@ from estune.core.quantities import FloatArray
 from estune.support.plot_style import FOUR, finish, legend, stacked
 from experiments.identification import TENSIONS_N, LENGTHS_m, excitation
 from experiments.paper import PaperFigure
-from plants.cable import string_frequency_Hz
-from plants.identify import (
+from plants.bench.identify import (
     FrequencyResponse,
     SecondOrderFit,
     fit_second_order,
     open_loop_record,
     response_of_record,
 )
+from plants.cable import string_frequency_Hz
 from plants.models.reel import Reel
 
 TENSION_N = 15.0

@@ -17,9 +17,9 @@ from estune.core.gains import GAIN_NAMES, Gains
 from estune.errors import InvalidInput
 
 if TYPE_CHECKING:
-    from plants.cable_platform.force_benches import TestedReel
-    from plants.two_reel_bench.force_page import ReelForces
-    from plants.two_reel_bench.force_test import ForceTest
+    from plants.bench.cable_platform.force_benches import TestedReel
+    from plants.bench.two_reels.force_page import ReelForces
+    from plants.bench.two_reels.force_procedure import ForceTest
 
 
 def bench(
@@ -63,9 +63,9 @@ def bench(
         security: Credentials file, if a rig requires authentication.
     """
     from estune.support.html_page import write  # noqa: PLC0415  slow to import
-    from plants.cable_platform.force_benches import open_benches  # noqa: PLC0415  as above
-    from plants.two_reel_bench.force_page import COLUMNS, headline, page  # noqa: PLC0415  as above
-    from plants.two_reel_bench.force_test import ForceTest  # noqa: PLC0415  as above
+    from plants.bench.cable_platform.force_benches import open_benches  # noqa: PLC0415  as above
+    from plants.bench.two_reels.force_page import COLUMNS, headline, page  # noqa: PLC0415  as above
+    from plants.bench.two_reels.force_procedure import ForceTest  # noqa: PLC0415  as above
 
     check_folder_exists("--report", report)
     if len(run) > 1 and len(run) != len(targets):
@@ -116,9 +116,9 @@ def _measure(
     *,
     quiet: bool,
 ) -> "ReelForces":
-    from plants.two_reel_bench.felt_force import felt_force  # noqa: PLC0415  slow to import
-    from plants.two_reel_bench.force_page import ReelForces  # noqa: PLC0415  as above
-    from plants.two_reel_bench.outside_force import with_outside_force  # noqa: PLC0415  as above
+    from plants.bench.two_reels.felt_force import felt_force  # noqa: PLC0415  slow to import
+    from plants.bench.two_reels.force_page import ReelForces  # noqa: PLC0415  as above
+    from plants.bench.two_reels.outside_force import with_outside_force  # noqa: PLC0415  as above
 
     records, figures = {}, {}
     for name, own in gains.items():
@@ -138,7 +138,7 @@ def _measure(
 
 
 def _plain(reels: "Sequence[ReelForces]") -> dict[str, Any]:
-    from plants.two_reel_bench.force_page import COLUMNS  # noqa: PLC0415  slow to import
+    from plants.bench.two_reels.force_page import COLUMNS  # noqa: PLC0415  slow to import
 
     return {
         reel.label: {
