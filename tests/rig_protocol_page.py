@@ -17,6 +17,7 @@ from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 
 import numpy as np
 
+from estune.core.controller_form import ControllerForm
 from estune.core.gains import Gains
 from estune.core.pidf import ControllerSettings
 from estune.remote import messages
@@ -84,6 +85,7 @@ PARTS = (
     Feedback,
     RigDescription,
     ControllerSettings,
+    ControllerForm,
     RigLimits,
     LinearModel,
 )

@@ -18,7 +18,6 @@ from estune.core.pidf import (
     state_at_rest,
     step,
     symbolic_coefficients,
-    unlimited_efforts,
 )
 from estune.errors import InvalidInput
 from estune.interop import to_control
@@ -106,17 +105,6 @@ def test_effort_is_limited_and_the_excess_returned(gains, state, r, y):
     assert none == 0.0
     assert effort == np.clip(unlimited, -20.0, 30.0)
     assert excess == unlimited - effort
-
-
-@given(gain_values, states, st.lists(st.tuples(signal, signal), min_size=1, max_size=40))
-def test_efforts_of_a_record_are_those_of_the_steps(gains, state, signals):
-    c = coefficients(ControllerSettings(632.0, 5e-4, *UNLIMITED), gains)
-    record = np.array(signals)
-    at_once, largest = unlimited_efforts(c, state, record[:, 0], record[:, 1]), 1.0
-    for k, (r, y) in enumerate(signals):
-        state, effort, _ = step(c, state, r, y)
-        largest = max(largest, abs(effort), abs(state.integral_N))
-        assert at_once[k] == pytest.approx(effort, abs=1e-10 * largest)
 
 
 @pytest.mark.parametrize("gains", [Gains(1.0, 40.0, 0.0, 0.0), Gains(0.02, 900.0, 0.001, 0.0)])

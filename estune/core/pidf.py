@@ -15,13 +15,14 @@ floats on the rig, arrays in a batch, and CasADi symbols in simulation, fit and 
 """
 
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
+from pydantic import Field
 
-from estune.core.filtering import lfilter
+from estune.core.controller_form import ControllerForm
 from estune.core.gains import Gains
-from estune.core.quantities import FloatArray, check_not_negative, check_positive
+from estune.core.quantities import check_not_negative, check_positive
 from estune.errors import InvalidInput
 
 Signal = Any
@@ -37,6 +38,7 @@ class ControllerSettings:
         derivative_filter_s: Time constant of the first-order filter on the derivative, s.
         output_min_N: Least control effort, N; known to the anti-windup.
         output_max_N: Greatest control effort, N.
+        form: Form of the difference equation that runs; None where the rig declares none.
 
     Raises:
         InvalidInput: a value is out of its range, or the limits are the wrong way round.
@@ -46,6 +48,7 @@ class ControllerSettings:
     derivative_filter_s: float
     output_min_N: float
     output_max_N: float
+    form: Annotated[ControllerForm | None, Field(exclude_if=lambda form: form is None)] = None
 
     def __post_init__(self) -> None:
         check_positive("sampling rate", self.sampling_Hz, "Hz")
@@ -128,28 +131,6 @@ def step(
         filtered_measurement_N=state.filtered_measurement_N + c.sample_s * derivative,
     )
     return following, effort, excess
-
-
-def unlimited_efforts(
-    c: Coefficients, state: PidfState, setpoint_N: FloatArray, measurement_N: FloatArray
-) -> FloatArray:
-    """The efforts of `step` over a record in which no limit acts, N, shape (samples,).
-
-    Args:
-        c: The difference equation.
-        state: Before the first sample.
-        setpoint_N: Setpoint before its filter, N, shape (samples,).
-        measurement_N: Measurement, N, shape (samples,).
-    """
-    a, b = c.setpoint_pole, c.sample_s / c.derivative_span_s
-    # Both filters as deviations from their states before the record, in which they are at rest.
-    r = state.filtered_setpoint_N
-    r = r + lfilter([1.0 - a], [1.0, -a], setpoint_N - r)
-    filtered = state.filtered_measurement_N
-    filtered = filtered + lfilter([0.0, b], [1.0, b - 1.0], measurement_N - filtered)
-    error, derivative = r - measurement_N, (measurement_N - filtered) / c.derivative_span_s
-    integral = state.integral_N + c.I_per_sample * (np.cumsum(error) - error)
-    return np.asarray(c.P * error + integral - c.D * derivative)
 
 
 def limit_effort(c: Coefficients, wanted_N: Signal) -> tuple[Signal, Signal]:

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from estune.core import pidf
+from estune.core.controller_equation import unlimited_effort
 from estune.core.quantities import FloatArray
 from estune.loop_model.identification import LoopRecord
 from estune.trial.description import RigDescription
@@ -68,12 +68,9 @@ def recomputed_effort(record: TrialRecord, rig: RigDescription, first_N: float) 
         rig: Gives the fixed part of the controller.
         first_N: Effort of the first sample.
     """
-    c = pidf.coefficients(rig.controller, record.gains)
-    setpoint, measurement = record.setpoint_N, record.tension_N
-    r, y = float(setpoint[0]), float(measurement[0])
-    rest = pidf.state_at_rest(r, first_N)._replace(filtered_measurement_N=y)
-    state = pidf.bumpless(c, rest, r, y, first_N)
-    return pidf.unlimited_efforts(c, state, setpoint, measurement)
+    return unlimited_effort(
+        rig.controller, record.gains, record.setpoint_N, record.tension_N, first_N=first_N
+    )
 
 
 def _mismatch(recomputed: FloatArray, logged: FloatArray) -> str:
