@@ -24,7 +24,7 @@ def command_costs(*arguments: object) -> CommandCosts:
     Raises:
         EstuneError: it failed.
     """
-    command = [sys.executable, "-m", "estune.cli", *map(str, arguments)]
+    command = [sys.executable, "-m", "estune", *map(str, arguments)]
     with Path(os.devnull).open("wb") as nothing:
         output = [(os.POSIX_SPAWN_DUP2, nothing.fileno(), 1)]
         pid = os.posix_spawn(sys.executable, command, os.environ, file_actions=output)

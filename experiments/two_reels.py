@@ -2,7 +2,7 @@
 
 The procedure estimates the friction coefficient C_R on simulated benches: over several geometries,
 with many seeds for the coverage of its interval, and where noise or geometry hides the friction.
-`estune reproduce-paper` has the attenuation ratio against the setpoint and the hysteresis.
+`python -m experiments.paper` has the attenuation ratio against the setpoint and the hysteresis.
 """
 
 import math

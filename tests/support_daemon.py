@@ -130,7 +130,7 @@ def daemon_process(folder: Path, *rigs: str, env=None):
     )
     with (folder / "log").open("a") as log:
         process = subprocess.Popen(
-            [sys.executable, "-m", "estune.cli", "daemon", str(file)],
+            [sys.executable, "-m", "estune", "daemon", str(file)],
             cwd=Path(__file__).parents[1],
             stdout=subprocess.PIPE,
             stderr=log,

@@ -244,7 +244,7 @@ def test_missing_router_and_wrong_settings_are_refused(router):
 @contextmanager
 def bridge(*arguments):
     """The command, running; ended by Ctrl-C."""
-    command = [sys.executable, "-m", "estune.cli", "bridge", *arguments]
+    command = [sys.executable, "-m", "estune", "bridge", *arguments]
     with subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, text=True) as process:
         try:
             assert "shown in" in process.stdout.readline()

@@ -16,7 +16,7 @@ from types import SimpleNamespace
 import pytest
 
 import estune
-from estune.cli import RENAMED, Interrupts, app, run
+from estune.cli import Interrupts, app, run
 from estune.cli.approval_prompt import terminal_approval
 from estune.errors import RigError
 from estune.hardware import read_config
@@ -26,7 +26,7 @@ from estune.trial import TrialRequest
 from estune.tuners import TUNERS, CostPrediction
 from tests.support_runs import START, ArithmeticRig
 
-COMMAND = [sys.executable, "-m", "estune.cli"]
+COMMAND = [sys.executable, "-m", "estune"]
 COMMANDS = {
     *("demo", "serve", "serve-hardware", "tune", "resume", "sweep", "match", "list", "show"),
     *("watch", "report", "bridge", "compare", "bench", "docs"),
@@ -39,7 +39,7 @@ COMMANDS = {
         "run-experiment",
         "improve-model",
     ),
-    *("discover", "doctor", "estop", "clear", "daemon", "daemon-control", "reproduce-paper"),
+    *("discover", "doctor", "estop", "clear", "daemon", "daemon-control"),
 }
 HERE = Path(__file__).parent.parent
 HEAVY = {
@@ -144,12 +144,6 @@ def test_tune_finds_a_user_module_in_the_working_directory(tmp_path):
 
 def test_version_is_that_of_the_distribution():
     assert call("--version").stdout.strip() == estune.__version__ == version("estune")
-
-
-@pytest.mark.parametrize(("old", "new"), RENAMED.items())
-def test_earlier_command_name_is_refused_with_the_present_one(refused, old, new):
-    code, said = refused(old, "--help")
-    assert (code, f"use: estune {new}" in said) == (2, True)
 
 
 def test_example_rig_file_is_complete(here, tmp_path):

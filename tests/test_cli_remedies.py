@@ -9,7 +9,6 @@ import pytest
 import plants
 from estune.cli import main, run
 from estune.remote.zenoh.endpoints import intended_endpoint
-from estune.run.loop import Stopped
 
 REEL = plants.reference_reel()
 
@@ -86,15 +85,6 @@ def test_stopped_study_is_continued_by_the_same_command(command, tmp_path, capsy
     (folder,) = Path(next(tmp_path.iterdir()).name).iterdir()
     continued = f"continue with: estune {' '.join(words)} --folder {folder}"
     assert continued in capsys.readouterr().err
-
-
-def test_stopped_paper_page_speaks_of_no_rig(tmp_path, capsys, monkeypatch):
-    def stop(*_, **__):
-        raise Stopped(REEL.rig().describe(), None)
-
-    monkeypatch.setattr("experiments.paper.make", stop)
-    assert run(["reproduce-paper", "--out", str(tmp_path / "paper.html")]) == 130
-    assert capsys.readouterr().err == "estune: stopped\n"
 
 
 def test_export_ends_lines_as_unix_does(tmp_path):

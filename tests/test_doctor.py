@@ -447,7 +447,7 @@ def test_listening_process_is_found_with_its_addresses():
 
 
 def call(*arguments: str) -> subprocess.CompletedProcess:
-    command = [sys.executable, "-m", "estune.cli", "doctor", *arguments]
+    command = [sys.executable, "-m", "estune", "doctor", *arguments]
     return subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
 
 

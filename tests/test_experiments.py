@@ -42,6 +42,7 @@ NIGHTLY = {
     "hidden_effects",
     "jitter",
     "live_page",
+    "paper",
     "platform_tracking",
     "sample_efficiency",
     "scale",

@@ -33,7 +33,7 @@ def run(tmp_path_factory):
     with served("paced simulated") as rig:
         command = ["tune", rig.endpoint, "--tuner", "safe_bayesian", "--tolerance", "0"]
         options = ["--trials", "500", "--run", "live", "--folder", str(folder), "--quiet"]
-        with subprocess.Popen([sys.executable, "-m", "estune.cli", *command, *options]) as process:
+        with subprocess.Popen([sys.executable, "-m", "estune", *command, *options]) as process:
             try:
                 while not (folder / "live" / "run.sqlite").exists():
                     assert process.poll() is None

@@ -1,4 +1,4 @@
-"""The installed package: doctests, version, licence, names, and experiments from a wheel."""
+"""The installed package: doctests, version, licence, names, and the wheel."""
 
 import doctest
 import importlib
@@ -13,6 +13,7 @@ import pytest
 
 import estune
 import plants
+from estune.errors import InvalidInput
 
 ROOT = Path(__file__).parents[1]
 PACKAGES = ("estune", "plants", "experiments")
@@ -39,7 +40,7 @@ def test_dir_lists_names_that_are_loaded_lazily(package):
     assert set(package.__all__) <= set(dir(package))
 
 
-def test_wheel_runs_an_experiment_outside_the_checkout(tmp_path):
+def test_wheel_has_the_product_alone_and_runs_beside_a_module_of_the_same_name(tmp_path):
     command = [sys.executable, "-m", "pip", "wheel", "--quiet", "--no-deps", "--no-index"]
     subprocess.run(
         [*command, "--no-build-isolation", "--wheel-dir", tmp_path, ROOT], check=True, timeout=300
@@ -48,24 +49,29 @@ def test_wheel_runs_an_experiment_outside_the_checkout(tmp_path):
     installed = tmp_path / "installed"
     with zipfile.ZipFile(wheel) as archive:
         archive.extractall(installed)
-    assert all((installed / package / "py.typed").exists() for package in PACKAGES)
+    packages = {path.parent.name for path in installed.glob("*/py.typed")}
+    assert packages == {"estune", "plants"}
+    assert not (installed / "experiments").exists()
     assert list(installed.glob("*.dist-info/licenses/LICENSE"))
     assert list(installed.glob("*.data/data/share/doc/estune/index.md"))
-    script = (
-        f"import sys; sys.path.insert(0, {str(installed)!r}); sys.argv = ['x', '--help']\n"
-        "import experiments.hidden_effects as found, experiments.hidden_machines.machine as m\n"
-        f"assert found.__file__.startswith({str(installed)!r}), found.__file__\n"
-        "import pathlib; assert pathlib.Path(m.__file__).with_name('machine.c').exists()\n"
-        "sys.exit(found.main())"
-    )
-    done = subprocess.run(
-        [sys.executable, "-c", script],
-        cwd=tmp_path,
-        env={**os.environ, "PYTHONPATH": ""},
-        capture_output=True,
-        text=True,
-        timeout=300,
-        check=False,
-    )
-    assert done.returncode == 0, done.stderr
-    assert "--quick" in done.stdout
+    own = tmp_path / "own"
+    own.mkdir()
+    (own / "plants.py").write_text("def my_reel():\n    raise AssertionError\n")
+    environment = {**os.environ, "PYTHONPATH": str(installed)}
+
+    def estune_command(*arguments):
+        return subprocess.run(
+            [sys.executable, "-m", "estune", *arguments],
+            cwd=own,
+            env=environment,
+            capture_output=True,
+            text=True,
+            timeout=300,
+            check=False,
+        )
+
+    helped = estune_command("serve", "--help")
+    assert (helped.returncode, helped.stderr) == (0, "")
+    refused = estune_command("tune", "plants:my_reel")
+    assert refused.returncode == InvalidInput.exit_code
+    assert "plants.py here is hidden by the installed package plants" in refused.stderr

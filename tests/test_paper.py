@@ -3,6 +3,7 @@
 import base64
 import math
 import re
+import sys
 from dataclasses import replace
 from html.parser import HTMLParser
 from xml.etree import ElementTree as ET
@@ -10,27 +11,27 @@ from xml.etree import ElementTree as ET
 import numpy as np
 import pytest
 
-from estune.cli import run
-from estune.errors import InvalidInput
 from estune.support.html_page import render
 from experiments import paper
-from experiments.paper.command import page
+from experiments.paper.__main__ import main
+from experiments.paper.page import page
 from plants.models.reel import Reel
 
 
 @pytest.fixture(scope="module")
 def paper_figures(tmp_path_factory):
-    """Figures and page of `estune reproduce-paper --quick`."""
+    """Figures and page of `python -m experiments.paper --quick`."""
     figures, original = [], paper.make
 
     def kept(number, *, quick):
         figures.append(original(number, quick=quick))
         return figures[-1]
 
-    out = tmp_path_factory.mktemp("paper") / "page.html"
+    out = tmp_path_factory.mktemp("paper") / "paper.html"
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(paper, "make", kept)
-        assert run(["reproduce-paper", "--quick", "--out", str(out)]) == 0
+        patch.setattr(sys, "argv", ["paper", "--quick", "--out", str(out.parent)])
+        assert main() == 0
     return {figure.number: figure for figure in figures}, out
 
 
@@ -154,8 +155,8 @@ def test_page_is_reproducible():
 
 def test_unwritable_page_is_refused_before_the_figures_are_made(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(paper, "make", lambda *_, **__: pytest.fail("worked in vain"))
-    assert (
-        run(["reproduce-paper", "--out", str(tmp_path / "nowhere" / "p.html")])
-        == InvalidInput.exit_code
-    )
-    assert "no folder" in capsys.readouterr().err
+    (tmp_path / "file").touch()
+    monkeypatch.setattr(sys, "argv", ["paper", "--out", str(tmp_path / "file")])
+    with pytest.raises(SystemExit):
+        main()
+    assert "--out" in capsys.readouterr().err

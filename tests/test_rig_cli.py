@@ -15,7 +15,7 @@ from estune.remote import zenoh
 from estune.trial import Outcome, TrialRequest
 from plants.emulator import RIG_FILE
 
-COMMAND = [sys.executable, "-m", "estune.cli"]
+COMMAND = [sys.executable, "-m", "estune"]
 ROOT = Path(__file__).parents[1]
 
 

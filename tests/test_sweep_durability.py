@@ -83,7 +83,7 @@ def test_killed_sweep_loses_and_repeats_no_finished_cell(tmp_path, monkeypatch, 
     monkeypatch.setenv(LOG, str(log))
     cells = expand_cells(read_design(design))
     by_seed = {str(cell.noise_seed): cell.key for cell in cells}
-    command = [sys.executable, "-m", "estune.cli", "sweep", str(design), "--quiet",
+    command = [sys.executable, "-m", "estune", "sweep", str(design), "--quiet",
                "--jobs", "2", "--folder", str(folder)]  # fmt: skip
     before: dict[str, str] = {}
     dice = random.Random(0)  # noqa: S311  moments, not secrets

@@ -55,15 +55,6 @@ COMMANDS = (
 )
 """Name, function in `estune.cli`, help, and place in the list of commands."""
 
-RENAMED = {
-    "rig": "serve-hardware",
-    "rigs": "discover",
-    "control": "daemon-control",
-    "improve": "improve-model",
-    "paper": "reproduce-paper",
-}
-"""Earlier names of commands; they are refused with the present one."""
-
 
 def _version() -> str:
     from estune.support.version import __version__  # noqa: PLC0415  only --version needs it
@@ -118,9 +109,6 @@ def run(arguments: Sequence[str]) -> int:
     signal.signal(signal.SIGINT, interrupts)
     signal.signal(signal.SIGTERM, interrupts)
     try:
-        if arguments and arguments[0] in RENAMED:
-            old, new = arguments[0], RENAMED[arguments[0]]
-            raise InvalidInput(f"command {old} is now called {new}; use: estune {new}")
         code = app(arguments, exit_on_error=False, print_error=False, result_action="return_value")
     except CycloptsError as error:
         _print_error(f"{' '.join(str(error).split())} (see: estune --help)")

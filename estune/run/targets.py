@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from estune.errors import InvalidInput
 from estune.remote.state_machine.client import PATIENCE_S
-from estune.support.plugins import hiding_hint, load_plugin, plugins
+from estune.support.plugins import hidden_hint, hiding_hint, load_plugin, plugins
 from estune.trial import Rig
 
 if TYPE_CHECKING:
@@ -139,7 +139,7 @@ def _attribute(reference: str) -> Any:
     except AttributeError as error:
         nearest = difflib.get_close_matches(attribute, dir(module), 1)
         meant = f"did you mean {module_name}:{nearest[0]}?" if nearest else ""
-        hint = meant or hiding_hint(module_name)
+        hint = hidden_hint(module_name) or meant or hiding_hint(module_name)
         raise InvalidInput(
             f"{reference}: {module_name} has no {attribute!r}{hint and f'; {hint}'}"
         ) from error

@@ -36,7 +36,7 @@ def load_plugin(point: EntryPoint) -> Any:
 def hiding_hint(module: str) -> str:
     """Why a module is not the installed one, with the remedy; empty if nothing hides it.
 
-    Python imports a folder in the working directory before an installed package of the same name.
+    In a session of Python the working directory comes before what is installed.
     """
     package = module.partition(".")[0]
     installed = Path(__file__).parents[2] / package  # beside estune, in the same installation
@@ -50,3 +50,15 @@ def hiding_hint(module: str) -> str:
         f"{spec.origin or folders[0]} hides the installed package {package}; "
         "rename that file or folder, or start in another directory"
     )
+
+
+def hidden_hint(module: str) -> str:
+    """Why a module is the installed one, not the user's of that name; empty if there is no such.
+
+    On the command line what is installed comes first, so that `estune` works beside a `plants.py`.
+    """
+    own = Path(f"{module.partition('.')[0]}.py")
+    found = find_spec(own.stem)
+    if not own.is_file() or found is None or found.origin == str(own.resolve()):
+        return ""
+    return f"{own} here is hidden by the installed package {own.stem}; rename that file"

@@ -98,7 +98,7 @@ class SupervisedStand:
     def _started(self) -> subprocess.Popen[bytes]:
         with (self._stand.folder / "daemon.err").open("ab") as errors:
             return subprocess.Popen(  # noqa: S603  our own interpreter and module
-                [sys.executable, "-m", "estune.cli", "daemon", str(self._file)],
+                [sys.executable, "-m", "estune", "daemon", str(self._file)],
                 stdout=subprocess.DEVNULL,
                 stderr=errors,
                 env=os.environ | NO_THREADS,

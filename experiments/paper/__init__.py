@@ -1,7 +1,7 @@
 """The paper's figures, reproduced with the project's models, and a verdict on each claim.
 
-`estune reproduce-paper` puts them on one page. Every number in a sentence is computed in the same
-run.
+`python -m experiments.paper` puts them on one page. Every number in a sentence is computed in the
+same run.
 """
 
 import importlib

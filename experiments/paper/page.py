@@ -1,14 +1,7 @@
-"""`estune reproduce-paper`: the paper's figures, reproduced on one page with a verdict on each."""
+"""The page of the paper's figures, with a verdict on each."""
 
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
-from pathlib import Path
+from collections.abc import Sequence
 
-from rich.text import Text
-
-from estune.cli import output
-from estune.cli.values import Flag, check_folder_exists
-from estune.run.loop import Stopped
 from estune.support.html_page import (
     Drawing,
     Link,
@@ -17,9 +10,7 @@ from estune.support.html_page import (
     Section,
     Status,
     Table,
-    write,
 )
-from experiments import paper
 from experiments.paper import PaperFigure
 
 TITLE = "The paper's figures, reproduced"
@@ -28,39 +19,6 @@ PAPER = (
     "Analysis of Reel Transparency for 6-DOF Haptic Foot Platform on a Cable-Driven Locomotion "
     "Interface (2009)."
 )
-
-
-def reproduce_paper(*, out: Path = Path("paper.html"), quick: Flag = False) -> None:
-    """Reproduce the figures of the paper and check its claims.
-
-    Args:
-        out: The page to write; it works offline.
-        quick: Fewer repetitions, for a quick check.
-
-    Raises:
-        InvalidInput: the page cannot be written there.
-    """
-    check_folder_exists("--out", out)
-    figures = []
-    console = output.console()
-    for number in paper.NUMBERS:
-        with console.status(f"Fig. {number}"), _no_rig_to_report():
-            figure = paper.make(number, quick=quick)
-        figures.append(figure)
-        style = "green" if figure.holds else "yellow"
-        line = Text.assemble(f"Fig. {number:<3}", (f"{figure.verdict}  ", style), figure.measured)
-        console.print(line, soft_wrap=True)
-    write(page(figures), out)
-    output.show_next({"page": out})
-
-
-@contextmanager
-def _no_rig_to_report() -> Iterator[None]:
-    """Only simulated reels are tuned here, whose live gains a stop needs not report."""
-    try:
-        yield
-    except Stopped:
-        raise KeyboardInterrupt from None
 
 
 def page(figures: Sequence[PaperFigure]) -> Page:
