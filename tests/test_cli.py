@@ -169,8 +169,8 @@ def test_folder_that_hides_an_installed_package_is_named(tmp_path):
     hiding = tmp_path / "plants" / "__init__.py"
     hiding.parent.mkdir()
     hiding.touch()
-    environment = {**os.environ, "PYTHONPATH": str(HERE)}
-    options = {"cwd": tmp_path, "env": environment, "text": True, "capture_output": True}
+    environment = {**os.environ, "PYTHONPATH": f"{tmp_path}{os.pathsep}{HERE}"}
+    options = {"cwd": hiding.parent, "env": environment, "text": True, "capture_output": True}
     done = subprocess.run([*COMMAND, "list"], **options, check=False)
     assert done.returncode == 0
     assert f"{hiding} hides the installed package plants; rename" in done.stderr
