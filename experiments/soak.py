@@ -84,7 +84,7 @@ def work(endpoint: str, folder: Path, trials: int, per_run: int) -> None:
 def soak(trials: int, per_run: int, folder: Path) -> Iterator[Sample]:
     """Runs so many trials; yields a sample after each tuning."""
     ledger = folder / "rig.ledger"
-    serving = ("estune.cli", "serve", "--ledger", str(ledger), "--stop-on-eof")
+    serving = ("estune", "serve", "--ledger", str(ledger), "--stop-on-eof")
     settings: dict[str, Any] = {"end_within_s": 10.0, "env": os.environ | ONE_ARENA}
     with child_process(*serving, **settings) as rig:
         endpoint = next_line(rig).split()[-1]

@@ -61,7 +61,7 @@ tolerance = 0.0
 def command(*arguments: object) -> AbstractContextManager["subprocess.Popen[str]"]:
     """A command of estune in a process, killed at the end."""
     words = map(str, arguments)
-    return child_process("estune.cli", *words, stderr=subprocess.DEVNULL)
+    return child_process("estune", *words, stderr=subprocess.DEVNULL)
 
 
 def printed(process: "subprocess.Popen[str]", begin: str) -> str:

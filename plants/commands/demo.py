@@ -69,7 +69,7 @@ def served_reel(seed: int, pace: float) -> Iterator[str]:
     arguments += ["--seed", str(seed), "--pace", str(pace)]
     # In a session of its own, Ctrl-C does not reach the rig, which restores its gains.
     with child_process(
-        "estune.cli", *arguments, end_within_s=_STOP_S, start_new_session=True
+        "estune", *arguments, end_within_s=_STOP_S, start_new_session=True
     ) as process:
         late = threading.Timer(_START_S, process.kill)
         late.start()
