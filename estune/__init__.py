@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from estune.core.gains import Gains
     from estune.core.pidf import ControllerSettings
     from estune.errors import EstuneError
-    from estune.run.result import TuneResult
+    from estune.run.results.result import TuneResult
     from estune.studies.compare.comparison import compare
     from estune.studies.law.start import start_from
     from estune.studies.match.procedure import match
@@ -57,7 +57,7 @@ __getattr__, __dir__ = lazy_exports(
         "SearchSpace": "estune.tuners.search_space",
         "StepCost": "estune.core.cost",
         "StepProfile": "estune.trial.profiles",
-        "TuneResult": "estune.run.result",
+        "TuneResult": "estune.run.results.result",
         "__version__": "estune.support.version",
         "compare": "estune.studies.compare.comparison",
         "load": "estune.api",

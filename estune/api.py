@@ -31,7 +31,7 @@ from estune.tuners import DEFAULT_TUNER, Tuner
 
 if TYPE_CHECKING:
     from estune.remote.security import Security
-    from estune.run.result import TuneResult
+    from estune.run.results.result import TuneResult
 
 RUNS = "runs"
 """Default folder of runs, in the working directory."""
@@ -208,7 +208,7 @@ def load(run_folder: str | Path) -> "TuneResult":
     Raises:
         JournalError: the run cannot be read.
     """
-    from estune.run import result  # noqa: PLC0415  it loads SciPy
+    from estune.run.results import result  # noqa: PLC0415  it loads SciPy
 
     with Journal.open(Path(run_folder)) as journal:
         if not archived_run.is_stored(journal):
@@ -223,7 +223,7 @@ def _run(
     watch: ProgressListener | Literal["auto"] | None,
     ask: ApprovalCallback | None,
 ) -> "TuneResult":
-    from estune.run import result  # noqa: PLC0415  it loads SciPy
+    from estune.run.results import result  # noqa: PLC0415  it loads SciPy
 
     with (
         _journal_ending(tuning_),

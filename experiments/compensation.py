@@ -25,7 +25,7 @@ from estune.core.cost import default_cost
 from estune.core.gains import Gains
 from estune.hardware import HardwareRig
 from estune.hardware.config import config_from
-from estune.run.result import TuneResult
+from estune.run.results.result import TuneResult
 from estune.trial import Outcome, TrialRequest
 from estune.trial.profiles import StepProfile
 from estune.trial.scoring import cost_of

@@ -21,8 +21,8 @@ from joblib import Parallel, delayed
 from estune.core.gains import Gains
 from estune.run.plan import TRIALS, Plan
 from estune.run.planning import make_tuner
+from estune.run.results.summary import summarise
 from estune.run.session import after_trial, new_session, next_request
-from estune.run.summary import summarise
 from estune.trial import Outcome
 from experiments.results import Target, at_least, at_most, between, command_line, print_results
 from experiments.sample_efficiency.optimum import optimum

@@ -21,7 +21,7 @@ from estune.core.cost import default_cost
 from estune.core.gains import Gains
 from estune.loop_model.optimum import RobustnessLimits
 from estune.run.planning import known_start
-from estune.run.result import TuneResult
+from estune.run.results.result import TuneResult
 from estune.run.session import Phase
 from experiments.loop_claims import true_sensitivity
 from experiments.results import at_least, at_most, command_line, print_results

@@ -4,7 +4,7 @@ import sys
 
 import estune
 import plants
-from estune.run.result import TuneResult
+from estune.run.results.result import TuneResult
 from estune.support.plot_style import BLACK, BLUE, GREY, VERMILION, finish, legend, stacked
 from experiments.results import command_line, print_results, save_figure
 

@@ -8,8 +8,8 @@ import pytest
 from estune.core.cost import StepCost
 from estune.core.gains import Gains
 from estune.run.planning import make_plan
+from estune.run.results.summary import summarise
 from estune.run.session import Session, after_trial, new_session, next_request
-from estune.run.summary import summarise
 from estune.trial import Outcome
 from estune.tuners import DEFAULT_TUNER
 from tests.support_runs import START, description

@@ -17,7 +17,7 @@ from estune.hardware.config import read_config
 from estune.hardware.controller import PlainController
 from estune.reel.gravity import gravity_force_by_position_N
 from estune.reel.velocity import motion
-from estune.run.export import write_record
+from estune.run.results.export import write_record
 from estune.support import c_compiler
 from estune.trial import TrialRecord, TrialRequest
 from estune.trial.loop_records import loop_signals

@@ -9,7 +9,7 @@ import pytest
 import plants
 from estune.cli import run
 from estune.errors import InvalidInput
-from estune.run.export import write_record
+from estune.run.results.export import write_record
 from estune.run.trial_file import read_trial
 from estune.trial import TrialRequest
 from plants.diagnosis import explain as module

@@ -12,9 +12,9 @@ from mcap.reader import make_reader
 import estune
 from estune.core.gains import GAIN_NAMES
 from estune.errors import JournalError
-from estune.run.export import export_run, export_trials
 from estune.run.journal import Journal
 from estune.run.loop import Stopped
+from estune.run.results.export import export_run, export_trials
 from tests.support_runs import ArithmeticRig
 
 COLUMNS = ["time_s", "setpoint_N", "tension_N", "current_A", "angle_rad", "flags"]

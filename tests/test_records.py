@@ -11,7 +11,7 @@ import scipy.io
 import estune
 from estune.cli import run
 from estune.errors import InvalidInput
-from estune.run.export import columns, export_trials, metadata
+from estune.run.results.export import columns, export_trials, metadata
 from plants import reference_reel
 from plants.bench.identify.excitation import Band, multisine
 from plants.bench.identify.open_loop import open_loop_record

@@ -9,7 +9,7 @@ from matplotlib.colors import to_rgb
 
 from estune import load, tune
 from estune.cli import run
-from estune.run.report import page
+from estune.run.results.report import page
 from estune.support import page_image, plot_style
 from estune.support.html_page import Drawing, render
 from tests.support_runs import ArithmeticRig

@@ -13,9 +13,9 @@ from scipy.optimize import OptimizeResult
 import estune
 from estune.core.gains import Gains
 from estune.errors import JournalError
-from estune.run import figures
 from estune.run.ending import RunEnding
 from estune.run.loop import Stopped
+from estune.run.results import figures
 from estune.run.session import Phase
 from estune.support import plot_style
 from estune.trial import LinearModel, Outcome

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from estune.core.gains import Gains
 from estune.core.margins import Margins
-from estune.run.result_warnings import at_bounds, flat_directions, low_margins, near_limits
+from estune.run.results.result_warnings import at_bounds, flat_directions, low_margins, near_limits
 from estune.tuners.search_space import SearchSpace
 
 BEST = (1.0, 10.0, 0.01, 0.005)

@@ -12,6 +12,7 @@ from estune.core.gains import GAIN_NAMES
 from estune.errors import InvalidInput
 from estune.run.plan import CONFIRMATION_REPEATS_MAX, Plan
 from estune.run.planning import make_plan, plan_from_json, plan_to_json
+from estune.run.results.summary import summarise
 from estune.run.session import (
     CONSECUTIVE_CENSORED_MAX,
     UNSAFE_RATIO,
@@ -21,7 +22,6 @@ from estune.run.session import (
     next_request,
     predict_next,
 )
-from estune.run.summary import summarise
 from estune.trial import Outcome
 from estune.trial.profiles import StepProfile
 from estune.tuners.search_space import SearchSpace

@@ -9,7 +9,7 @@ from estune.core.gains import GAIN_UNITS, Gains, gain_units
 from estune.remote import messages
 from estune.remote.messages import Description
 from estune.remote.messages.replies import decode_description
-from estune.run.report import page
+from estune.run.results.report import page
 from estune.studies.law.law import fit_law
 from estune.studies.law.tuned import TunedGains
 from estune.support.html_page import render

@@ -6,7 +6,7 @@ from rich.text import Text
 
 from estune.cli import output
 from estune.cli.values import security_from
-from estune.run.export import write_record
+from estune.run.results.export import write_record
 from estune.run.targets import open_target
 from estune.run.trial_file import read_trial, run_trial
 from estune.trial import Outcome

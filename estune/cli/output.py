@@ -14,7 +14,7 @@ from rich.table import Table
 from rich.text import Text
 
 if TYPE_CHECKING:
-    from estune.run.result import TuneResult
+    from estune.run.results.result import TuneResult
 
 
 FIGURE_NAME = "figure.png"

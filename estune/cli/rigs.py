@@ -18,7 +18,7 @@ from estune.support.quantity_text import with_unit
 from estune.trial import RigDescription
 
 if TYPE_CHECKING:
-    from estune.run.result import TuneResult
+    from estune.run.results.result import TuneResult
 
 STOP_PRIORITY = 20
 """Real-time priority of an emergency stop, where the system grants it."""

@@ -14,8 +14,8 @@ from estune.run.journal import FILE_NAME, Journal, being_written
 from estune.run.progress import counting
 
 if TYPE_CHECKING:
-    from estune.run.record_files import RecordFormat
-    from estune.run.result import TuneResult
+    from estune.recordings.record_files import RecordFormat
+    from estune.run.results.result import TuneResult
 
 REPORT_NAME = "report.html"
 
@@ -128,7 +128,7 @@ def export(
         folder: Folder of runs.
         quiet: Show no progress.
     """
-    from estune.run.export import export_run, export_trials  # noqa: PLC0415  only needed here
+    from estune.run.results.export import export_run, export_trials  # noqa: PLC0415  only needed here
 
     if csv + parquet + mcap > 1:
         raise InvalidInput(

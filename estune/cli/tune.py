@@ -41,7 +41,7 @@ from estune.tuners import DEFAULT_TUNER
 
 if TYPE_CHECKING:
     from estune.remote.security import Security
-    from estune.run.result import TuneResult
+    from estune.run.results.result import TuneResult
 
 _STEP = Group("The step trial", sort_key=1)
 _COST = Group("The cost of a trial", sort_key=2)

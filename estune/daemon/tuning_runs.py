@@ -21,8 +21,8 @@ from estune.run.planning import (
     plan_from_json,
     plan_to_json,
 )
+from estune.run.results.summary import summarise
 from estune.run.robustness import verdict_on
-from estune.run.summary import summarise
 from estune.trial import RigDescription
 
 _log = logging.getLogger(__name__)

@@ -18,8 +18,8 @@ from estune.run.journal import Journal, JournalEntry
 from estune.run.loop import TuningRun
 from estune.run.plan import Plan
 from estune.run.planning import description_from_json, plan_from_json
+from estune.run.results.summary import summarise
 from estune.run.session import Phase, Session, is_censored, is_safe, new_session
-from estune.run.summary import summarise
 from estune.support.garbage import collection_paused
 from estune.trial import Outcome
 from estune.tuners import Observation, Point, SearchSpace, tuner_name, tuner_space

@@ -112,7 +112,7 @@ class TuningRun:
         first_record: Record of the first baseline trial, the response before tuning.
         tuned_record: Record of the last confirmation trial with the tuned gains.
         intervals: Stored confidence intervals of an archived run, as in
-            `estune.run.summary.RunSummary`; None where the tuner computes them.
+            `estune.run.results.summary.RunSummary`; None where the tuner computes them.
         recent_records: Records of the last trials, void ones excluded.
     """
 

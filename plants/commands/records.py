@@ -116,7 +116,7 @@ def _line(level: str, sentence: str) -> None:
 
 def _write(m: "MeasuredRecord", folder: Path, form: Literal["csv", "parquet", "mcap"]) -> None:
     from estune.core.gains import GAIN_NAMES  # noqa: PLC0415  slow to import
-    from estune.run.record_files import write_columns  # noqa: PLC0415
+    from estune.recordings.record_files import write_columns  # noqa: PLC0415
     from plants.diagnosis.data.measured_record import CHANNELS  # noqa: PLC0415
 
     named = {name: m.channel(name) for name in CHANNELS}

@@ -7,8 +7,8 @@ from estune.cli.checks.check_result import CheckResult, fine, fix, unknown
 from estune.errors import InvalidInput
 from estune.interop import margins
 from estune.remote.messages import Status
-from estune.run import result_warnings
-from estune.run.performance import margin_cells
+from estune.run.results import result_warnings
+from estune.run.results.summary import margin_cells
 from estune.trial import RigDescription
 
 

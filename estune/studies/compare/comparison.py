@@ -14,7 +14,7 @@ from estune.loop_model.optimum import RobustnessLimits
 from estune.run.journal import FILE_NAME
 from estune.run.loop import ProgressListener
 from estune.run.plan import TOLERANCE, TRIALS
-from estune.run.result import TuneResult
+from estune.run.results.result import TuneResult
 from estune.tuners import tuner_class
 
 if TYPE_CHECKING:

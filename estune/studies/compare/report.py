@@ -9,7 +9,7 @@ from matplotlib.ticker import MaxNLocator, StrMethodFormatter
 
 from estune.core.gains import GAIN_NAMES
 from estune.run.ending import RunEnding
-from estune.run.result import TuneResult
+from estune.run.results.result import TuneResult
 from estune.studies.compare.comparison import Comparison, searched
 from estune.support.html_page import Cell, Drawing, Page, Paragraph, Section, Status, Table
 from estune.support.plot_style import (

@@ -17,7 +17,7 @@ from estune.studies.law.tuned import CELLS, TunedGains
 from estune.trial import RigDescription
 
 if TYPE_CHECKING:
-    from estune.run.result import TuneResult
+    from estune.run.results.result import TuneResult
 
 LENGTHS_MIN = 3
 """Lengths from which a law is fitted; with fewer the run at the nearest length is taken."""

@@ -19,7 +19,7 @@ from estune.run.ending import RunEnding
 from estune.run.journal import FILE_NAME
 from estune.run.loop import ProgressListener
 from estune.run.plan import TRIALS
-from estune.run.result import TuneResult
+from estune.run.results.result import TuneResult
 from estune.run.session import UNSAFE_RATIO, Phase
 from estune.run.targets import open_target
 from estune.studies.match.outcome import (

@@ -25,7 +25,7 @@ from estune.studies.sweep.outcome import CellOutcome, failed, finished, unsafe
 from estune.trial import Rig
 
 if TYPE_CHECKING:
-    from estune.run.result import TuneResult
+    from estune.run.results.result import TuneResult
 
 ORPHAN_POLL_s = 0.5
 """Interval at which a worker process checks that its parent lives."""

@@ -20,7 +20,7 @@ from estune.support.sqlite import FileKind, SqliteFile
 from estune.tuners.interface import ConvergenceEstimate, PredictingTuner
 
 if TYPE_CHECKING:
-    from estune.run.result import TuneResult
+    from estune.run.results.result import TuneResult
 
 CONVERGED_BELOW = 0.05
 """A search has converged if it may improve the cost by no more than this share of it."""

@@ -13,10 +13,10 @@ from estune import api
 from estune.core.cost import StepCost
 from estune.core.gains import Gains
 from estune.errors import Interrupted, InvalidInput, RigError
-from estune.run.export import write_record
 from estune.run.failed_trials import run_trial
 from estune.run.loop import CONSECUTIVE_VOID_MAX
 from estune.run.planning import description_from_json, description_to_json
+from estune.run.results.export import write_record
 from estune.run.trial_file import TrialFile
 from estune.support.whole_file import replace_file
 from estune.trial import Outcome, Rig, RigDescription, TrialRecord, TrialRequest, record_frame

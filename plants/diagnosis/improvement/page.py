@@ -1,6 +1,6 @@
 """Report page of an improved model: predicted and measured costs, last diagnosis, tuning."""
 
-from estune.run import report as tuning_report
+from estune.run.results import report as tuning_report
 from estune.support.html_page import Page, Paragraph, Section, Table, Warnings
 from plants.diagnosis.improvement.result import COLUMNS, Improvement
 from plants.diagnosis.report import page as diagnosis_page

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from estune.core.gains import GAIN_NAMES, Gains
-from estune.run.result import TuneResult
+from estune.run.results.result import TuneResult
 from estune.support.notebook_card import card
 from estune.trial import RigDescription
 from plants.diagnosis.report.diagnosis import Diagnosis

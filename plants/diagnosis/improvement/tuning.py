@@ -11,7 +11,7 @@ from estune.core.cost import StepCost, default_cost
 from estune.core.gains import Gains
 from estune.errors import UnsafeStart
 from estune.run.loop import ProgressListener
-from estune.run.result import TuneResult
+from estune.run.results.result import TuneResult
 from estune.trial import RigDescription
 from estune.tuners import DEFAULT_TUNER, Tuner
 from plants.diagnosis.improvement.experiment_runner import ExperimentRunner

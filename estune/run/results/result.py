@@ -7,12 +7,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from estune.core.gain_forms import GainForm, gain_forms
-from estune.run import result_text
 from estune.run.ending import RunEnding
 from estune.run.loop import TuningRun
+from estune.run.results.run_result import RunResult
+from estune.run.results.summary import not_robust_summary, summarise, within_limits_summary
 from estune.run.robustness import verdict_on
-from estune.run.run_result import RunResult
-from estune.run.summary import not_robust_summary, summarise, within_limits_summary
 from estune.support.notebook_card import card
 
 if TYPE_CHECKING:
@@ -53,25 +52,13 @@ class TuneResult(RunResult):
         page.suptitle(self.heading(), fontsize=10)
         return page
 
-    def heading(self) -> str:
-        """The run in one line, its ending first."""
-        return result_text.heading(self)
-
-    def rows(self) -> tuple[result_text.Row, ...]:
-        """The before/after table as text; the last column is empty without an improvement."""
-        return result_text.rows(self)
-
-    def remarks(self) -> tuple[str, ...]:
-        """The conclusion and the warnings, a sentence each."""
-        return result_text.remarks(self)
-
     def report(self, path: str | Path) -> Path:
         """Writes everything as one page that needs no other file and no network.
 
         Raises:
             InvalidInput: the page cannot be written there.
         """
-        from estune.run.report import page  # noqa: PLC0415  draws: slow to import
+        from estune.run.results.report import page  # noqa: PLC0415  draws: slow to import
         from estune.support.html_page import write  # noqa: PLC0415  as above
 
         write(page(self), Path(path))

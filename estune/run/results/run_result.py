@@ -1,10 +1,11 @@
-"""Result of a run as numbers, tables and figures."""
+"""Result of a run as numbers, words, tables and figures."""
 
 import itertools
 import math
+from collections.abc import Iterator
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from scipy.optimize import OptimizeResult
@@ -12,21 +13,41 @@ from scipy.optimize import OptimizeResult
 from estune.core.comparison import Change, repeatability
 from estune.core.gains import GAIN_NAMES, Gains
 from estune.errors import JournalError
-from estune.loop_model.claim import Claim
-from estune.run import result_warnings
+from estune.loop_model.claim import MISFIT_MAX, Claim, unexplained
 from estune.run.ending import RunEnding
 from estune.run.journal import Journal, JournalEntry
-from estune.run.performance import Performance
 from estune.run.plan import Plan
-from estune.run.robustness import IdentifiedLoop, claim_from, identify
+from estune.run.results import result_warnings
+from estune.run.results.summary import Performance, RunSummary
+from estune.run.robustness import (
+    IdentifiedLoop,
+    claim_from,
+    identify,
+    limit_price,
+    robustness_cells,
+)
 from estune.run.session import Session, is_safe
-from estune.run.summary import RunSummary
+from estune.run.start import left_out
+from estune.run.trial_quality import quality_remarks
 from estune.trial import Outcome, RigDescription, TrialRecord
 from estune.trial.scoring import constraint_margin
 
 if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.axes import Axes
+
+
+OVERSHOOT_ALLOWED = 0.02
+"""Overshoot beyond its limit that is not told, as a share of the step. On the emulated reel noise
+and scatter add up to 0.9 % to that of a record."""
+
+
+class Row(NamedTuple):
+    """Row of the before/after table; `tuned` is empty without an improvement."""
+
+    label: str
+    start: str
+    tuned: str
 
 
 class RunResult(OptimizeResult):  # type: ignore[misc]  # scipy ships no type information
@@ -149,6 +170,38 @@ class RunResult(OptimizeResult):  # type: ignore[misc]  # scipy ships no type in
         limits = self.plan.limits
         return self.plan.uses_records and limits is not None and bool(limits.max_sensitivity)
 
+    def heading(self) -> str:
+        """The run in one line, its ending first."""
+        if self.ending is RunEnding.TUNED:
+            start, cost = self.verdict.start_cost, self.verdict.cost
+            change = f"cost {start:.3g} → {cost:.3g}, {self.improvement}, {_robustness(self)}"
+        elif self.improvement is not None:
+            change = f"cost {self.improvement}, keep the initial gains"
+        else:
+            change = "keep the initial gains"
+        return f"{self.ending.upper()}: {self.rig.name}, {len(self.entries)} trials, {change}"
+
+    def rows(self) -> tuple[Row, ...]:
+        """The before/after table as text; the last column is empty without an improvement."""
+        start = self.start.cells()
+        tuned = self.tuned.cells() if self.tuned else dict.fromkeys(start, "")
+        shown = [Row(label, start[label], tuned.get(label, "-")) for label in start]
+        robust = robustness_cells(self.claim.margins)
+        shown += [Row(label, *(("-", x) if self.tuned else (x, ""))) for label, x in robust]
+        return tuple(shown)
+
+    def remarks(self) -> tuple[str, ...]:
+        """The conclusion and the warnings, a sentence each."""
+        counts = ((self.unsafe, "unsafe"), (self.verdict.declined, "declined and not run"))
+        sentences = (
+            self.message,
+            *_start_remarks(self),
+            *(f"{n} trial{'s were' if n > 1 else ' was'} {what}" for n, what in counts if n),
+            *(finding.sentence for finding in self.findings),
+            *(_robustness_remarks(self) if self.verdict.complete else ()),
+        )
+        return tuple(f"{sentence[:1].upper()}{sentence[1:]}." for sentence in sentences)
+
     def to_frame(self) -> "pd.DataFrame":
         """The trials, one row each: number, phase, gains, cost, best cost so far, outcome."""
         import pandas as pd  # noqa: PLC0415  slow to import
@@ -192,14 +245,14 @@ class RunResult(OptimizeResult):  # type: ignore[misc]  # scipy ships no type in
 
     def plot_cost(self, ax: "Axes | None" = None) -> "Axes":
         """Draws the cost per trial with the best so far, on `ax` or a figure of its own."""
-        from estune.run import figures  # noqa: PLC0415  slow to import
+        from estune.run.results import figures  # noqa: PLC0415  slow to import
 
         costs = self.verdict.start_cost, self.session.eta_max
         return figures.draw_cost(ax, self.to_frame(), *costs)
 
     def plot_response(self, ax: "Axes | None" = None) -> "Axes":
         """Draws the step response before and after, on `ax` or a figure of its own."""
-        from estune.run import figures  # noqa: PLC0415  slow to import
+        from estune.run.results import figures  # noqa: PLC0415  slow to import
 
         after = self.tuned_record if self.success else None
         return figures.draw_response(
@@ -208,7 +261,7 @@ class RunResult(OptimizeResult):  # type: ignore[misc]  # scipy ships no type in
 
     def plot_gains(self, ax: "Axes | None" = None) -> "Axes":
         """Draws the gains over the trials, on `ax` or a figure of its own."""
-        from estune.run import figures  # noqa: PLC0415  slow to import
+        from estune.run.results import figures  # noqa: PLC0415  slow to import
 
         intervals = self.tuned.intervals if self.tuned else {}
         units = self.rig.gain_units
@@ -222,3 +275,50 @@ def _is_unsafe(entry: JournalEntry, eta_max: float) -> bool:
         return False
     declined = entry.outcome is Outcome.DECLINED
     return not declined and not is_safe(entry.outcome, entry.cost, eta_max)
+
+
+def _start_remarks(result: RunResult) -> Iterator[str]:
+    """Origin of initial gains that are not the rig's, and gains that were not tuned."""
+    if result.plan.start_source:
+        source = result.plan.start_source
+        yield f"the search began at {source}, which are not live on the rig yet"
+    space = result.plan.tuner.space
+    left = left_out(result.start_gains, space.names, result.plan.cost.settling_time_s)
+    if left and space.form == "parallel":
+        yield left
+
+
+def _robustness(result: RunResult) -> str:
+    """The claims about the tuned gains, in a few words."""
+    margins = result.claim.margins
+    if margins is None:
+        return "no margins claimed"
+    return f"Ms {margins.sensitivity.value:.2f}"
+
+
+def _robustness_remarks(result: RunResult) -> tuple[str, ...]:
+    """Properties that the records do not show, and the cost of the limits."""
+    loop, limits, tuned = result.identified, result.plan.limits, result.tuned
+    remarks = [*loop.remarks]
+    reason = result.claim.reason
+    if result.ending is RunEnding.NOT_ROBUST:  # few trials were near the initial gains
+        beyond = loop.fit is not None and loop.fit.misfit > MISFIT_MAX
+        reason = unexplained(loop.fit.misfit) if loop.fit and beyond else ""
+    if reason:
+        remarks.append(f"no sensitivity is claimed from the records: {reason}")
+    kept = None if limits is None else limits.max_overshoot
+    measured = math.nan
+    if result.claim.margins is not None:
+        measured = result.claim.margins.overshoot.value
+    elif tuned is not None and tuned.metrics is not None:
+        measured = tuned.metrics.overshoot
+    if tuned is not None and kept is not None and measured > kept + OVERSHOOT_ALLOWED:
+        whose = (
+            "" if result.plan.uses_records else f", which {result.plan.tuner.name} does not keep"
+        )
+        remarks.append(f"the overshoot of {measured:.1%} exceeds the limit of {kept:.1%}{whose}")
+    price = limit_price(loop, result.claim, result.plan, result.rig, result.gains)
+    if tuned is not None and price is not None:
+        remarks.append(price.sentence)
+    first, start_cost = result.first_record, result.verdict.start_cost
+    return (*remarks, *quality_remarks(result.plan, result.rig, first, start_cost, loop.fit))

@@ -10,17 +10,16 @@ import numpy as np
 from estune.core.cost import StepCost
 from estune.core.gains import GAIN_NAMES
 from estune.loop_model.optimum import SENSITIVITY_MAX
-from estune.run import figures
 from estune.run.ending import RunEnding
-from estune.run.frequency_figures import (
+from estune.run.results import figures
+from estune.run.results.frequency_figures import (
     Loop,
     PlantResponse,
     draw_bode,
     draw_nyquist,
     response_columns,
 )
-from estune.run.result_text import remarks, rows
-from estune.run.run_result import RunResult
+from estune.run.results.run_result import RunResult
 from estune.support.html_page import (
     Block,
     Drawing,
@@ -51,9 +50,9 @@ def page(result: RunResult) -> Page:
         f"Tuning of {result.rig.name}",
         Status(_recommendation(result), good=good),
         (
-            *(() if result.success else (Paragraph(remarks(result)[0], style="lead"),)),
+            *(() if result.success else (Paragraph(result.remarks()[0], style="lead"),)),
             _before_and_after(result),
-            Warnings(remarks(result)[1:]),
+            Warnings(result.remarks()[1:]),
         ),
         (
             Section("Step response", tuple(_responses(result))),
@@ -75,8 +74,8 @@ def _recommendation(result: RunResult) -> str:
 
 def _before_and_after(result: RunResult) -> Table:
     if result.tuned:
-        return Table(("", "Initial gains", "Tuned gains"), rows(result), numeric=(1, 2))
-    return Table(("", "Initial gains"), [row[:2] for row in rows(result)], numeric=(1,))
+        return Table(("", "Initial gains", "Tuned gains"), result.rows(), numeric=(1, 2))
+    return Table(("", "Initial gains"), [row[:2] for row in result.rows()], numeric=(1,))
 
 
 def _responses(result: RunResult) -> Iterator[Block]:

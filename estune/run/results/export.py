@@ -15,8 +15,8 @@ import numpy as np
 
 from estune.core.gains import GAIN_NAMES
 from estune.errors import InvalidInput, JournalError
+from estune.recordings.record_files import RecordFormat, check_library, write_columns
 from estune.run.journal import Journal, JournalEntry
-from estune.run.record_files import RecordFormat, check_library, write_columns
 from estune.run.table_file import Append, csv_table, parquet_table
 from estune.trial import OPTIONAL_COLUMNS, TrialRecord
 
