@@ -11,7 +11,6 @@ from estune.core.gains import Gains
 from estune.core.response import CostFunction
 from estune.errors import EstuneError, InvalidInput, JournalError, RigError
 from estune.loop_model.optimum import RobustnessLimits
-from estune.remote.state_machine.client import PATIENCE_S
 from estune.run import archived_run, loop, progress
 from estune.run.journal import RECORDS_LEAST, Journal
 from estune.run.loop import ApprovalCallback, ProgressListener, Stopped, TuningRun
@@ -55,7 +54,7 @@ def tune(
     records: int | None = None,
     rig: str | None = None,
     security: "Security | None" = None,
-    patience_s: float = PATIENCE_S,
+    patience_s: float | None = None,
     watch: ProgressListener | Literal["auto"] | None = "auto",
     ask: ApprovalCallback | None = None,
     limits: RobustnessLimits | None = None,
@@ -91,7 +90,8 @@ def tune(
             all by default. Gains and costs are kept for ever.
         rig: Name of the rig, if several answer at the endpoint.
         security: Credentials, if the rig requires authentication; see `estune.remote.security`.
-        patience_s: How long to wait where the rig at an endpoint stops replying, s.
+        patience_s: How long to wait for the rig at an endpoint to appear, and where it stops
+            replying, s; 3 s and 30 s by default.
         watch: Callback after each trial; "auto" shows progress, None nothing.
         ask: Approval callback for gains outside the region shown to be safe; returns "yes", "no"
             or "always".
@@ -165,7 +165,7 @@ def resume(
     target: Any = None,
     *,
     security: "Security | None" = None,
-    patience_s: float = PATIENCE_S,
+    patience_s: float | None = None,
     watch: ProgressListener | Literal["auto"] | None = "auto",
     ask: ApprovalCallback | None = None,
 ) -> "TuneResult":

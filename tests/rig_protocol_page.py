@@ -23,6 +23,7 @@ from estune.core.pidf import ControllerSettings
 from estune.remote import messages
 from estune.remote.messages import VERBS, Answer, Description, Following, Inquire, Keys, Status
 from estune.remote.messages.codec import Message
+from estune.remote.messages.replies import Failure
 from estune.remote.state_machine import client, events, rig, state
 from estune.remote.state_machine.client import ClientInput, ClientStage
 from estune.remote.state_machine.reply_codes import OF_TRIAL, ReplyCode
@@ -77,6 +78,7 @@ EXAMPLES: tuple[Any, ...] = (
     Answer(ReplyCode.HELD, sentence="the rig is held by anna@lab, process 4711"),
     Status("9f3c01aa", Mode.RUNNING, REQUEST.trial_id, 7, "anna@lab, process 4711", ""),
     Description(DESCRIBED, "9f3c01aa", "d1a5c0de00000001"),
+    Failure("rig drum: the gauge's cable is broken; check the rig, then start it anew"),
 )
 PARTS = (
     TrialRequest,
@@ -99,6 +101,7 @@ def keys() -> Iterator[str]:
         *((made.describe, "queryable"), (made.result("<trial id>"), "queryable")),
         *((made.command("<instance>", verb), "queryable") for verb in VERBS),
         (made.telemetry("<trial id>"), "published, optional"),
+        (made.failure, "published, optional"),
     )
     yield from _table(("key", "declared by the rig as"), ((f"`{k}`", what) for k, what in shown))
 

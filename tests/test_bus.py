@@ -18,6 +18,7 @@ from estune.core.gains import Gains
 from estune.errors import InvalidInput, RigError
 from estune.remote import zenoh
 from estune.remote.state_machine.state import Mode
+from estune.remote.zenoh.endpoints import with_port
 from estune.remote.zenoh.network import Network
 from estune.trial import Outcome, TrialRequest
 from experiments.chaos.wire import Wire
@@ -114,6 +115,18 @@ def test_tuning_survives_an_outage_within_the_patience(caplog):
     assert "its process has ended or the network is cut" in waiting
     assert "waiting for it, at most 30 s" in waiting
     assert back.endswith("replies again")
+
+
+def test_rig_that_appears_later_is_found_within_the_patience():
+    endpoint = with_port("tcp/127.0.0.1:0")
+    servers = []
+    late = threading.Timer(2.0, lambda: servers.append(zenoh.serve(ScriptedRig(), endpoint)))
+    with pytest.raises(RigError, match="start a rig"):
+        zenoh.connect(endpoint, timeout_s=0.2)
+    late.start()
+    with zenoh.connect(endpoint, timeout_s=0.2, found_within_s=30.0) as rig:
+        assert rig.run(trial()).outcome is Outcome.DONE
+    servers[0].close()
 
 
 def test_outage_beyond_the_patience_ends_the_wait_but_abort_is_not_delayed():

@@ -20,10 +20,10 @@ from estune.remote.messages import (
     Presence,
     Status,
 )
-from estune.remote.messages.commands import Submit
+from estune.remote.messages.commands import Lease, Submit
 from estune.remote.state_machine.reply_codes import ReplyCode
 from estune.remote.state_machine.state import Mode
-from estune.trial import TrialRequest
+from estune.trial import TrialRequest, record_frame
 from estune.trial.profiles import (
     ChirpProfile,
     MultisineProfile,
@@ -32,7 +32,7 @@ from estune.trial.profiles import (
     TriangleProfile,
 )
 from tests.rig_protocol_page import EXAMPLES
-from tests.support_rigs import description
+from tests.support_rigs import description, response
 
 finite = st.floats(allow_nan=False, allow_infinity=False)
 positive = st.floats(min_value=0.0, exclude_min=True, allow_infinity=False)
@@ -215,8 +215,8 @@ def test_choose_returns_the_requested_rig(rigs, rig, instance):
 @pytest.mark.parametrize(
     ("rigs", "rig", "kind", "complaint"),
     [
-        ([], None, RigError, "no rig answers at here; start one"),
-        ([], "a", RigError, "no rig answers at here; start one"),
+        ([], None, RigError, "no rig answers at here, but .* --security"),
+        ([], "a", RigError, "no rig answers at here, but .* --security"),
         ([A, B], "c", RigError, "no rig named 'c' at here; there is: a, b"),
         ([A, B], None, RigError, "2 rigs at here: a, b; name one"),
         ([A, B, A_AGAIN], "a", RigError, r"2 processes .* named 'a' \(instances 01, 03\); stop"),
@@ -235,6 +235,32 @@ def test_choose_without_a_unique_rig_explains_why(rigs, rig, kind, complaint):
 def test_name_that_would_change_the_key_is_refused(name):
     with pytest.raises(InvalidInput, match="cannot be used on the link"):
         Keys(name)
+
+
+def test_strings_of_a_message_arrive_printable():
+    hostile = "\x1b[2J\x1b]0;gone\x07 anna\u202e\x9b1m\r\nestune: all is well"
+    data = messages.encode(Lease("acquire", "5ad1e7c0ffee0042", hostile))
+    for sent in (data, data.replace(b"\\u001b", b"\\u001B")):
+        holder = messages.decode(Lease, sent).holder
+        assert not set(holder) & set("\x1b\x07\u202e\x9b\r\n")
+        assert holder.startswith("\\x1b[2J")
+    plain = messages.encode(Lease("acquire", "5ad1e7c0ffee0042", 'änna "the boss" \\ 1 °'))
+    assert messages.decode(Lease, plain).holder == 'änna "the boss" \\ 1 °'
+    with pytest.raises(InvalidInput, match="cannot be used on the link"):
+        Keys("reel\x9b1m")
+    assert Presence.parse("reel/v1/a\x1b[2J/alive/01").rig == "a\\x1b[2J"
+
+
+def test_reason_in_a_record_arrives_printable():
+    record = replace(
+        response(TrialRequest("run", 0, Gains(1.0, 2.0, 0.0, 0.0), description().step)),
+        reason="guard\x1b[2J",
+    )
+    data = record_frame.encode(record)
+    record_frame.encode(
+        response(TrialRequest("run", 0, Gains(1.0, 2.0, 0.0, 0.0), description().step))
+    )  # forgets the last record
+    assert record_frame.decode(data).reason == "guard\\x1b[2J"
 
 
 @pytest.mark.parametrize("name", ["a", "reel 2", "Spule-3_ü.1", "x" * 128])

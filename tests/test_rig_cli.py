@@ -67,12 +67,14 @@ def test_serve_hardware_remembers_trials_over_a_restart(file):
 
 
 def test_serve_hardware_ends_with_its_dead_loop(file):
-    with served(file) as (process, _):
+    with served(file) as (process, endpoint), zenoh.connect(endpoint, timeout_s=1.0) as rig:
         children = Path(f"/proc/{process.pid}/task/{process.pid}/children").read_text().split()
         (loop,) = (int(child) for child in children)
         os.kill(loop, signal.SIGKILL)
         assert process.wait(20) == RigError.exit_code
         assert "its loop has ended, exit code -9" in process.stderr.read()
+        with pytest.raises(RigError, match=r"has ended: .*its loop has ended, exit code -9"):
+            rig.describe()
 
 
 def test_serve_hardware_lists_all_faults_of_a_file(file):

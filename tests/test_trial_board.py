@@ -62,12 +62,12 @@ def program(tmp_path_factory):
     return compiled(tmp_path_factory.mktemp("board"), rig_file())
 
 
-def compiled(folder, rig):
+def compiled(folder, rig, *more):
     for name, text in board_files(rig).items():
         (folder / name).write_text(text)
     source = Path(__file__).with_name("trial_board_main.c")
     strict = ["-std=c99", "-Wall", "-Wextra", "-Werror", "-ffp-contract=off", "-O2"]
-    command = ["cc", *strict, f"-I{folder}", "-o", folder / "board", source, "-lm"]
+    command = ["cc", *strict, *more, f"-I{folder}", "-o", folder / "board", source, "-lm"]
     subprocess.run(command, check=True)
     return folder / "board"
 
@@ -269,6 +269,18 @@ def test_stop_is_latched_until_cleared(program):
             rig.apply(Gains(1.0, 2.0, 0.0, 0.0))
         rig.clear()
         assert rig.run(request(rig, 3)).outcome is Outcome.DONE
+
+
+def test_board_keeps_its_record_in_half_the_memory_as_single_numbers(tmp_path, program):
+    records = []
+    for binary in (program, compiled(tmp_path, rig_file(), "-Destune_stored=float")):
+        with board_rig(binary) as (rig, _):
+            records.append(rig.run(request(rig, 1)))
+    whole, half = (record.tension_N for record in records)
+    np.testing.assert_allclose(half, whole, rtol=1e-6)
+    assert not np.array_equal(half, whole)
+    text = board_files(rig_file())["estune_board.h"]
+    assert f"{1e-3 * rig_file().capacity * 40:.0f} kB of memory, 40 bytes" in text
 
 
 def test_board_program_is_exported_with_the_limits_of_the_rigs_file(tmp_path, capsys):

@@ -17,7 +17,6 @@ from estune.cli.tune import (
     tuning_choices,
 )
 from estune.cli.values import Flag, Values, ranges_from, security_from, share_from
-from estune.remote.state_machine.client import PATIENCE_S
 from estune.run.plan import REPEATS, TOLERANCE, TRIALS
 from estune.studies.compare import comparison
 from estune.studies.compare.comparison import COMPARED, Comparison
@@ -39,7 +38,7 @@ def compare(
     bounds: Values = (),
     rig: str | None = None,
     security: Path | None = None,
-    patience: float = PATIENCE_S,
+    patience: float | None = None,
     folder: Path | None = None,
     json: Flag = False,
     quiet: Flag = False,
@@ -61,7 +60,8 @@ def compare(
         bounds: As of estune tune.
         rig: Name of the rig, if several answer at the endpoint.
         security: Credentials file, if the rig requires authentication.
-        patience: How long to wait where the rig stops replying, s.
+        patience: How long to wait for the rig to appear, and where it stops
+            replying, s; 3 s and 30 s by default.
         folder: Folder for the runs, the page, the figure and the table; comparisons/TIME by
             default. An interrupted comparison continues with the same command and this folder.
         json: Print the outcome as JSON.

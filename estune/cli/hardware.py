@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from estune.cli.values import Flag, security_from
-from estune.errors import InvalidInput
+from estune.errors import InvalidInput, RigError
 from estune.remote import zenoh
 from estune.support.plugins import load_plugin, plugins
 
@@ -83,6 +83,10 @@ def _example() -> str:
 def _close_after(hardware: "HardwareRig | BoardRig", server: zenoh.RigServer) -> None:
     """Closes the server once the control loop of its rig, or its board, has failed."""
     hardware.wait()
+    try:
+        hardware.describe()
+    except RigError as error:
+        server.fail(str(error))
     server.close()
 
 

@@ -14,7 +14,6 @@ from estune.cli.interruption import continued_by_same_command
 from estune.cli.tune import NO_COST, NO_STEP, CostOptions, StepOptions, trial_of
 from estune.cli.values import Flag, TunerName, check_folder_exists, security_from
 from estune.errors import EstuneError, InvalidInput, RigError
-from estune.remote.state_machine.client import PATIENCE_S
 from estune.run.targets import is_endpoint, open_target
 from estune.studies.match import procedure
 from estune.studies.match.outcome import COLUMNS, Matching
@@ -45,7 +44,7 @@ def match(
     report: Path | None = None,
     json: Flag = False,
     security: Path | None = None,
-    patience: float = PATIENCE_S,
+    patience: float | None = None,
     quiet: Flag = False,
     step: StepOptions = NO_STEP,
     cost: CostOptions = NO_COST,
@@ -67,7 +66,8 @@ def match(
         report: File of the report page; match.html in the folder by default.
         json: Print the outcome as JSON.
         security: Credentials file, if a rig requires authentication.
-        patience: How long to wait where a rig stops replying, s.
+        patience: How long to wait for a rig to appear, and where it stops
+            replying, s; 3 s and 30 s by default.
         quiet: Show no progress.
         step: The step trial of all reels; by default what the first reel suggests.
         cost: The cost of all reels; the settling time is by default the longest a rig suggests.

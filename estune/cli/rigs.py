@@ -35,9 +35,7 @@ def discover(endpoint: str, /, *, security: Path | None = None, json: Flag = Fal
     credentials = security_from(security)
     presences = zenoh.discover_rigs(endpoint, security=credentials)
     if not presences:
-        raise RigError(
-            f"no rig answers at {endpoint}; start one with: estune serve --listen {endpoint}"
-        )
+        messages.choose((), None, endpoint)  # raises the reason
     found = {p.rig: _described(endpoint, p.rig, credentials) for p in presences}
     if json:
         output.print_json({name: _facts(known) for name, known in found.items()})

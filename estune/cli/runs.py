@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 REPORT_NAME = "report.html"
 
 
-def list_runs(*, folder: Path = Path(api.RUNS), json: Flag = False) -> None:
+def list_runs(folder: Path = Path(api.RUNS), *, json: Flag = False) -> None:
     """List the runs of a folder.
 
     Args:

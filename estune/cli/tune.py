@@ -26,7 +26,6 @@ from estune.cli.values import (
 from estune.core.gains import GAIN_NAMES
 from estune.errors import InvalidInput
 from estune.loop_model.optimum import RobustnessLimits
-from estune.remote.state_machine.client import PATIENCE_S
 from estune.run.ending import RunEnding
 from estune.run.journal import Journal
 from estune.run.plan import REPEATS, TOLERANCE, TRIALS
@@ -129,7 +128,7 @@ def tune(
     bounds: Values = (),
     rig: str | None = None,
     security: Path | None = None,
-    patience: float = PATIENCE_S,
+    patience: float | None = None,
     run: str | None = None,
     folder: Path = Path(api.RUNS),
     records: int | None = None,
@@ -164,7 +163,8 @@ def tune(
             I, D and setpoint_filter_s.
         rig: Name of the rig, if several answer at the endpoint.
         security: Credentials file, if the rig requires authentication.
-        patience: How long to wait where the rig stops replying, s.
+        patience: How long to wait for the rig to appear, and where it stops
+            replying, s; 3 s and 30 s by default.
         run: Name of the run; the time of day by default.
         folder: Folder of runs.
         records: Number of records that the run keeps on disk, the latest and those of repeats; all
@@ -209,7 +209,7 @@ def resume(
     *,
     target: str | None = None,
     security: Path | None = None,
-    patience: float = PATIENCE_S,
+    patience: float | None = None,
     folder: Path = Path(api.RUNS),
     report: Path | None = None,
     quiet: Flag = False,
@@ -221,7 +221,8 @@ def resume(
         run: The run: its name, or its folder.
         target: Present address of its rig; the earlier one by default.
         security: Credentials file, if the rig requires authentication.
-        patience: How long to wait where the rig stops replying, s.
+        patience: How long to wait for the rig to appear, and where it stops
+            replying, s; 3 s and 30 s by default.
         folder: Folder of runs.
         report: Write a report of the run as one HTML page that works offline.
         quiet: Show no progress.

@@ -37,7 +37,7 @@ def open_target(
     target: Any,
     rig: str | None = None,
     security: "Security | None" = None,
-    patience_s: float = PATIENCE_S,
+    patience_s: float | None = None,
 ) -> Iterator[Rig]:
     """The rig that a target names, for the duration of the block.
 
@@ -46,7 +46,8 @@ def open_target(
             naming a plant or a rig, a plant (anything with a `.rig()` method), or a rig.
         rig: Name of the rig, if several answer at the endpoint.
         security: Credentials, if the rig at the endpoint requires authentication.
-        patience_s: How long to wait for the rig at the endpoint where it stops replying, s.
+        patience_s: How long to wait for the rig at the endpoint to appear, and where it stops
+            replying, s; 3 s and 30 s by default.
 
     Raises:
         InvalidInput: the target is none of these.
@@ -56,7 +57,13 @@ def open_target(
         from estune.remote import zenoh  # noqa: PLC0415  slow to import
         from estune.remote.security import OPEN  # noqa: PLC0415  as above
 
-        remote = zenoh.connect(target, rig=rig, patience_s=patience_s, security=security or OPEN)
+        remote = zenoh.connect(
+            target,
+            rig=rig,
+            found_within_s=patience_s,
+            patience_s=PATIENCE_S if patience_s is None else patience_s,
+            security=security or OPEN,
+        )
         try:
             yield remote
         finally:

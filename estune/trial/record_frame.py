@@ -26,6 +26,7 @@ import numpy as np
 
 from estune.core.gains import GAIN_NAMES, Gains
 from estune.errors import ProtocolError
+from estune.support.printable import printable_json
 from estune.trial.profiles import Kind, Loop
 from estune.trial.records import COLUMNS, OPTIONAL_COLUMNS, Outcome, TrialRecord
 
@@ -217,7 +218,7 @@ def _header_json(record: TrialRecord, columns: tuple[str, ...], samples: int) ->
 
 def _parse_header(text: bytes) -> Header:
     try:
-        return _adapter().validate_json(text)
+        return _adapter().validate_json(printable_json(text))
     except (ValueError, OverflowError) as error:  # an integer may have hundreds of digits
         raise ProtocolError(f"record frame: header: {one_line(error)}") from error
 

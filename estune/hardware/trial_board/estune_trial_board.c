@@ -2,7 +2,8 @@
  *
  * Compile it with estune_board.h and estune_pidf.c, which estune writes beside it from the rig's
  * file. The board provides the functions below and calls estune_board_sample once in each
- * sampling period. C99, without allocation, and no library but exp and memcpy.
+ * sampling period. C99, without allocation, and no library but exp and memcpy. Setpoints and record
+ * take the memory that estune_board.h states; define estune_stored as float to halve it.
  *
  * The computer is heard by packets (docs/how-to/hardware.md). When it falls silent for ESTUNE_SILENCE
  * samples, or a limit is crossed, the effort is brought to zero and the amplifier switched off by
@@ -37,8 +38,12 @@ enum reason { NO_REASON, TENSION, TRAVEL, SILENCE, ABORT, ESTOP, NOT_TAUT, NOT_S
 #endif
 #define NUMBERS (3 + TERMS) /* tension, effort and angle before them */
 
+#ifndef estune_stored
+#define estune_stored double
+#endif
+
 typedef struct {
-  double numbers[NUMBERS];
+  estune_stored numbers[NUMBERS];
   unsigned char flags;
 } sample;
 
@@ -51,7 +56,7 @@ static struct {
   double live[ESTUNE_COEFFICIENTS], temporary[ESTUNE_COEFFICIENTS];
 } board;
 
-static double setpoints[ESTUNE_CAPACITY];
+static estune_stored setpoints[ESTUNE_CAPACITY];
 static sample record[ESTUNE_CAPACITY];
 
 /* --- the loop -------------------------------------------------------------------------------- */
@@ -156,15 +161,15 @@ static void trial(double tension, double angle) {
     board.effort = fmin(fmax(board.setpoint, ESTUNE_EFFORT_MIN), ESTUNE_EFFORT_MAX);
   else
     board.effort = step(tension, &excess);
-  now->numbers[0] = tension;
-  now->numbers[1] = board.effort;
-  now->numbers[2] = angle;
+  now->numbers[0] = (estune_stored)tension;
+  now->numbers[1] = (estune_stored)board.effort;
+  now->numbers[2] = (estune_stored)angle;
 #ifdef ESTUNE_COMPENSATED
   if (board.open_loop) uncompensated();
-  now->numbers[3] = compensation.velocity;
-  now->numbers[4] = compensation.gravity;
-  now->numbers[5] = compensation.friction;
-  now->numbers[6] = compensation.inertia;
+  now->numbers[3] = (estune_stored)compensation.velocity;
+  now->numbers[4] = (estune_stored)compensation.gravity;
+  now->numbers[5] = (estune_stored)compensation.friction;
+  now->numbers[6] = (estune_stored)compensation.inertia;
 #endif
   now->flags = excess != 0;
   if (++board.done == board.samples) end_trial(tension, DONE);
@@ -264,6 +269,16 @@ static int status(unsigned char *body) {
   return (int)(put(end, board.done, 4) - body);
 }
 
+/* Part of a trial's setpoints, refused as a whole where there is no room for it. */
+static void store(unsigned first, const unsigned char *body, unsigned count) {
+  double value;
+  if (board.pending || first > ESTUNE_CAPACITY || count > ESTUNE_CAPACITY - first) return;
+  for (; count > 0; count--, body += 8) {
+    memcpy(&value, body, 8);
+    setpoints[first++] = (estune_stored)value;
+  }
+}
+
 /* A trial is accepted once: the same number again is a repetition of the request. */
 static void accept(const unsigned char *body, double angle) {
   unsigned samples = get(body + 4, 4);
@@ -297,7 +312,6 @@ static int rows(unsigned char *body, unsigned first, unsigned count) {
 static void execute(unsigned kind, unsigned sequence, const unsigned char *body, int size,
                     double tension, double angle) {
   unsigned char out[LONGEST];
-  unsigned first;
   board.silent = 0;
   if (kind == 'r' && size == 5 && body[4] <= (LONGEST - 4) / ROW) {
     size = rows(out, get(body, 4), body[4]);
@@ -305,9 +319,7 @@ static void execute(unsigned kind, unsigned sequence, const unsigned char *body,
     return;
   }
   if (kind == 'p' && size >= 4) {
-    first = get(body, 4);
-    if (!board.pending && first + (unsigned)(size - 4) / 8 <= ESTUNE_CAPACITY)
-      memcpy(&setpoints[first], body + 4, (size_t)(size - 4) / 8 * 8);
+    store(get(body, 4), body + 4, (unsigned)(size - 4) / 8);
   } else if (kind == 't' && size == 17 + (int)sizeof board.temporary) {
     accept(body, angle);
   } else if (kind == 'g' && size == (int)sizeof board.live && !board.latched) {

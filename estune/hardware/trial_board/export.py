@@ -3,14 +3,21 @@
 import math
 from pathlib import Path
 
+from estune.hardware.compensation.plan import CompensationTerms
 from estune.hardware.compensation.source import hybrid_source
 from estune.hardware.config import RigConfig
 from estune.hardware.firmware import COEFFICIENTS
 
 PROGRAM = Path(__file__).with_name("estune_trial_board.c")
 
+_COLUMNS, _TERMS = 3, len(CompensationTerms._fields)
+"""Numbers of a sample in the record, and of its compensations; beside setpoint and flags."""
+
 _TEXT = """\
-/* The limits of {name}, from its rig file; change them there. N, rad, samples at {rate:g} Hz. */
+/* The limits of {name}, from its rig file; change them there. N, rad, samples at {rate:g} Hz.
+ *
+ * Setpoints and record take {kilobytes:.0f} kB of memory, {row} bytes for each sample of the
+ * longest trial (limits.duration_max_s); half of it with estune_stored defined as float. */
 """
 
 
@@ -60,5 +67,11 @@ def _header(config: RigConfig) -> str:
         "RAMP": max(1, math.ceil(config.safe.ramp_s * rate)),
     }
     lines = (f"#define ESTUNE_{name} {value!r}" for name, value in values.items())
-    text = _TEXT.format(name=config.name, rate=rate) + "\n".join(lines) + "\n"
+    row = 8 * (2 + _COLUMNS + (_TERMS if config.compensation else 0))
+    kilobytes = 1e-3 * config.capacity * row
+    text = (
+        _TEXT.format(name=config.name, rate=rate, kilobytes=kilobytes, row=row)
+        + "\n".join(lines)
+        + "\n"
+    )
     return text + "#define ESTUNE_COMPENSATED\n" * (config.compensation is not None)

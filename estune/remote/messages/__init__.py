@@ -25,6 +25,7 @@ from estune.remote.messages.keys import ANY_RIG, VERSION, Keys, Presence, check_
 from estune.remote.messages.replies import (
     Answer,
     Description,
+    Failure,
     Following,
     Status,
     decode_description,
@@ -42,6 +43,7 @@ __all__ = [
     "VERSION",
     "Answer",
     "Description",
+    "Failure",
     "Following",
     "Inquire",
     "Keys",

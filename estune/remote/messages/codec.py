@@ -1,11 +1,13 @@
 """JSON encoding of messages, with their size limits.
 
-Unknown fields, missing fields, wrong types, NaN and infinities are refused on arrival.
+Unknown fields, missing fields, wrong types, NaN and infinities are refused on arrival. Strings
+arrive printable: they end on terminals and in logs.
 """
 
 from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
 
 from estune.errors import ProtocolError
+from estune.support.printable import printable_json
 from estune.trial import record_frame
 
 if TYPE_CHECKING:
@@ -51,7 +53,7 @@ def decode(kind: type[_AnyMessage], data: bytes) -> _AnyMessage:
     """
     _check_size(kind, data)
     try:
-        message: _AnyMessage = _adapter(kind).validate_json(data)
+        message: _AnyMessage = _adapter(kind).validate_json(printable_json(data))
     except (ValueError, OverflowError) as error:  # an integer may have hundreds of digits
         raise ProtocolError(f"{kind.__name__} message: {record_frame.one_line(error)}") from error
     return message

@@ -6,13 +6,14 @@ from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
 from estune.errors import InvalidInput, ProtocolError, RigError
+from estune.support.printable import printable
 
 VERSION: Literal[1] = 1
 
 ANY_RIG = "reel/*/*/alive/*"
 """Matches the liveliness tokens of the rigs of every protocol version."""
 
-_CHUNK = re.compile(r"(?!@)[^/*$#?\s](?:[^/*$#?\x00-\x1f]{0,126}[^/*$#?\s])?")
+_CHUNK = re.compile(r"(?!@)[^/*$#?\s](?:[^/*$#?]{0,126}[^/*$#?\s])?")
 
 
 def check_name(what: str, name: str) -> str:
@@ -21,10 +22,11 @@ def check_name(what: str, name: str) -> str:
     Raises:
         InvalidInput: it cannot.
     """
-    if not _CHUNK.fullmatch(name):
+    if not _CHUNK.fullmatch(name) or printable(name) != name:
         raise InvalidInput(
             f"{what} {name!r} cannot be used on the link: give 1 to 128 characters without "
-            "/ * $ # ?, not beginning with @, not beginning or ending with a space"
+            "/ * $ # ? or control characters, not beginning with @, not beginning or ending "
+            "with a space"
         )
     return name
 
@@ -65,6 +67,11 @@ class Keys:
         return f"{self.root}/status"
 
     @property
+    def failure(self) -> str:
+        """Why the rig's program ends."""
+        return f"{self.root}/failure"
+
+    @property
     def describe(self) -> str:
         """Properties of the rig."""
         return f"{self.root}/describe"
@@ -80,7 +87,7 @@ class Presence(NamedTuple):
     @classmethod
     def parse(cls, key: str) -> "Presence":
         """The rig of a liveliness token's key."""
-        _, version, rig, _, instance = key.split("/")
+        _, version, rig, _, instance = printable(key).split("/")
         return cls(rig, version, instance)
 
 
@@ -109,7 +116,8 @@ def choose(present: Collection[Presence], rig: str | None, endpoint: str) -> Pre
         raise RigError(f"no rig named {rig!r} at {endpoint}; there is: {others}")
     if not usable:
         raise RigError(
-            f"no rig answers at {endpoint}; start one there with: estune serve --listen {endpoint}"
+            f"no rig answers at {endpoint}, but something there speaks Zenoh: if a rig is served "
+            "there, it shows itself only to clients with a right; see --security"
         )
     if len(names) > 1:
         raise RigError(f"{len(names)} rigs at {endpoint}: {', '.join(names)}; name one of them")

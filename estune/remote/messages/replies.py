@@ -68,6 +68,18 @@ class Status(Message):
 
 
 @dataclass(frozen=True, slots=True)
+class Failure(Message):
+    """Last message of a rig whose program cannot go on. Published before it ends.
+
+    Attributes:
+        reason: Why, in words for people.
+    """
+
+    max_bytes: ClassVar[int] = ANSWER_MAX_BYTES
+    reason: str
+
+
+@dataclass(frozen=True, slots=True)
 class Following(Message):
     """Reply to a setpoint that is in force.
 

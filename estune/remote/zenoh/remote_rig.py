@@ -51,6 +51,7 @@ def connect(
     rig: str | None = None,
     timeout_s: float = 3.0,
     *,
+    found_within_s: float | None = None,
     patience_s: float | None = None,
     holder: str = "",
     security: Security = OPEN,
@@ -62,6 +63,7 @@ def connect(
         endpoint: Endpoint of a rig, or of a Zenoh router: `tcp/127.0.0.1:7447`.
         rig: Name of the rig; None for the only one.
         timeout_s: Timeout for a rig that does not reply, s.
+        found_within_s: How long to look for the rig, s; `timeout_s` by default.
         patience_s: The timeout once connected, s: for how long a cut of the network is waited
             out. Not for emergency stops and aborts. By default `timeout_s`, but 30 s for a rig
             that is alive.
@@ -78,10 +80,11 @@ def connect(
     check_endpoint(endpoint)
     if rig is not None:
         check_name("rig name", rig)
-    for name, time_s in (("timeout", timeout_s), ("patience", patience_s)):
+    times_s = {"timeout": timeout_s, "patience": patience_s, "time to find it": found_within_s}
+    for name, time_s in times_s.items():
         if time_s is not None and not (math.isfinite(time_s) and time_s > 0.0):
             raise InvalidInput(f"{name} is {time_s} s; it must be finite and above zero")
-    deadline_s = time.monotonic() + timeout_s
+    deadline_s = time.monotonic() + (found_within_s or timeout_s)
     network = network or Network(security)
     session = network.join(endpoint, deadline_s)
     try:
@@ -154,11 +157,13 @@ class RemoteRig:
         self._at_rest = threading.Event()
         wake = zenoh.handlers.Callback(_setter(self._at_rest), indirect=False)
         status = connection.session.declare_subscriber(connection.keys.status, wake)
-        ends = [self._lease.release, self._stop_session.close, connection.close]
+        note = zenoh.handlers.Callback(connection.note_failure, indirect=False)
+        failure = connection.session.declare_subscriber(connection.keys.failure, note)
         # Closes all of it, too, when this object is deleted or the interpreter ends.
-        self._finish = weakref.finalize(
-            self, _close, [*ends, status.undeclare, partial(network.leave, endpoint)]
-        )
+        ends: list[Callable[[], object]]
+        ends = [self._lease.release, self._stop_session.close, connection.close]
+        ends += [status.undeclare, failure.undeclare, partial(network.leave, endpoint)]
+        self._finish = weakref.finalize(self, _close, ends)
         self._unanswered: tuple[str, str] | None = None
         self._last_trial_s = 0.0
         try:

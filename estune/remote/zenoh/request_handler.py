@@ -149,7 +149,8 @@ class RequestHandler:
         event: events.Event
         match command.action:
             case "acquire":
-                event = events.Acquire(command.lease, command.holder[:HOLDER_MAX])
+                holder = command.holder[:HOLDER_MAX].strip() or "a client without a name"
+                event = events.Acquire(command.lease, holder)
             case "renew":
                 event = events.Renew(command.lease)
             case "release":

@@ -3,12 +3,12 @@
 import logging
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from typing import Any, NamedTuple
 
 import zenoh
 
-from estune.errors import RigError
+from estune.errors import ProtocolError, RigError
 from estune.remote import messages
 from estune.remote.messages import Answer, Description, Keys, Presence
 from estune.remote.messages.codec import Message
@@ -60,6 +60,7 @@ class RigConnection:
         self._hurried = False
         self._waiting = False
         self._present_since_s: float | None = None
+        self._failures: dict[str, str] = {}  # by instance
         self.session = session
         self.closed = False
         self.about: Description | None = None
@@ -73,6 +74,13 @@ class RigConnection:
             yield
         finally:
             self._hurried = False
+
+    def note_failure(self, sample: zenoh.Sample) -> None:
+        """Keeps why a rig's program ended, as it said; called by a thread of the network."""
+        if sample.attachment is not None:
+            with suppress(ProtocolError):
+                failure = messages.decode(messages.Failure, sample.payload.to_bytes())
+                self._failures[sample.attachment.to_string()] = failure.reason
 
     def describe(self) -> Description:
         """Properties of the rig, with its live gains."""
@@ -208,7 +216,12 @@ class RigConnection:
             return self._follow(instances[0])
         else:
             limit_s = self._limit_s(self.timeout_s)
-            sentence = "is gone: its process has ended or the network is cut"
+            reason = self._failures.get(self.instance)
+            sentence = (
+                f"has ended: {reason}"
+                if reason
+                else "is gone: its process has ended or the network is cut"
+            )
             remedy = LinkStatus._field_defaults["remedy"]
         if silent_s > limit_s:
             sentence = f"{self._label} {sentence} ({silent_s:.0f} s without a reply)"

@@ -120,6 +120,10 @@ class RigServer:
         """Returns when the server is closed; Ctrl-C interrupts it."""
         self._closed.wait()
 
+    def fail(self, reason: str) -> None:
+        """Tells the clients why the rig's program ends; `close` follows."""
+        self._session.publish(self._keys.failure, messages.encode(messages.Failure(reason)))
+
     def close(self) -> None:
         """Stops the active trial, if any, and releases the endpoint and the ledger."""
         atexit.unregister(self.close)

@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from estune.core.cost import StepCost, default_cost
 from estune.errors import InvalidInput, RigError
-from estune.remote.state_machine.client import PATIENCE_S
 from estune.run.loop import ProgressListener
 from estune.run.planning import suited_step
 from estune.run.targets import is_endpoint
@@ -43,7 +42,7 @@ def match(
     journal: bool = True,
     apply: bool = False,
     security: "Security | None" = None,
-    patience_s: float = PATIENCE_S,
+    patience_s: float | None = None,
     watch: ProgressListener | Literal["auto"] | None = None,
     log: Callable[[str], None] = lambda _: None,
 ) -> Matching:
@@ -65,7 +64,8 @@ def match(
         journal: Whether to store the runs on disk.
         apply: Whether to make the matched gains of reels that pass live on their rigs.
         security: Credentials, if a rig requires authentication.
-        patience_s: How long to wait where a rig stops replying, s.
+        patience_s: How long to wait for a rig to appear, and where it stops
+            replying, s; 3 s and 30 s by default.
         watch: Called after each trial; "auto" shows progress, None nothing.
         log: Called with a line of text at each stage.
 

@@ -102,7 +102,7 @@ class ReelMatcher:
     settings: Settings
     folder: Path | None
     security: "Security | None"
-    patience_s: float
+    patience_s: float | None
     watch: ProgressListener | Literal["auto"] | None
     log: Callable[[str], None]
 

@@ -14,7 +14,6 @@ from estune.core.cost import StepCost
 from estune.core.gains import Gains
 from estune.errors import InvalidInput
 from estune.remote.security import OPEN, read_security
-from estune.remote.state_machine.client import PATIENCE_S
 from estune.run import targets
 from estune.run.planning import known_start, make_plan, suited_step
 from estune.run.start import KnownStart
@@ -94,7 +93,7 @@ def open_rig(rig: SweptRig, model: Mapping[str, float], seed: int = 0) -> Iterat
     """
     if not rig.is_model:
         security = OPEN if rig.security is None else read_security(rig.security)
-        patience_s = rig.patience_s or PATIENCE_S
+        patience_s = rig.patience_s
         with targets.open_target(rig.target, rig.rig, security, patience_s) as remote:
             yield remote
         return

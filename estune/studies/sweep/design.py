@@ -32,7 +32,8 @@ class SweptRig(TomlTable):
         rig: Name of the rig, where several answer at the endpoint.
         cable_length_m: Cable length of a rig whose description does not state it, m.
         security: Credentials file, if the rig requires authentication.
-        patience_s: How long to wait where the rig stops replying, s; 30 s by default.
+        patience_s: How long to wait for the rig to appear, and where it stops
+            replying, s; 3 s and 30 s by default.
     """
 
     target: str
