@@ -23,6 +23,7 @@ from estune.remote.messages import (
 from estune.remote.messages.commands import Lease, Submit
 from estune.remote.state_machine.reply_codes import ReplyCode
 from estune.remote.state_machine.state import Mode
+from estune.support.printable import printable
 from estune.trial import TrialRequest, record_frame
 from estune.trial.profiles import (
     ChirpProfile,
@@ -57,7 +58,7 @@ excitations = st.one_of(
 )
 requests = st.builds(
     TrialRequest,
-    st.text(st.characters(codec="utf-8"), max_size=20),
+    st.text(st.characters(codec="utf-8"), max_size=20).filter(lambda run: printable(run) == run),
     st.integers(0, 10**9),
     gains,
     st.one_of(steps, excitations),
