@@ -372,8 +372,8 @@ def run():
             if not now.stop:
                 entry["state"] = "running"
                 save()
-            following = now.trial["profile"]
-        columns = follow(*following)
+            profile, gains = now.trial["profile"], now.trial["gains"]
+        columns = follow(gains, *profile)
         with lock:
             now.frame = now.trial["id"], record(now.trial, columns)
             entry["state"] = "ended"
@@ -382,9 +382,12 @@ def run():
         session.put(f"{ROOT}/status", question(["status"], b""), attachment=INSTANCE)
 
 
-def follow(preload, size, at, duration):
-    """Samples in real time, until the end or a stop."""
-    rows, tension, began = [], preload, time.monotonic()
+def follow(gains, preload, size, at, duration):
+    """Samples in real time of PIDF and drum, which lags the effort, until the end or a stop."""
+    rows, began, h = [], time.monotonic(), 1.0 / RATE_HZ
+    tension = integral = filtered = lagged = preload
+    lag_s = gains["setpoint_filter_s"]
+    pole = math.exp(-h / lag_s) if lag_s else 0.0
     for k in range(round(duration * RATE_HZ)):
         with lock:
             if not now.stop and not holds(lease["token"]):
@@ -393,8 +396,14 @@ def follow(preload, size, at, duration):
             if now.stop:
                 break
         setpoint = preload + size if k >= round(at * RATE_HZ) else preload
-        tension += 0.2 * (setpoint - tension)
-        rows.append((k / RATE_HZ, setpoint, tension, tension / 20.0, 0.1 * tension))
+        filtered = pole * filtered + (1.0 - pole) * setpoint
+        rate = (tension - lagged) / (0.01 + h)
+        lagged += h * rate
+        wanted = gains["P"] * (filtered - tension) + integral - gains["D"] * rate
+        effort = min(max(wanted, -50.0), 50.0)
+        integral += h * gains["I"] * (filtered - tension)
+        rows.append((k / RATE_HZ, setpoint, tension, effort / 20.0, 0.1 * tension))
+        tension += 0.2 * (effort - tension)
     return rows
 
 

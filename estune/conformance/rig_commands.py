@@ -120,7 +120,7 @@ class CommandTests:
             for changes in ({"colour": "red"}, {"digest": 3}, {"request": None})
         ]
         nested = json.loads(json.dumps(good))
-        for value in (float("nan"), "1", None, -1.0):
+        for value in (float("nan"), "1", None, -1.0, 0.0):
             nested["request"]["gains"]["P"] = value
             wrong.append(json.dumps(nested).encode())
         for verb in VERBS.keys() - {"estop"}:

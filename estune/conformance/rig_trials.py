@@ -3,15 +3,21 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 import zenoh
 
 from estune.conformance.wire_client import HOLDER, PENDING, WireClient
+from estune.core.gains import Gains
 from estune.remote import messages
 from estune.remote.messages import Answer, Part, Status, digest
-from estune.remote.messages.commands import Cancel, SetGains, Void
+from estune.remote.messages.commands import Cancel, Clear, SetGains, Void
 from estune.remote.state_machine.reply_codes import ReplyCode
 from estune.remote.state_machine.state import Mode
-from estune.trial import Outcome
+from estune.trial import SATURATED, Outcome
+from estune.trial.loop_records import recomputed_effort
+
+EFFORT_ERROR_MAX = 0.05
+"""Largest standard deviation of the logged effort from the recomputed one, relative to its own."""
 
 
 class TrialTests:
@@ -39,6 +45,28 @@ class TrialTests:
         again = wire.submit(request)
         assert again.verdict is ReplyCode.ENDED
         assert wire.status().ended == ended + 1
+
+    def test_current_follows_from_setpoint_tension_and_the_trials_gains(
+        self, wire: WireClient
+    ) -> None:
+        about = wire.describe().rig
+        live, step = about.gains, replace(about.step, step_N=0.5 * about.step.step_N)
+        lag_s = live.setpoint_filter_s + 0.5 * about.settling_time_s
+        gains = Gains(0.7 * live.P, 0.7 * live.I, 0.7 * live.D, lag_s)
+        request = replace(wire.trial(), gains=gains, profile=step)
+        wire.submit(request)
+        record = wire.record(request)
+        logged = record.controller_A * about.newtons_per_ampere
+        if (record.flags & SATURATED).any():
+            pytest.skip("the effort was at its limit; let the rig suggest a smaller step")
+        apart = recomputed_effort(record, about, float(logged[0])) - logged
+        error = float(np.std(apart)) / max(float(np.std(logged)), 1e-300)
+        assert error < EFFORT_ERROR_MAX, (
+            f"the logged effort is {error:.0%} of its variation from the one that setpoint, "
+            "tension and the trial's gains give by the declared controller: the rig applies other "
+            "gains or no setpoint filter, its current is in another unit, or its controller has "
+            "another form than it declares"
+        )
 
     def test_result_in_parts_equals_the_whole_frame(self, wire: WireClient) -> None:
         request = wire.trial()
@@ -76,9 +104,10 @@ class TrialTests:
     def test_submit_outside_the_limits_is_refused(self, wire: WireClient) -> None:
         limits = wire.describe().rig.limits
         too_high = 2.0 * limits.tension_max_N if np.isfinite(limits.tension_max_N) else 1e300
-        for number, changes in enumerate(
-            ({"step_N": too_high}, {"duration_s": 2.0 * limits.duration_max_s + 1.0})
-        ):
+        wrong = [{"step_N": too_high}, {"duration_s": 2.0 * limits.duration_max_s + 1.0}]
+        if np.isfinite(limits.tension_min_N):
+            wrong.append({"preload_N": limits.tension_min_N - 1.0})
+        for number, changes in enumerate(wrong):
             answer = wire.submit(wire.trial(number, **changes))
             assert (answer.verdict, answer.error) == (ReplyCode.REFUSED, "InvalidInput")
             assert wire.code(wire.trial(number, **changes)) is ReplyCode.UNKNOWN
@@ -93,6 +122,10 @@ class TrialTests:
             wire.send("gains", SetGains(wire.lease, gains)),
         ):
             assert (answer.verdict, answer.trial_id) == (ReplyCode.BUSY, request.trial_id)
+        wire.check_prompt(wire.describe)
+        wire.check_prompt(wire.status)
+        assert wire.send("clear", Clear()).verdict is ReplyCode.BUSY
+        wire.renew()
         another = wire.send("cancel", Cancel(wire.lease, "another-00000"))
         assert another == Answer(ReplyCode.ACCEPTED)
         assert wire.status().mode is Mode.RUNNING
@@ -137,7 +170,7 @@ class TrialTests:
             wire.record(request)
             ended = wire.status().ended
             while True:
-                sample = subscriber.recv()
+                sample = wire.next_sample(subscriber)
                 assert sample.attachment is not None
                 assert sample.attachment.to_bytes() == wire.instance.encode()
                 if messages.decode(Status, sample.payload.to_bytes()).ended == ended:

@@ -3,6 +3,7 @@
 import json
 import secrets
 import time
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -33,6 +34,12 @@ MODE_WITHIN_S = 60.0
 
 HOLDER = "the conformance suite"
 
+PROMPT_S = 0.2
+"""Longest time of the fastest of a few replies during a trial, s; they take milliseconds."""
+
+TEST_WITHIN_S = 60.0
+"""Time of a test beside its trials, s; one that hangs fails after it."""
+
 PENDING = (ReplyCode.ACCEPTED, ReplyCode.RUNNING, ReplyCode.BUSY)
 """Reply codes of a trial that has no record yet."""
 
@@ -47,9 +54,13 @@ class WireClient:
         self.keys, self.instance = Keys(presence.rig), presence.instance
         self.run = f"conformance-{secrets.token_hex(4)}"
         self.lease = ""
+        self._deadline_s = time.monotonic() + TEST_WITHIN_S
+        step_s = self.describe().rig.step.duration_s
+        self._deadline_s += 10.0 * step_s
 
     def ask(self, key: str, message: Any) -> bytes:
         """The only reply to a message."""
+        self._check_progress(key)
         payload = message if isinstance(message, bytes) else messages.encode(message)
         replies = list(self.session.get(key, payload=payload, timeout=ANSWERED_WITHIN_S))
         assert len(replies) == 1, f"{len(replies)} replies on {key}"
@@ -142,6 +153,33 @@ class WireClient:
             assert found.verdict in PENDING, found
             self.renew()
             time.sleep(RENEW_S / 10)
+
+    def check_prompt(self, query: Callable[[], object]) -> None:
+        """Checks that a query is answered at once: the fastest of five, on a machine with load."""
+        times_s = []
+        for _ in range(5):
+            self.renew()
+            asked_s = time.monotonic()
+            query()
+            times_s.append(time.monotonic() - asked_s)
+        assert min(times_s) < PROMPT_S, (
+            f"the rig took {min(times_s):.2f} s or more for each of five replies in a trial; "
+            "a client then takes it for dead"
+        )
+
+    def next_sample(self, subscriber: "zenoh.Subscriber[Any]") -> zenoh.Sample:
+        """The next publication."""
+        while (sample := subscriber.try_recv()) is None:
+            self._check_progress("a publication")
+            time.sleep(RENEW_S / 10)
+        found: zenoh.Sample = sample
+        return found
+
+    def _check_progress(self, what: str) -> None:
+        """Fails a test that waits for ever, with the name of what it waits for."""
+        assert time.monotonic() < self._deadline_s, (
+            f"the test hangs: the rig has not come to its end; it last waited for {what}"
+        )
 
     def until(self, *modes: Mode, renew: bool = True) -> Status:
         """Waits for a mode; renews the lease meanwhile."""
