@@ -40,7 +40,7 @@ def run(tmp_path_factory):
                 view = run_view_when_there(folder / "live")
                 server = PageServer(lambda: [view], may_command=True)
                 try:
-                    yield rig, server
+                    yield rig, server, folder
                 finally:
                     server.close()
             finally:
@@ -55,6 +55,20 @@ def run_view_when_there(folder):
             continue
 
 
+RANGES_WITHIN_A_TRIAL = """async () => {
+  const { sections } = await import("./static/page.js"), seen = new Set();
+  const trial = () => document.getElementById("trial-text").textContent;
+  const axis = () => sections().charts.response.plot.scales.x;
+  for (let first = trial(); first === trial();) await new Promise(requestAnimationFrame);
+  for (let at = trial(); at === trial();) {
+    await new Promise(requestAnimationFrame);
+    if (at === trial()) seen.add(`${axis().min} ${axis().max}`);
+  }
+  return [...seen];
+}"""
+"""Ranges of the time axis from the beginning of one trial to that of the next."""
+
+
 def serious(page) -> list[str]:
     found = Axe().run(page).response["violations"]
     return [v["id"] for v in found if v["impact"] in ("serious", "critical")]
@@ -66,7 +80,7 @@ def trials(page) -> int:
 
 
 def test_page_of_a_run_follows_it_in_both_forms_without_faults(chromium, run):
-    _, server = run
+    _, server, _ = run
     for form in ({}, NARROW_DARK):
         with opened(chromium, server.address, **form) as page:
             expect(page.locator("#state")).to_have_text("running")
@@ -79,8 +93,30 @@ def test_page_of_a_run_follows_it_in_both_forms_without_faults(chromium, run):
             assert serious(page) == []
 
 
+def test_page_of_a_rig_shows_the_run_that_is_under_way_there(chromium, run):
+    rig, _, folder = run
+    server = PageServer(lambda: [view])
+    view = rig_view(rig.endpoint, "reel", runs=folder)
+    try:
+        with opened(chromium, server.address) as page:
+            expect(page.locator("#facts")).to_contain_text("left")
+            expect(page.locator("#facts")).to_contain_text("best cost")
+            expect(page.locator("#cost canvas")).to_be_visible()
+            expect(page.locator("#response .u-legend")).to_contain_text("best so far")
+    finally:
+        server.close()
+
+
+def test_axes_hold_still_within_a_trial(chromium, run):
+    _, server, _ = run
+    with opened(chromium, server.address) as page:
+        expect(page.locator("#trial-text")).to_contain_text("live-")
+        ranges = page.evaluate(RANGES_WITHIN_A_TRIAL)
+        assert len(ranges) == 1, ranges
+
+
 def test_stop_is_shown_as_done_when_the_rig_confirms_and_a_dead_rig_as_no_link(chromium, run):
-    rig, server = run
+    rig, server, _ = run
     with opened(chromium, server.address) as page:
         expect(page.locator("#state")).to_have_text("running")
         page.get_by_role("button", name="Emergency stop").click()

@@ -5,6 +5,7 @@ import json
 import re
 import shutil
 import threading
+from functools import partial
 from importlib.resources import files
 
 import pytest
@@ -13,12 +14,15 @@ from hypothesis import strategies as st
 
 from estune import tune
 from estune.errors import InvalidInput
+from estune.remote.zenoh import connect
 from estune.run.journal import Journal
 from estune.web.board import Board, Seen
 from estune.web.reader import Reader
+from estune.web.rig_reader import RigReader
 from estune.web.run_reader import HISTORY_MAX, RunReader
 from estune.web.server import PageServer
-from estune.web.views import View, folder_views
+from estune.web.views import View, folder_views, run_view
+from tests.serve_rig import served
 from tests.support_runs import ArithmeticRig
 
 KEY = re.compile(r"#key=(.+)")
@@ -178,6 +182,27 @@ def test_finished_run_shows_its_trials_result_and_expectation(run):
     assert page.values["state"]["best"]["cost"] == min(e.cost for e in run.entries[:23])
     assert page.values["expected"].keys() >= {"remaining", "intervals", "next_cost"}
     assert page.values["curve.start"]["y"] == pytest.approx(run.first_record.tension_N, rel=1e-5)
+
+
+def test_page_of_a_finished_run_shows_nothing_of_the_next_one_on_its_rig(tmp_path):
+    few = {"trials": 1, "repeats": 2, "watch": None}
+    with served("paced simulated") as rig:
+        tune(rig.endpoint, run="first", folder=tmp_path, **few)
+        view = run_view(tmp_path / "first")
+        run_reader, rig_reader = view._readers
+        run_reader.read()
+        rig_reader.read()
+        assert view.board.get("state")["status"] == "finished"
+        assert view.board.get("rig") is None
+        connecting = partial(connect, rig.endpoint, "reel")
+        own, every = (RigReader(Board(), connecting, run=name) for name in ("first", ""))
+        for reader in (own, every):
+            reader.read()
+        tune(rig.endpoint, run="second", folder=tmp_path, **few)
+        assert every.board.get("live")["trial_id"].startswith("second-")
+        assert own.board.get("live") is None
+        for reader in (run_reader, own, every):
+            reader.release()
 
 
 def test_running_journal_is_followed_from_trial_to_trial(tmp_path):

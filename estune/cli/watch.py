@@ -45,7 +45,8 @@ def watch(
             contains the key that commands need.
         allow_remote: Serve the page to other machines; whoever reaches it can read it.
         security: Credentials file, if a rig or daemon requires authentication.
-        folder: Folder of runs in which a run is looked for by its name.
+        folder: Folder of runs, in which a run is looked for by its name, and the run under way on
+            a rig.
     """
     from estune.web.server import PageServer  # noqa: PLC0415  slow to import
 
@@ -67,7 +68,7 @@ def _views(what: str, rig: str | None, security: Security, folder: Path) -> "Vie
     from estune.web import views  # noqa: PLC0415  slow to import
 
     if is_endpoint(what):
-        found = _at_endpoint(what, rig, security)
+        found = _at_endpoint(what, rig, security, folder)
         return lambda: found
     path = Path(what)
     if path.is_dir() and not (path / FILE_NAME).is_file():
@@ -76,7 +77,7 @@ def _views(what: str, rig: str | None, security: Security, folder: Path) -> "Vie
     return lambda: one
 
 
-def _at_endpoint(endpoint: str, rig: str | None, security: Security) -> "list[View]":
+def _at_endpoint(endpoint: str, rig: str | None, security: Security, folder: Path) -> "list[View]":
     """The rigs that a daemon at the endpoint supervises, or those that are there themselves."""
     from estune.remote.zenoh import discover_rigs  # noqa: PLC0415  slow to import
     from estune.remote.zenoh.daemon_service import DaemonClient  # noqa: PLC0415  as above
@@ -100,6 +101,6 @@ def _at_endpoint(endpoint: str, rig: str | None, security: Security) -> "list[Vi
             security=security,
         )
         if name in supervised
-        else views.rig_view(endpoint, name, security)
+        else views.rig_view(endpoint, name, security, runs=folder)
         for name in names
     ]

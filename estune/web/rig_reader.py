@@ -23,32 +23,60 @@ _DESCRIBED_EVERY = 8
 """Readings of the status between two of the description."""
 
 
+def run_of(trial_id: str) -> str:
+    """The run that a trial belongs to."""
+    return trial_id.rpartition("-")[0]
+
+
 class RigReader(Reader):
     """Reads a rig's status four times a second, and its samples as they come.
 
     Args:
         board: The board.
         connect: Opens the rig.
+        run: The run whose trials alone are shown; empty for all trials.
+        is_wanted: Whether the rig is to be read now. A finished run has no rig: what moves there
+            belongs to another run.
+        on_run: Called with the run of each trial that is seen.
     """
 
     source = "rig"
     every_s = 0.25
 
-    def __init__(self, board: Board, connect: Callable[[], RemoteRig]) -> None:
+    def __init__(
+        self,
+        board: Board,
+        connect: Callable[[], RemoteRig],
+        *,
+        run: str = "",
+        is_wanted: Callable[[], bool] = lambda: True,
+        on_run: Callable[[str], None] = lambda _: None,
+    ) -> None:
         super().__init__(board)
         self._connect = connect
+        self._run = run
+        self._is_wanted = is_wanted
+        self._on_run = on_run
         self._rig: RemoteRig | None = None
         self._readings = 0
 
     def read(self) -> None:
         """Reads the status; and now and then the description."""
+        is_wanted = self._is_wanted()
+        if self._rig is None and not is_wanted:
+            return
         if self._rig is None:
             self._rig = self._connect()
             self._readings = 0
-            threading.Thread(
-                target=_follow, args=(self._rig, self.board), name="samples", daemon=True
-            ).start()
+            arguments = self._rig, self.board, self._run, self._on_run
+            threading.Thread(target=_follow, args=arguments, name="samples", daemon=True).start()
         status = self._rig.status()
+        if not is_wanted and not status.latched:  # an emergency stop that ended a run is shown
+            self.release()
+            self.board.put("rig", None)
+            return
+        if status.trial_id:
+            self._on_run(run_of(status.trial_id))
         shown = dataclasses.asdict(status) | {"sentence": status.mode.sentence}
         self.board.put("rig", shown)
         if self._readings % _DESCRIBED_EVERY == 0:
@@ -65,6 +93,7 @@ class RigReader(Reader):
                     "command_limits": [settings.output_min_N, settings.output_max_N],
                     "per_ampere": rig.newtons_per_ampere,
                     "step_at_s": rig.step.step_at_s,
+                    "duration_s": rig.step.duration_s,
                     "simulated": rig.simulated,
                 },
             )
@@ -78,6 +107,8 @@ class RigReader(Reader):
         """
         rig = self._rig
         if rig is None:
+            if not self._is_wanted():
+                raise RigError("this run is not running; open the page of the rig to stop the rig")
             raise RigError("there is no link to the rig: cut its power")
         rig.estop(reason)
         return "the rig is on its way to its safe state"
@@ -90,13 +121,19 @@ class RigReader(Reader):
                 rig.close()
 
 
-def _follow(rig: RemoteRig, board: Board) -> None:
-    """Puts the samples of each trial on the board, thinned, until the rig is closed."""
+def _follow(rig: RemoteRig, board: Board, run: str, on_run: Callable[[str], None]) -> None:
+    """Puts the samples of each trial on the board, thinned, until the rig is closed.
+
+    Of a run, if one is given, the trials of others are passed over.
+    """
     trial_id, passed_over, kept, begun_s = "", "", 0, -math.inf
     with suppress(Exception), rig.watch() as batches:  # the link has ended: the status says so
         for batch in batches:
             restart = batch.trial_id != trial_id
+            if run and run_of(batch.trial_id) != run:
+                continue
             if restart:
+                on_run(run_of(batch.trial_id))
                 is_soon = time.monotonic() - begun_s < SHOWN_EVERY_S
                 if is_soon or batch.trial_id == passed_over:
                     passed_over = batch.trial_id
@@ -107,6 +144,7 @@ def _follow(rig: RemoteRig, board: Board) -> None:
             kept += len(rows)
             if rows or restart:
                 board.extend("samples", rows, restart=restart)
+    board.put("live", None)
 
 
 def _rows(batch: Telemetry) -> list[tuple[float, float, float, float]]:

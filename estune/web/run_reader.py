@@ -38,6 +38,7 @@ POINTS_MAX = 1500
 LATEST_S = 1.0
 """Least time between two records that are read; what is faster is seen in the live samples."""
 _PHASES = tuple(Phase)
+_OF_ONE_RUN = ("result", "expected", "curve.start", "curve.best", "curve.latest", "curve.tuned")
 _TIMES = 20
 """Trials whose durations give the time left."""
 
@@ -86,6 +87,8 @@ class RunReader(Reader):
             self._tuning = None
             self._plan = journal.fact("plan")
             self._rig = description_from_json(journal.fact("rig"))
+            for name in _OF_ONE_RUN:  # a board may have shown another run before
+                self.board.put(name, None)
             self._show_plan(journal, self._rig)
         self._changes = journal.changes()
         listed = journal.entries(skip=len(self._entries))
@@ -147,6 +150,7 @@ class RunReader(Reader):
                 "command_limits": [rig.controller.output_min_N, rig.controller.output_max_N],
                 "per_ampere": rig.newtons_per_ampere,
                 "step_at_s": plan["step"]["step_at_s"],
+                "duration_s": plan["step"]["duration_s"],
                 "start": [plan["start"][name] for name in GAIN_NAMES],
                 "bounds": {
                     name: [low, high]

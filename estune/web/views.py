@@ -18,7 +18,7 @@ from estune.remote.messages.daemon import (
     Request,
 )
 from estune.remote.security import OPEN, Security
-from estune.remote.zenoh import connect
+from estune.remote.zenoh import RemoteRig, connect
 from estune.remote.zenoh.daemon_service import DaemonClient, Supervised
 from estune.run.journal import FILE_NAME, Journal
 from estune.run.targets import is_endpoint
@@ -98,7 +98,9 @@ def run_view(folder: Path, security: Security = OPEN) -> View:
     with Journal.open(folder) as journal:
         target, rig = journal.fact("target"), journal.fact("rig")["name"]
     if is_endpoint(target):
-        reader = _rig_reader(board, target, rig, security)
+        connect_rig = _connecting(target, rig, security)
+        run, is_wanted = folder.name, partial(_is_running, board)
+        reader = RigReader(board, connect_rig, run=run, is_wanted=is_wanted)
         readers.append(reader)
         commands["estop"] = reader.estop
     return View(folder.name, "run", board, readers, commands)
@@ -126,15 +128,68 @@ def _unreadable(folder: Path) -> View:
     return View(folder.name, "run", board, [RunReader(board, folder)])
 
 
-def rig_view(endpoint: str, rig: str, security: Security = OPEN) -> View:
-    """A rig at an endpoint."""
+def _is_running(board: Board) -> bool:
+    """Whether the run on a board is under way."""
+    state = board.get("state")
+    return state is not None and state["status"] == "running"
+
+
+def rig_view(
+    endpoint: str, rig: str, security: Security = OPEN, *, runs: Path | None = None
+) -> View:
+    """A rig at an endpoint, with the run whose trials it does where that is in a folder here.
+
+    Args:
+        endpoint: Endpoint of the rig.
+        rig: Its name.
+        security: Credentials for it.
+        runs: Folder of runs; None where there is none.
+    """
     board = Board()
-    reader = _rig_reader(board, endpoint, rig, security)
-    return View(rig, "rig", board, [reader], {"estop": reader.estop})
+    follow = _Follower(runs, rig)
+    reader = RigReader(board, _connecting(endpoint, rig, security), on_run=follow)
+    follow.view = View(rig, "rig", board, [reader], {"estop": reader.estop})
+    return follow.view
 
 
-def _rig_reader(board: Board, endpoint: str, rig: str, security: Security) -> RigReader:
-    open_rig = partial(
+class _Follower:
+    """Shows the run under way on the page of its rig.
+
+    Attributes:
+        view: The page's view; set once it is made.
+    """
+
+    view: View
+
+    def __init__(self, runs: Path | None, rig: str) -> None:
+        self._runs = runs
+        self._rig = rig
+        self._shown: tuple[str, Reader | None] = "", None
+
+    def __call__(self, run: str) -> None:
+        """Shows this run from now on; one that is not in the folder is named only."""
+        name, reader = self._shown
+        if not run or run == name:
+            return
+        folder = None if self._runs is None else self._runs / run
+        if folder is None or not (folder / FILE_NAME).is_file() or not self._is_of_rig(folder):
+            self.view.board.put("elsewhere", run)
+            return
+        following = RunReader(self.view.board, folder)
+        self.view.replace(reader, following)
+        self._shown = run, following
+        self.view.board.put("elsewhere", "")
+
+    def _is_of_rig(self, folder: Path) -> bool:
+        try:
+            with Journal.open(folder) as journal:
+                return bool(journal.fact("rig")["name"] == self._rig)
+        except JournalError:  # just being begun: tried again with its next trial
+            return False
+
+
+def _connecting(endpoint: str, rig: str, security: Security) -> Callable[[], RemoteRig]:
+    return partial(
         connect,
         endpoint,
         rig,
@@ -143,7 +198,6 @@ def _rig_reader(board: Board, endpoint: str, rig: str, security: Security) -> Ri
         holder="live page",
         security=security,
     )
-    return RigReader(board, open_rig)
 
 
 def daemon_view(
@@ -178,7 +232,7 @@ def daemon_view(
     readers: list[Reader] = [reader]
     commands: dict[str, Execute] = {verb: partial(reader.command, verb) for verb in DAEMON_VERBS}
     if is_endpoint(target):
-        samples = _rig_reader(board, target, rig, security)
+        samples = RigReader(board, _connecting(target, rig, security))
         readers.append(samples)
         commands["estop"] = samples.estop
     view = View(rig, "daemon", board, readers, commands)

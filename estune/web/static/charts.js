@@ -48,6 +48,8 @@ export class Chart {
     this.options = { height, x, y, log, legend, series };
     this.figure = figure;
     this.marks = [];
+    this.ranges = {};
+    this.zoom = null;
     this.data = [[], ...series.map(() => [])];
     figure.setAttribute("role", "img");
     figure.setAttribute("aria-label", label);
@@ -80,10 +82,20 @@ export class Chart {
     const values = (u, splits) => splits.map((v) => (v == null ? "" : number(v)));
     this.plot = new uPlot({
       ...this.size(),
-      scales: { x: { time: false }, y: log ? { distr: 3 } : {} },
+      scales: {
+        x: { time: false, range: (u, low, high) => this.zoom ?? this.ranges.x ?? [low, high] },
+        y: log ? { distr: 3 } : { range: (u, low, high) => this.ranges.y ?? uPlot.rangeNum(low, high, 0.1, true) },
+      },
       axes: [axis(x, { size: 34, values }), axis(y, { size: 62, values })],
       legend: { show: legend },
-      cursor: { drag: { x: true, y: false } },
+      cursor: { drag: { x: true, y: false, setScale: false },
+        bind: { dblclick: () => () => this.zoomTo(null) } },
+      hooks: { setSelect: [(u) => {
+        const { left, width } = u.select;
+        if (width < 5) return;
+        u.setSelect({ left: 0, top: 0, width: 0, height: 0 }, false);
+        this.zoomTo([u.posToVal(left, "x"), u.posToVal(left + width, "x")]);
+      }] },
       plugins: [marks(() => this.marks)],
       series: [{ label: x, value: (u, v) => number(v) }, ...series.map((one) => ({
         label: one.label, stroke: colour(one.colour), width: one.width ?? 1.5, dash: one.dash,
@@ -98,10 +110,18 @@ export class Chart {
     this.hideEmpty();
   }
 
-  // New data, and horizontal marks. A series without data is not in the legend either.
-  show(data, marks = []) {
+  // Shows a part of the x axis until a double click; new data leave it as it is.
+  zoomTo(range) {
+    this.zoom = range;
+    this.plot.setData(this.data);
+  }
+
+  // New data, horizontal marks, and ranges of the axes that the data do not move. A series without
+  // data is not in the legend either.
+  show(data, marks = [], ranges = {}) {
     this.data = data;
     this.marks = marks;
+    this.ranges = ranges;
     this.hideEmpty();
     this.plot.setData(data);
   }
@@ -112,6 +132,19 @@ export class Chart {
       if (this.plot.series[n].show !== show) this.plot.setSeries(n, { show });
     }
   }
+}
+
+// A range that holds all values with a margin, and keeps one it had as long as they lie within.
+export function held(before, columns) {
+  let low = Infinity, high = -Infinity;
+  for (const column of columns)
+    for (const value of column ?? []) {
+      if (value < low) low = value;
+      if (value > high) high = value;
+    }
+  if (low > high) return before;
+  if (before && low >= before[0] && high <= before[1]) return before;
+  return uPlot.rangeNum(Math.min(low, before?.[0] ?? low), Math.max(high, before?.[1] ?? high), 0.1, true);
 }
 
 // Curves on time axes of their own, on a common one. Each is [times, values].

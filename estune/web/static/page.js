@@ -11,9 +11,10 @@ if (key) {
   history.replaceState(null, "", location.pathname + location.search); // not into bookmarks
 }
 
-let stream = null, view = "", sections = null;
+let stream = null, view = "", shown = null;
 let beat = { at: performance.now(), ages: {} };
-let allowed = [];
+export const sections = () => shown; // of the view on the page
+let allowed = [], kind = "";
 
 function text(node, value) {
   if (node.textContent !== value) node.textContent = value;
@@ -22,13 +23,14 @@ function text(node, value) {
 function open(name) {
   stream?.close();
   view = name;
-  sections?.close();
-  sections = new Sections();
+  shown?.close();
+  shown = new Sections();
   beat = { at: performance.now(), ages: {} };
   stream = new EventSource(`api/events?view=${encodeURIComponent(name)}`);
   stream.addEventListener("hello", (event) => {
-    sections.clear(); // a new connection sends everything again
-    allowed = key ? JSON.parse(event.data).commands : [];
+    shown.clear(); // a new connection sends everything again
+    ({ kind, commands: allowed } = JSON.parse(event.data));
+    if (!key) allowed = [];
     showCommands();
   });
   stream.addEventListener("beat", (event) => {
@@ -36,27 +38,28 @@ function open(name) {
     showState();
   });
   stream.onmessage = (event) => {
-    sections.take(JSON.parse(event.data));
-    requestAnimationFrame(() => { sections.draw(); showState(); });
+    shown.take(JSON.parse(event.data));
+    requestAnimationFrame(() => { shown.draw(); showState(); });
   };
   text($("title"), name);
   document.title = `${name} - estune`;
 }
 
-// The state in a word, its reason, and whether the data can be trusted to be of now.
+// The state in a word, its reason, and whether the data are up to date.
 function judge(values) {
   const { rig, daemon, state } = values;
+  const ofRun = kind === "run" && state;
   const silent_s = (performance.now() - beat.at) / 1000;
   const ages = Object.fromEntries(Object.entries(beat.ages).map(([k, s]) => [k, s + silent_s]));
   if (stream.readyState !== EventSource.OPEN || silent_s > STALE_S)
     return { word: "page disconnected", stale: true, age: silent_s,
-      reason: "The page's server does not answer; what is shown is not of now." };
+      reason: "The page's server does not answer; what is shown is out of date." };
   for (const source of ["daemon", "rig", "run"]) {
     const fault = values[`fault.${source}`];
     const silent = source !== "run" && ages[source] > STALE_S;
     if (!fault && !silent) continue;
-    const optional = source === "rig" && (daemon || state); // the journal alone can be shown
-    if (optional && state?.status !== "running" && !daemon) continue;
+    if (source === "rig" && ofRun && state.status !== "running") continue; // the journal is enough
+    if (source === "run" && kind !== "run") continue;
     return { word: `no link to the ${source}`, stale: true, age: ages[source],
       reason: fault || `The ${source} has not answered for ${ages[source].toFixed(1)} s.` };
   }
@@ -65,11 +68,11 @@ function judge(values) {
   if (daemon)
     return { word: daemon.mode, age, bad: Boolean(daemon.trouble),
       good: daemon.live && !daemon.paused, reason: daemon.trouble || daemon.paused || daemon.sentence };
-  if (state && state.status !== "running") {
+  if (ofRun && state.status !== "running") {
     const [word, reason = ""] = state.status.split(/:(.*)/s);
-    return { word, age, bad: word === "failed" || word === "interrupted", reason: reason.trim() };
+    return { word, ended: true, bad: word === "failed" || word === "interrupted", reason: reason.trim() };
   }
-  if (state) // between fast trials the rig's own mode would flicker
+  if (state?.status === "running") // between fast trials the rig's own mode would flicker
     return { word: rig?.mode === "aborting" ? "aborting" : "running", good: true, age,
       reason: state.phase && `phase: ${state.phase}` };
   if (rig) return { word: rig.mode, age, good: rig.mode === "running", reason: rig.sentence };
@@ -77,18 +80,19 @@ function judge(values) {
 }
 
 function showState() {
-  if (!sections) return;
-  const values = sections.values, now = judge(values);
+  if (!shown) return;
+  const values = shown.values, now = judge(values);
   const chip = $("state");
   text(chip, now.word);
   chip.className = `chip ${now.stale ? "stale" : now.bad ? "no" : now.good ? "yes" : ""}`;
   text($("reason"), now.reason ?? "");
-  const age = now.age === undefined || Number.isNaN(now.age) ? "no data yet"
-    : `data ${now.age < 1 ? "of now" : `${duration(now.age)} old`}`;
+  const age = now.ended ? "" : now.age === undefined || Number.isNaN(now.age) ? "no data yet"
+    : now.age < STALE_S ? "up to date" : `data ${duration(now.age)} old`;
   text($("age"), age);
   $("age").className = `age ${now.stale ? "stale" : ""}`;
   document.querySelector("header").classList.toggle("stale-data", Boolean(now.stale));
-  showFacts(values, now.stale);
+  $("estop").hidden = !allowed.includes("estop") || Boolean(now.ended);
+  showFacts(values);
   confirm(values);
 }
 
@@ -98,7 +102,7 @@ export function duration(seconds) {
   return `${(seconds / 3600).toFixed(1)} h`;
 }
 
-function showFacts({ rig, description, daemon, state, run }) {
+function showFacts({ rig, description, daemon, state, run, elsewhere }) {
   const gains = (g) => g?.map((x) => Number(x.toPrecision(4))).join(", ");
   const facts = [];
   if (rig) facts.push(["held by", rig.holder || "nobody"]);
@@ -107,15 +111,17 @@ function showFacts({ rig, description, daemon, state, run }) {
   if (daemon && !daemon.live) facts.push(["live gains", "not confirmed by the rig"]);
   if (daemon?.run) facts.push(["run", `${daemon.run}, ${daemon.trials} of ${daemon.trials_max}`]);
   if (state) {
-    facts.push(["trials", `${state.done} done, about ${state.left} left`]);
+    if (kind === "rig" && run) facts.push(["run", `${run.name}, ${state.status.split(":")[0]}`]);
+    facts.push(["trials", state.status === "running" ? `${state.done} done, about ${state.left} left` : `${state.status === "finished" ? "all " : ""}${state.done} trials done`]);
     if (state.status === "running" && state.trial_s && state.left) facts.push(["time left", `about ${duration(state.trial_s * state.left)}`]);
     facts.push(["unsafe trials", String(state.unsafe)]);
     if (state.best) facts.push(["best cost", `${state.best.cost.toPrecision(4)} in trial ${state.best.number}`]);
   }
+  if (elsewhere) facts.push(["run", `${elsewhere}; its journal is not in this folder, so cost and search are not shown`]);
   if (run && !rig) facts.push(["rig", run.rig]);
-  const list = $("facts"), shown = JSON.stringify(facts);
-  if (list.dataset.shown === shown) return;
-  list.dataset.shown = shown;
+  const list = $("facts"), content = JSON.stringify(facts);
+  if (list.dataset.shown === content) return;
+  list.dataset.shown = content;
   list.replaceChildren(...facts.map(([name, value]) => {
     const div = document.createElement("div"), dt = document.createElement("dt"), dd = document.createElement("dd");
     dt.textContent = name;
@@ -171,7 +177,6 @@ function confirm(values) {
 }
 
 function showCommands() {
-  $("estop").hidden = !allowed.includes("estop");
   const others = allowed.filter((name) => name !== "estop");
   $("commands").hidden = !allowed.length;
   document.querySelector("#commands .buttons").replaceChildren(...others.map((name) => {
@@ -203,7 +208,7 @@ async function list() {
     return link;
   }));
   if (stream && (stream.readyState === EventSource.CLOSED || silent_s > AGAIN_S)) open(view);
-  sections?.offer(names.filter((name) => name !== view));
+  shown?.offer(names.filter((name) => name !== view));
   const wanted = new URLSearchParams(location.search).get("view");
   if (!view && names.length) {
     open(names.includes(wanted) ? wanted : names[0]);

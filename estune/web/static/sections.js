@@ -1,6 +1,6 @@
 // Sections of the page: trial, search, result, check trials, events.
 
-import { Chart, joined } from "./charts.js";
+import { Chart, held, joined } from "./charts.js";
 
 const $ = (id) => document.getElementById(id);
 const timeUnit = (s) => (s < 600 ? ["s", 1] : s < 36000 ? ["min", 60] : ["h", 3600]);
@@ -37,7 +37,7 @@ export class Sections {
     if (has("curve.start", "curve.best", "curve.latest", "curve.tuned", "samples", "live", "other", "description"))
       this.drawTrial();
     if (has("trials", "state", "expected")) this.drawSearch();
-    if (has("result")) this.drawResult();
+    if (has("result")) this.values.result ? this.drawResult() : ($("decision").hidden = true);
     if (has("checks", "daemon")) this.drawChecks();
     if (has("events")) this.drawEvents();
     this.changed.clear();
@@ -88,11 +88,15 @@ export class Sections {
     const response = this.chart("response", { height: 260, x, y: about.measurement, series,
       label: `${about.measurement} over time: initial gains, best, and the latest trial` });
     const limits = (pair) => (pair ?? []).filter((at) => at !== null && Math.abs(at) < 1e8).map((at) => ({ at, colour: "red", label: "limit" }));
+    const trial = v.live?.trial_id ?? "", ends = about.duration_s ? [-step / unit_s, (about.duration_s - step) / unit_s] : undefined;
+    if (this.held?.trial !== trial || this.held.labels !== labels) this.held = { trial, labels }; // axes hold still within a trial
+    this.held.y = held(this.held.y, [setpoint.r, ...shown.map((one) => one.y)]);
+    this.held.u = held(this.held.u, shown.map((one) => one.u));
     response.show(joined([[shifted(setpoint), setpoint.r], ...shown.map((one) => [shifted(one), one.y])]),
-      limits(v.description?.measurement_limits));
+      limits(v.description?.measurement_limits), { x: ends, y: this.held.y });
     const command = this.chart("command", { height: 200, x, y: about.command, series: series.slice(1),
       label: `${about.command} over time` });
-    command.show(joined(shown.map((one) => [shifted(one), one.u])), limits(about.command_limits));
+    command.show(joined(shown.map((one) => [shifted(one), one.u])), limits(about.command_limits), { x: ends, y: this.held.u });
     const number = v.live?.trial_id ?? (v["curve.latest"] ? `trial ${v["curve.latest"].number}` : "");
     $("trial-text").textContent = number;
   }
