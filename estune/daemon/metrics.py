@@ -1,10 +1,12 @@
 """Metrics for Prometheus: in a file for the node exporter's collector, or over loopback HTTP."""
 
-import threading
 from collections.abc import Callable, Iterable, Iterator
-from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from typing import NamedTuple
+
+from prometheus_client import CollectorRegistry, generate_latest, start_http_server
+from prometheus_client.core import Metric as Family
+from prometheus_client.registry import Collector
 
 from estune.core.gains import GAIN_NAMES
 from estune.daemon.supervisor_state import GainSet, SupervisorMode
@@ -87,18 +89,33 @@ METRICS = (
 )
 
 
-def render(statuses: Iterable[DaemonStatus]) -> str:
+class _Rigs(Collector):
+    """The metrics of several rigs as they are when they are asked for."""
+
+    def __init__(self, statuses: Callable[[], Iterable[DaemonStatus]]) -> None:
+        self._statuses = statuses
+
+    def collect(self) -> Iterator[Family]:
+        """The metrics that have a sample."""
+        statuses = tuple(self._statuses())
+        for metric in METRICS:
+            family = Family(metric.name.removesuffix("_total"), metric.help, metric.kind)
+            for status in statuses:
+                for labels, value in metric.samples(status):
+                    family.add_sample(metric.name, {"rig": status.rig, **labels}, value)
+            if family.samples:
+                yield family
+
+
+def _registry(statuses: Callable[[], Iterable[DaemonStatus]]) -> CollectorRegistry:
+    registry = CollectorRegistry(auto_describe=False)
+    registry.register(_Rigs(statuses))
+    return registry
+
+
+def render(statuses: Iterable[DaemonStatus]) -> bytes:
     """The metrics of several rigs in Prometheus' text format."""
-    statuses, lines = tuple(statuses), []
-    for metric in METRICS:
-        samples = [(s.rig, sample) for s in statuses for sample in metric.samples(s)]
-        if samples:
-            lines += [f"# HELP {metric.name} {metric.help}", f"# TYPE {metric.name} {metric.kind}"]
-        for rig, sample in samples:
-            labels = {"rig": rig, **sample.labels}
-            inside = ",".join(f'{name}="{_escape(value)}"' for name, value in labels.items())
-            lines.append(f"{metric.name}{{{inside}}} {sample.value!r}")
-    return "\n".join([*lines, ""])
+    return generate_latest(_registry(lambda: statuses))
 
 
 def write_metrics(path: Path, statuses: Iterable[DaemonStatus]) -> None:
@@ -107,7 +124,7 @@ def write_metrics(path: Path, statuses: Iterable[DaemonStatus]) -> None:
     Raises:
         OSError: it cannot be written.
     """
-    replace_file(path, render(statuses).encode())
+    replace_file(path, render(statuses))
 
 
 class MetricsServer:
@@ -120,45 +137,15 @@ class MetricsServer:
             RigError: the port is taken.
         """
         try:
-            self._server = _Server(("127.0.0.1", port), _RequestHandler)
+            self._server, _ = start_http_server(port, "127.0.0.1", _registry(statuses))
         except OSError as error:
             raise RigError(
                 f"cannot serve metrics on port {port} of 127.0.0.1: {error.strerror}; choose "
                 "another http_port"
             ) from error
-        self._server.statuses = statuses
         self.port = self._server.server_port
-        threading.Thread(target=self._server.serve_forever, name="metrics", daemon=True).start()
 
     def close(self) -> None:
         """Stops answering."""
         self._server.shutdown()
         self._server.server_close()
-
-
-class _Server(ThreadingHTTPServer):
-    daemon_threads = True
-    statuses: Callable[[], Iterable[DaemonStatus]]
-
-
-class _RequestHandler(BaseHTTPRequestHandler):
-    timeout = 5.0
-    server: _Server
-
-    def do_GET(self) -> None:
-        if self.path != "/metrics":
-            self.send_error(404)
-            return
-        text = render(self.server.statuses()).encode()
-        self.send_response(200)
-        self.send_header("Content-Type", "text/plain; version=0.0.4; charset=utf-8")
-        self.send_header("Content-Length", str(len(text)))
-        self.end_headers()
-        self.wfile.write(text)
-
-    def log_message(self, *_: object) -> None:
-        """Logs nothing: a scrape is not an event."""
-
-
-def _escape(value: str) -> str:
-    return value.replace("\\", r"\\").replace('"', r"\"").replace("\n", r"\n")
