@@ -2,19 +2,21 @@
 
 import contextlib
 from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from estune.core.cost import StepCost
 from estune.core.gains import Gains
 from estune.core.response import CostFunction
+from estune.core.setting import Setting, declared, keywords
 from estune.errors import EstuneError, InvalidInput, JournalError, RigError
 from estune.loop_model.optimum import RobustnessLimits
 from estune.run import archived_run, loop, progress
 from estune.run.journal import RECORDS_LEAST, Journal
 from estune.run.loop import ApprovalCallback, ProgressListener, Stopped, TuningRun
-from estune.run.plan import REPEATS, TOLERANCE, TRIALS
+from estune.run.plan import Search
 from estune.run.planning import (
     description_from_json,
     description_to_json,
@@ -31,35 +33,108 @@ from estune.tuners import DEFAULT_TUNER, Tuner
 if TYPE_CHECKING:
     from estune.remote.security import Security
     from estune.run.results.result import TuneResult
+else:
+    Security = Any  # slow to import
 
 RUNS = "runs"
 """Default folder of runs, in the working directory."""
 
 
-def tune(
-    target: Any,
-    *,
-    tuner: str | Tuner[Any] = DEFAULT_TUNER,
-    trials: int = TRIALS,
-    tolerance: float = TOLERANCE,
-    repeats: int = REPEATS,
-    start: Gains | KnownStart | StartRule | Literal["model"] | None = None,
-    bounds: Mapping[str, tuple[float, float]] | None = None,
-    step: StepProfile | None = None,
-    cost: StepCost | str | CostFunction | None = None,
-    eta_max: float | None = None,
-    run: str | None = None,
-    folder: str | Path = RUNS,
-    journal: bool = True,
-    records: int | None = None,
-    rig: str | None = None,
-    security: "Security | None" = None,
-    patience_s: float | None = None,
-    watch: ProgressListener | Literal["auto"] | None = "auto",
-    ask: ApprovalCallback | None = None,
-    limits: RobustnessLimits | None = None,
-    force: bool = False,
-) -> "TuneResult":
+@dataclass(frozen=True, kw_only=True)
+class TuneOptions(Search):
+    """What a tuning is asked for."""
+
+    tuner: Annotated[
+        str | Tuner[Any], Setting("Name of a tuner, or a tuner", otherwise=DEFAULT_TUNER)
+    ] = DEFAULT_TUNER
+    start: Annotated[
+        Gains | KnownStart | StartRule | Literal["model"] | None,
+        Setting(
+            'Initial gains; "model" for the optimum of the rig\'s own linear model, or from a law '
+            "or an earlier run by `estune.start_from`",
+            otherwise="the rig's live ones",
+        ),
+    ] = None
+    bounds: Annotated[
+        Mapping[str, tuple[float, float]] | None,
+        Setting(
+            "Lowest and highest value of gains, by name (P, I, D, setpoint_filter_s)",
+            otherwise="a hundredth and a hundred times the initial value",
+        ),
+    ] = None
+    step: Annotated[
+        StepProfile | None, Setting("The step trial", otherwise="as the rig suggests")
+    ] = None
+    cost: Annotated[
+        StepCost | str | CostFunction | None,
+        Setting(
+            'The cost of a trial. A name of `estune.core.cost.PRESETS` ("itae", "ise", '
+            '"rejection", "tracking_and_rejection"), or a function of a `StepResponse`',
+            otherwise="(35) with a control-move penalty and the settling time that the rig "
+            "suggests",
+        ),
+    ] = None
+    run: Annotated[str | None, Setting("Name of the run", otherwise="the time of day")] = None
+    folder: Annotated[str | Path, Setting("Folder of runs")] = RUNS
+    journal: Annotated[
+        bool, Setting("Whether to store the run on disk, so that it can be resumed")
+    ] = True
+    records: Annotated[
+        int | None,
+        Setting(
+            "Number of records that the run keeps on disk, the latest and those of repeats. Gains "
+            "and costs are kept for ever",
+            otherwise="all",
+            least=RECORDS_LEAST,
+        ),
+    ] = None
+    rig: Annotated[str | None, Setting("Name of the rig, if several answer at the endpoint")] = (
+        None
+    )
+    security: Annotated[
+        Security | None,
+        Setting("Credentials, if the rig requires authentication; see `estune.remote.security`"),
+    ] = None
+    patience_s: Annotated[
+        float | None,
+        Setting(
+            "How long to wait for the rig at an endpoint to appear, and where it stops replying",
+            "s",
+            otherwise="3 s and 30 s",
+            above=0.0,
+        ),
+    ] = None
+    watch: Annotated[
+        ProgressListener | Literal["auto"] | None,
+        Setting('Callback after each trial; "auto" shows progress, None nothing'),
+    ] = "auto"
+    ask: Annotated[
+        ApprovalCallback | None,
+        Setting(
+            'Approval callback for gains outside the region shown to be safe; returns "yes", '
+            '"no" or "always"'
+        ),
+    ] = None
+    limits: Annotated[
+        RobustnessLimits | None,
+        Setting(
+            "Limits of sensitivity, overshoot and phase margin that the tuner model_based keeps. "
+            "Whatever the tuner, a result with Ms above 2.5 is not robust, unless the sensitivity "
+            "has no limit",
+            otherwise="1.6, 5 % and none",
+        ),
+    ] = None
+    force: Annotated[
+        bool,
+        Setting(
+            "Whether to tune by ill-posed trials all the same: noise makes up more than a tenth "
+            "of the cost, or the settling time is shorter than ten samples"
+        ),
+    ] = False
+
+
+@keywords(TuneOptions)
+def tune(target: Any, options: TuneOptions) -> "TuneResult":  # noqa: D417  from the declaration
     """Tunes the PIDF gains of a rig by step trials.
 
     Trials use temporary gains: the rig restores its live gains after each. The tuned gains are in
@@ -68,38 +143,6 @@ def tune(
     Args:
         target: An endpoint ("tcp/127.0.0.1:7447"), a plant ("reel.toml", "plants:reference_reel"
             or an object), or a rig.
-        tuner: Name of a tuner, or a tuner.
-        trials: Maximum number of search trials.
-        tolerance: Remaining improvement, relative to the cost, at which the search ends, if the
-            tuner estimates it; zero makes it use all its trials.
-        repeats: Trials of the initial gains before the search and of each candidate in the
-            choice; also the minimum of each in the confirmation.
-        start: Initial gains; the rig's live ones by default, "model" for the optimum of the rig's
-            own linear model, or from a law or an earlier run by `estune.start_from`.
-        bounds: Lowest and highest value of gains, by name (P, I, D, setpoint_filter_s); by default
-            a hundredth and a hundred times the initial value.
-        step: The step trial; suggested by the rig by default.
-        cost: The cost of a trial; by default (35) with a control-move penalty and the settling
-            time that the rig suggests. A name of `estune.core.cost.PRESETS` ("itae", "ise",
-            "rejection", "tracking_and_rejection"), or a function of a `StepResponse`.
-        eta_max: Cost above which a trial is unsafe; three times the initial cost by default.
-        run: Name of the run; the time of day by default.
-        folder: Folder of runs.
-        journal: Whether to store the run on disk, so that it can be resumed.
-        records: Number of records that the run keeps on disk, the latest and those of repeats;
-            all by default. Gains and costs are kept for ever.
-        rig: Name of the rig, if several answer at the endpoint.
-        security: Credentials, if the rig requires authentication; see `estune.remote.security`.
-        patience_s: How long to wait for the rig at an endpoint to appear, and where it stops
-            replying, s; 3 s and 30 s by default.
-        watch: Callback after each trial; "auto" shows progress, None nothing.
-        ask: Approval callback for gains outside the region shown to be safe; returns "yes", "no"
-            or "always".
-        limits: Limits of sensitivity, overshoot and phase margin that the tuner model_based
-            keeps; 1.6, 5 % and none by default. Whatever the tuner, a result with Ms above 2.5 is
-            not robust, unless the sensitivity has no limit.
-        force: Whether to tune by ill-posed trials all the same: noise makes up more than a tenth
-            of the cost, or the settling time is shorter than ten samples.
 
     Raises:
         InvalidInput: a value is not usable, or the rig gives no model to start from.
@@ -114,46 +157,40 @@ def tune(
         >>> result.success
         True
     """
-    if records is not None and records < RECORDS_LEAST:
-        raise InvalidInput(
-            f"records is {records}; keep at least {RECORDS_LEAST}, which a resumed run may read"
-        )
-    with open_target(target, rig, security, patience_s) as the_rig:
+    where = options.rig, options.security, options.patience_s
+    with open_target(target, *where) as the_rig:
         description = the_rig.describe()
-        name = run or _free_name(Path(folder))
+        name = options.run or _free_name(Path(options.folder))
         if not name.replace("-", "").replace("_", "").isalnum():
             raise InvalidInput(f"run name {name!r} may hold only letters, digits, - and _")
         plan = make_plan(
             *(description, name),
-            tuner=tuner,
-            start=start,
-            bounds=bounds,
-            step=step,
-            cost=cost,
-            limits=limits,
-            trials=trials,
-            tolerance=tolerance,
-            repeats=repeats,
-            eta_max=eta_max,
-            ask_first=ask is not None,
-            forced=force,
+            tuner=options.tuner,
+            start=options.start,
+            bounds=options.bounds,
+            step=options.step,
+            cost=options.cost,
+            limits=options.limits,
+            ask_first=options.ask is not None,
+            forced=options.force,
+            **{member.name: getattr(options, member.name) for member in declared(Search)},
         )
         description.limits.check(plan.step)
         book = None
-        if journal:
+        if options.journal:
             facts = {
                 "plan": plan_to_json(plan),
                 "rig": description_to_json(description),
                 "target": target if isinstance(target, str) else None,
-                "rig_name": rig,
+                "rig_name": options.rig,
                 "created_at": datetime.now().astimezone().isoformat(timespec="seconds"),
                 "status": "running",
-                "records_max": records,
+                "records_max": options.records,
             }
-            book = Journal.create(Path(folder) / name, facts)
+            book = Journal.create(Path(options.folder) / name, facts)
         tuning_ = loop.start(plan, description, book)
         try:
-            return _run(tuning_, the_rig, watch, ask)
+            return _run(tuning_, the_rig, options.watch, options.ask)
         except (InvalidInput, RigError):
             if book is not None and not tuning_.entries and _replies(the_rig):
                 book.discard()  # it was refused before its first trial
@@ -164,7 +201,7 @@ def resume(
     run_folder: str | Path,
     target: Any = None,
     *,
-    security: "Security | None" = None,
+    security: Security | None = None,
     patience_s: float | None = None,
     watch: ProgressListener | Literal["auto"] | None = "auto",
     ask: ApprovalCallback | None = None,

@@ -184,7 +184,7 @@ def test_settling_time_longer_than_the_record_is_refused():
 
 @pytest.mark.parametrize("bad", [-0.1, 0.0, math.nan, math.inf])
 def test_invalid_settling_time_is_refused(bad):
-    with pytest.raises(InvalidInput, match=f"settling time is {bad} s"):
+    with pytest.raises(InvalidInput, match=f"settling_time_s is {bad} s"):
         StepCost(bad)
 
 

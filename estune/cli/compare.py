@@ -7,17 +7,18 @@ from cyclopts import Parameter
 
 from estune.cli import output
 from estune.cli.interruption import continued_by_same_command
-from estune.cli.tune import (
+from estune.cli.options import (
     NO_COST,
     NO_LIMITS,
+    NO_SEARCH,
     NO_STEP,
     CostOptions,
     LimitOptions,
+    SearchOptions,
     StepOptions,
-    tuning_choices,
 )
-from estune.cli.values import Flag, Values, ranges_from, security_from, share_from
-from estune.run.plan import REPEATS, TOLERANCE, TRIALS
+from estune.cli.tune import tuning_choices
+from estune.cli.values import Flag, Values, ranges_from, security_from
 from estune.studies.compare import comparison
 from estune.studies.compare.comparison import COMPARED, Comparison
 from estune.support.whole_file import write_file
@@ -31,9 +32,6 @@ def compare(
     /,
     *,
     tuners: Annotated[str, Parameter(show_default=False)] = ",".join(COMPARED),
-    trials: int = TRIALS,
-    tolerance: str = f"{TOLERANCE:.0%}",
-    repeats: int = REPEATS,
     start: Values = (),
     bounds: Values = (),
     rig: str | None = None,
@@ -42,6 +40,7 @@ def compare(
     folder: Path | None = None,
     json: Flag = False,
     quiet: Flag = False,
+    search: SearchOptions = NO_SEARCH,
     step: StepOptions = NO_STEP,
     cost: CostOptions = NO_COST,
     limits: LimitOptions = NO_LIMITS,
@@ -53,9 +52,6 @@ def compare(
             or module:attribute such as plants:reference_reel.
         tuners: Names of tuners, with commas between them; by default model_based, safe_bayesian,
             least_squares_gradient and otis.
-        trials: Maximum number of search trials of each tuner.
-        tolerance: As of estune tune; 0 makes each tuner use all its trials.
-        repeats: As of estune tune.
         start: As of estune tune; the start of every tuner.
         bounds: As of estune tune.
         rig: Name of the rig, if several answer at the endpoint.
@@ -66,6 +62,7 @@ def compare(
             default. An interrupted comparison continues with the same command and this folder.
         json: Print the outcome as JSON.
         quiet: Show no progress.
+        search: The search of each tuner.
         step: The step trial.
         cost: The cost of a trial.
         limits: Limits of the tuner model_based.
@@ -76,9 +73,7 @@ def compare(
         made = comparison.compare(
             target,
             [name.strip() for name in tuners.split(",")],
-            trials=trials,
-            tolerance=share_from("tolerance", tolerance),
-            repeats=repeats,
+            **search.given,
             bounds=ranges_from(bounds) or None,
             **tuning_choices(target, rig, credentials, start, step, cost, limits),
             rig=rig,

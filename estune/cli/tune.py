@@ -1,16 +1,24 @@
 """`estune tune` and `estune resume`."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
-
-from cyclopts import Group, Parameter
+from typing import TYPE_CHECKING, Any, Literal
 
 from estune import api
 from estune.cli import output
 from estune.cli.approval_prompt import terminal_approval
 from estune.cli.interruption import continued_with_credentials
+from estune.cli.options import (
+    NO_COST,
+    NO_LIMITS,
+    NO_SEARCH,
+    NO_STEP,
+    CostOptions,
+    LimitOptions,
+    SearchOptions,
+    StepOptions,
+)
 from estune.cli.runs import find_run, result_facts
 from estune.cli.values import (
     Flag,
@@ -21,14 +29,11 @@ from estune.cli.values import (
     numbers_from,
     ranges_from,
     security_from,
-    share_from,
 )
 from estune.core.gains import GAIN_NAMES
 from estune.errors import InvalidInput
-from estune.loop_model.optimum import RobustnessLimits
 from estune.run.ending import RunEnding
 from estune.run.journal import Journal
-from estune.run.plan import REPEATS, TOLERANCE, TRIALS
 from estune.run.planning import known_start, suited_step
 from estune.run.start import KnownStart
 from estune.run.targets import is_endpoint, open_target
@@ -42,86 +47,12 @@ if TYPE_CHECKING:
     from estune.remote.security import Security
     from estune.run.results.result import TuneResult
 
-_STEP = Group("The step trial", sort_key=1)
-_COST = Group("The cost of a trial", sort_key=2)
-_LIMITS = Group("Limits of robustness; each may be none", sort_key=3)
-
-
-@Parameter(name="*", group=_STEP)
-@dataclass(frozen=True, kw_only=True)
-class StepOptions:
-    """The step trial; defaults are suggested by the rig.
-
-    Attributes:
-        preload_N: Tension held before the step, N.
-        step_N: Size of the step, N; negative steps down.
-        step_at_s: Time of the step from the start of the trial, s.
-        duration_s: Length of the whole trial, s.
-        load_N: Load step added to the effort after the step, N, where the rig can make one.
-        load_at_s: Time of the load, s.
-    """
-
-    preload_N: Annotated[float | None, Parameter(name="--preload-N")] = None
-    step_N: Annotated[float | None, Parameter(name="--step-N")] = None
-    step_at_s: float | None = None
-    duration_s: float | None = None
-    load_N: Annotated[float | None, Parameter(name="--load-N")] = None
-    load_at_s: float | None = None
-
-
-@Parameter(name="*", group=_COST)
-@dataclass(frozen=True, kw_only=True)
-class CostOptions:
-    """The cost of a trial; defaults apply where omitted.
-
-    Attributes:
-        preset: paper for (35), itae, ise (with a price on the effort), rejection (of a load step),
-            tracking_and_rejection, or module:function of your own; paper by default.
-        settling_time_s: Desired settling time, s; suggested by the rig by default.
-        weight: Weight over the transient: as the paper prints it, or rising as its text says.
-        time_unit: Unit of the time weight: seconds as printed, or the settling time.
-        move_weight: Control-move penalty; 0.2 by default, 0 is none, as printed.
-        effort_weight: Price of the effort; 0.1 for ise.
-        rejection: Share of load rejection in the cost, from 0 to 1.
-    """
-
-    preset: Annotated[str | None, Parameter(name="--cost")] = None
-    settling_time_s: float | None = None
-    weight: Literal["printed", "rising"] | None = None
-    time_unit: Literal["second", "settling_time"] | None = None
-    move_weight: float | None = None
-    effort_weight: float | None = None
-    rejection: float | None = None
-
-
-@Parameter(name="*", group=_LIMITS)
-@dataclass(frozen=True, kw_only=True)
-class LimitOptions:
-    """Limits that the tuned gains keep.
-
-    Attributes:
-        max_sensitivity: Largest Ms, the peak of the sensitivity; 1.6 by default.
-        max_overshoot: Largest overshoot, as 5% or 0.05; 5% by default.
-        min_phase_margin: Smallest phase margin, degrees; none by default.
-    """
-
-    max_sensitivity: str | None = None
-    max_overshoot: str | None = None
-    min_phase_margin: str | None = None
-
-
-NO_STEP, NO_COST, NO_LIMITS = StepOptions(), CostOptions(), LimitOptions()
-
 
 def tune(
     target: str,
     /,
     *,
     tuner: TunerName = DEFAULT_TUNER,
-    trials: int = TRIALS,
-    tolerance: str = f"{TOLERANCE:.0%}",
-    repeats: int = REPEATS,
-    eta_max: float | None = None,
     ask: Flag = False,
     force: Flag = False,
     start: Values = (),
@@ -135,6 +66,7 @@ def tune(
     report: Path | None = None,
     quiet: Flag = False,
     json: Flag = False,
+    search: SearchOptions = NO_SEARCH,
     step: StepOptions = NO_STEP,
     cost: CostOptions = NO_COST,
     limits: LimitOptions = NO_LIMITS,
@@ -148,12 +80,6 @@ def tune(
         target: The rig: an endpoint such as tcp/127.0.0.1:7447, a model file such as reel.toml,
             or module:attribute such as plants:reference_reel.
         tuner: Tuner.
-        trials: Maximum number of search trials.
-        tolerance: The search ends once the remaining improvement is less than this share of the
-            cost, as 1% or 0.01, if the tuner estimates it; 0 makes it use all its trials.
-        repeats: Trials of the initial gains before the search; also the minimum of confirmation
-            trials of the initial and of the tuned gains.
-        eta_max: Cost above which a trial is unsafe; three times the initial cost by default.
         ask: Prompt before gains are tried that lie outside the region shown to be safe.
         force: Tune even if the trial is ill-posed: cost mostly noise, or too few samples.
         start: Where the initial gains come from instead of the rig: model (the optimum of its own
@@ -172,6 +98,7 @@ def tune(
         report: Write a report of the run as one HTML page that works offline.
         quiet: Show no progress.
         json: Print the result as JSON.
+        search: The search.
         step: The step trial.
         cost: The cost of a trial.
         limits: Limits that the tuned gains keep.
@@ -182,10 +109,7 @@ def tune(
         result = api.tune(
             target,
             tuner=tuner,
-            trials=trials,
-            tolerance=share_from("tolerance", tolerance),
-            repeats=repeats,
-            eta_max=eta_max,
+            **search.given,
             bounds=ranges_from(bounds) or None,
             **tuning_choices(target, rig, credentials, start, step, cost, limits),
             rig=rig,
@@ -285,26 +209,6 @@ def finish(
     return result.ending.exit_code
 
 
-def _limits(options: LimitOptions) -> RobustnessLimits | None:
-    """The limits; None where none is given."""
-    if options == NO_LIMITS:
-        return None
-    usual = RobustnessLimits()
-
-    def number(name: str, default: float | None) -> float | None:
-        text = getattr(options, name)
-        if text is None:
-            return default
-        option = f"--{name.replace('_', '-')}"
-        return None if text == "none" else share_from(option, text)
-
-    return RobustnessLimits(
-        max_sensitivity=number("max_sensitivity", usual.max_sensitivity),
-        max_overshoot=number("max_overshoot", usual.max_overshoot),
-        min_phase_margin_deg=number("min_phase_margin", usual.min_phase_margin_deg),
-    )
-
-
 def tuning_choices(  # noqa: PLR0917  the order of the options
     target: str,
     rig_name: str | None,
@@ -315,7 +219,7 @@ def tuning_choices(  # noqa: PLR0917  the order of the options
     limit_options: LimitOptions,
 ) -> dict[str, Any]:
     """Arguments of `api.tune` that the rig's suggestions complete; the rig is asked if needed."""
-    limits = _limits(limit_options)
+    limits = limit_options.limits
     if not start and step == NO_STEP and cost == NO_COST:
         return {"limits": limits}
     sources = [text for text in start if text == "model" or text.startswith(("run:", "law:"))]
@@ -340,10 +244,6 @@ def tuning_choices(  # noqa: PLR0917  the order of the options
 
 def trial_of(rig: RigDescription, step: StepOptions, cost: CostOptions) -> dict[str, Any]:
     """Step and cost of the options, completed by the rig's suggestions."""
-    given = [
-        {name: value for name, value in vars(options).items() if value is not None}
-        for options in (step, cost)
-    ]
-    profile = validate(StepTable, given[0], "the step trial").of(rig)
-    chosen = validate(CostTable, given[1], "its cost").of(rig)
+    profile = validate(StepTable, step.given, "the step trial").of(rig)
+    chosen = validate(CostTable, cost.given, "its cost").of(rig)
     return {"step": suited_step(profile, chosen, rig), "cost": chosen}

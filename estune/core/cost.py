@@ -36,12 +36,12 @@ that of tracking. A Python function of the response replaces all of these.
 import math
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import Any, Final, Literal
+from typing import Annotated, Any, Final, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from estune.core.quantities import FloatArray, check_not_negative, check_positive
+from estune.core.quantities import FloatArray, check_positive
 from estune.core.response import (
     CostFunction,
     LoadStep,
@@ -50,6 +50,7 @@ from estune.core.response import (
     evaluate_function,
     reference_of,
 )
+from estune.core.setting import Setting, check_settings, documented
 from estune.errors import InvalidInput
 
 PRESETS: Final[dict[str, dict[str, Any]]] = {
@@ -65,51 +66,66 @@ MOVE_WEIGHT = 0.2
 """Default control-move penalty: without it, (35) has no interior optimum on a good plant."""
 
 
+_PRESET = "that of the preset"
+
+
+@documented
 @dataclass(frozen=True, slots=True)
 class StepCost:
     """The settings of (35), or of another cost.
-
-    Attributes:
-        settling_time_s: Desired settling time t_s, s; at most the time recorded after the step.
-        weight: "printed", the sigmoid that falls with time, or "rising", that of the prose.
-        time_unit: "second" as printed, or "settling_time" for t in units of t_s.
-        move_weight: Weight w of the control-move penalty, no unit; zero as printed.
-        criterion: "paper" for (35), "itae" or "ise".
-        effort_weight: Price rho of the effort.
-        rejection: Share r of load rejection, from 0 to 1; needs trials with a load step.
-        function: "module:function" of a cost of the response, which is then the whole cost.
 
     Raises:
         InvalidInput: a value is out of its range or not among the choices.
     """
 
-    settling_time_s: float
-    weight: Literal["printed", "rising"] = "printed"
-    time_unit: Literal["second", "settling_time"] = "second"
-    move_weight: float = 0.0
-    criterion: Literal["paper", "itae", "ise"] = "paper"
-    effort_weight: float = 0.0
-    rejection: float = 0.0
-    function: str = ""
+    settling_time_s: Annotated[
+        float,
+        Setting(
+            "Desired settling time t_s, at most the time recorded after the step",
+            "s",
+            otherwise="as the rig suggests",
+            above=0.0,
+        ),
+    ]
+    weight: Annotated[
+        Literal["printed", "rising"],
+        Setting("Weight over the transient: as the paper prints it, or rising as its text says"),
+    ] = "printed"
+    time_unit: Annotated[
+        Literal["second", "settling_time"],
+        Setting("Unit of the time weight: seconds as printed, or the settling time"),
+    ] = "second"
+    move_weight: Annotated[
+        float,
+        Setting(
+            "Weight w of the control-move penalty; 0 is none, as printed",
+            otherwise=f"{MOVE_WEIGHT:g}",
+            least=0.0,
+        ),
+    ] = 0.0
+    criterion: Annotated[
+        Literal["paper", "itae", "ise"],
+        Setting("Criterion of the error: (35), ITAE or ISE", otherwise=_PRESET),
+    ] = "paper"
+    effort_weight: Annotated[
+        float, Setting("Price rho of the effort", otherwise=_PRESET, least=0.0)
+    ] = 0.0
+    rejection: Annotated[
+        float,
+        Setting(
+            "Share r of load rejection, which needs trials with a load step",
+            otherwise=_PRESET,
+            share=True,
+            least=0.0,
+            most=1.0,
+        ),
+    ] = 0.0
+    function: Annotated[
+        str, Setting("module:function of a cost of the response, which is then the whole cost")
+    ] = ""
 
     def __post_init__(self) -> None:
-        check_positive("settling time", self.settling_time_s, "s")
-        check_not_negative("move weight", self.move_weight)
-        check_not_negative("effort weight", self.effort_weight)
-        if self.criterion not in ("paper", "itae", "ise"):
-            raise InvalidInput(
-                f"criterion is {self.criterion!r}; it must be 'paper', 'itae' or 'ise'"
-            )
-        if not 0.0 <= self.rejection <= 1.0:
-            raise InvalidInput(
-                f"share of load rejection is {self.rejection}; it must be from 0 to 1"
-            )
-        if self.weight not in ("printed", "rising"):
-            raise InvalidInput(f"weight is {self.weight!r}; it must be 'printed' or 'rising'")
-        if self.time_unit not in ("second", "settling_time"):
-            raise InvalidInput(
-                f"time unit is {self.time_unit!r}; it must be 'second' or 'settling_time'"
-            )
+        check_settings(self)
 
     def evaluate(  # noqa: PLR0917  the order of the loop: the step, then r, y, u
         self,

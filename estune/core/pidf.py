@@ -22,37 +22,40 @@ from pydantic import Field
 
 from estune.core.controller_form import ControllerForm
 from estune.core.gains import Gains
-from estune.core.quantities import check_not_negative, check_positive
+from estune.core.setting import Setting, check_settings, documented
 from estune.errors import InvalidInput
 
 Signal = Any
 """A float, an array, or a CasADi expression."""
 
 
+@documented
 @dataclass(frozen=True, slots=True)
 class ControllerSettings:
     """The part of the controller that is not tuned.
-
-    Attributes:
-        sampling_Hz: Sampling rate.
-        derivative_filter_s: Time constant of the first-order filter on the derivative, s.
-        output_min_N: Least control effort, N; known to the anti-windup.
-        output_max_N: Greatest control effort, N.
-        form: Form of the difference equation that runs; None where the rig declares none.
 
     Raises:
         InvalidInput: a value is out of its range, or the limits are the wrong way round.
     """
 
-    sampling_Hz: float
-    derivative_filter_s: float
-    output_min_N: float
-    output_max_N: float
-    form: Annotated[ControllerForm | None, Field(exclude_if=lambda form: form is None)] = None
+    sampling_Hz: Annotated[float, Setting("Sampling rate", "Hz", above=0.0)]
+    derivative_filter_s: Annotated[
+        float,
+        Setting("Time constant of the first-order filter on the derivative", "s", least=0.0),
+    ]
+    # Infinite where the rig knows no limit.
+    output_min_N: Annotated[
+        float, Setting("Least control effort; known to the anti-windup", "N", infinite=True)
+    ]
+    output_max_N: Annotated[float, Setting("Greatest control effort", "N", infinite=True)]
+    form: Annotated[
+        ControllerForm | None,
+        Field(exclude_if=lambda form: form is None),
+        Setting("Form of the difference equation that runs; None where the rig declares none"),
+    ] = None
 
     def __post_init__(self) -> None:
-        check_positive("sampling rate", self.sampling_Hz, "Hz")
-        check_not_negative("derivative filter", self.derivative_filter_s, "s")
+        check_settings(self)
         if not self.output_min_N < self.output_max_N:
             raise InvalidInput(
                 f"output limits {self.output_min_N} to {self.output_max_N} N: not in order"

@@ -105,7 +105,7 @@ class CheckTrials:
                 )
             return CheckTrialResult(record, math.nan, None)
         eta = cost_of(record, step, cost, description.newtons_per_ampere)
-        eta_max = self._settings.tuning.eta_max or UNSAFE_RATIO * math.exp(state.mean)
+        eta_max = self._settings.tuning.search["eta_max"] or UNSAFE_RATIO * math.exp(state.mean)
         eta = eta if math.isfinite(eta) and eta <= eta_max else math.inf
         updated, signal = self._chart.update(state, eta)
         with self._store.transaction():

@@ -101,19 +101,9 @@ class TuningTable(SearchTable):
 
     Attributes:
         tuner: Tuner that proposes gains.
-        trials: Greatest number of search trials.
-        repeats: Trials of the initial gains before the search; also the minimum of confirmation
-            trials of the initial and of the best gains.
-        tolerance: Remaining improvement, relative to the cost, below which the search ends; 0 uses
-            all trials.
-        eta_max: Cost above which a trial is unsafe; by default three times that of the initial
-            gains.
+        repeats: As in `Search`.
         confidence: Confidence level of the interval of the improvement.
         improvement_min: Relative decrease of the cost that the whole interval must exceed.
-        bounds: Least and greatest value of gains, by name, in their own units.
-        max_sensitivity: Largest Ms, or "none"; 1.6 by default.
-        max_overshoot: Largest overshoot as a share of the step, or "none"; 0.05 by default.
-        min_phase_margin_deg: Smallest phase margin; none by default.
     """
 
     tuner: TunerName = DEFAULT_TUNER
@@ -301,14 +291,4 @@ def plan_settings(rig: RigTable, description: RigDescription) -> dict[str, Any]:
     tuning, cost = rig.tuning, rig.cost.of(description)
     step = suited_step(rig.step.of(description), cost, description)
     description.limits.check(step)
-    return {
-        "tuner": tuning.tuner,
-        "bounds": dict(tuning.bounds) or None,
-        "step": step,
-        "cost": cost,
-        "trials": tuning.trials,
-        "repeats": tuning.repeats,
-        "eta_max": tuning.eta_max,
-        "tolerance": tuning.tolerance,
-        "limits": tuning.limits,
-    }
+    return {"tuner": tuning.tuner, "step": step, "cost": cost, **tuning.search}

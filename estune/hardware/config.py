@@ -46,7 +46,6 @@ from estune.reel.calibration import CurrentCalibration, GaugeCalibration
 from estune.reel.guard import Limits
 from estune.support.toml_file import TomlTable, read_toml, validate
 from estune.trial import RigDescription, RigLimits
-from estune.trial.profiles import StepProfile
 
 
 class RigConfig(TomlTable):
@@ -79,7 +78,8 @@ class RigConfig(TomlTable):
     @property
     def hold_N(self) -> float:
         """Tension held between trials, N; by default the step's preload."""
-        return self.step.preload_N if self.motion.hold_N is None else self.motion.hold_N
+        hold_N = self.motion.hold_N
+        return self.step.profile.preload_N if hold_N is None else hold_N
 
     @property
     def capacity(self) -> int:
@@ -89,11 +89,10 @@ class RigConfig(TomlTable):
     def settings(self) -> ControllerSettings:
         """Fixed part of the controller; its limits are those of the current."""
         effort = self.newtons_per_ampere
-        return ControllerSettings(
-            self.sampling_Hz,
-            self.controller.derivative_filter_s,
-            self.limits.current_min_A * effort,
-            self.limits.current_max_A * effort,
+        return self.controller.settings(
+            sampling_Hz=self.sampling_Hz,
+            output_min_N=self.limits.current_min_A * effort,
+            output_max_N=self.limits.current_max_A * effort,
         )
 
     def describe(self) -> RigDescription:
@@ -110,7 +109,7 @@ class RigConfig(TomlTable):
             limits=RigLimits(
                 self.limits.tension_min_N, self.limits.tension_max_N, self.limits.duration_max_s
             ),
-            step=StepProfile(**self.step.model_dump()),
+            step=self.step.profile,
             settling_time_s=self.settling_time_s,
             cable_length_m=self.reel.cable_length_m,
             software=f"estune {version('estune')}",
@@ -260,10 +259,10 @@ class RigConfig(TomlTable):
 
 
 def _tensions(rig: RigConfig) -> Iterator[str]:
-    low, high = rig.limits.tension_min_N, rig.limits.tension_max_N
+    low, high, step = rig.limits.tension_min_N, rig.limits.tension_max_N, rig.step.profile
     values = {
-        "step.preload_N": rig.step.preload_N,
-        "step.preload_N + step.step_N": rig.step.preload_N + rig.step.step_N,
+        "step.preload_N": step.preload_N,
+        "step.preload_N + step.step_N": step.preload_N + step.step_N,
         "motion.hold_N": rig.hold_N,
     }
     if rig.hybrid is not None:
@@ -307,7 +306,7 @@ def _currents(rig: RigConfig) -> Iterator[str]:
 
 
 def _times(rig: RigConfig) -> Iterator[str]:
-    step, limits = rig.step, rig.limits
+    step, limits = rig.step.profile, rig.limits
     if not step.duration_s <= limits.duration_max_s:
         yield (
             f"step.duration_s {step.duration_s:g} s is longer than limits.duration_max_s "

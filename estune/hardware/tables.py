@@ -1,13 +1,19 @@
 """The tables of a rig's file. Every key carries its unit."""
 
+from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self, TypeVar
 
 from pydantic import Field, model_validator
 
 from estune.core.gains import Gains
+from estune.core.pidf import ControllerSettings
+from estune.errors import InvalidInput
 from estune.reel.hybrid import SwitchingRules
+from estune.run.settings_table import table_of
+from estune.run.toml_tables import CONTROLLER, STEP
 from estune.support.toml_file import TomlTable
+from estune.trial.profiles import StepProfile
 
 Positive = Annotated[float, Field(gt=0.0)]
 NotNegative = Annotated[float, Field(ge=0.0)]
@@ -148,10 +154,18 @@ class MotionTable(TomlTable):
     taut_N: Positive
 
 
+@table_of(
+    CONTROLLER.kind,
+    leave_out=CONTROLLER.leave_out,
+    own=True,
+    defaults={"derivative_filter_s": 0.002},
+)
 class ControllerTable(TomlTable):
     """The part of the controller that is not tuned."""
 
-    derivative_filter_s: NotNegative = 0.002
+    def settings(self, **rest: float) -> ControllerSettings:
+        """Fixed part of the controller, with the settings that are no keys."""
+        return ControllerSettings(**self.model_dump(), **rest)
 
 
 class GainsTable(TomlTable):
@@ -200,13 +214,27 @@ class HybridTable(TomlTable):
         return SwitchingRules(self.tension_min_N, self.margin_N)
 
 
+@table_of(
+    StepProfile,
+    leave_out=STEP.leave_out,
+    own=True,
+    defaults={"step_at_s": 0.2, "duration_s": 1.0},
+)
 class StepTable(TomlTable):
     """Suggested step trial."""
 
-    preload_N: float
-    step_N: float
-    step_at_s: NotNegative = 0.2
-    duration_s: Positive = 1.0
+    @cached_property
+    def profile(self) -> StepProfile:
+        """The step trial."""
+        return StepProfile(**self.model_dump())
+
+    @model_validator(mode="after")
+    def _in_order(self) -> Self:
+        try:
+            _ = self.profile
+        except InvalidInput as error:
+            raise ValueError(str(error)) from None
+        return self
 
 
 class RealTimeTable(TomlTable):

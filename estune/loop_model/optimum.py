@@ -3,13 +3,13 @@
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, fields
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 
 from estune.core.gains import Gains
 from estune.core.quantities import FloatArray
-from estune.errors import InvalidInput
+from estune.core.setting import Setting, check_settings, documented
 from estune.loop_model.model import LoopModel
 from estune.loop_model.prediction import Interval, PredictedMargins, Prediction, StepTrial, predict
 
@@ -17,33 +17,44 @@ SENSITIVITY_MAX = 1.6
 """Largest Ms by default; 1.4 is robust, 2 aggressive."""
 
 
+_NONE = "no limit"
+
+
+@documented
 @dataclass(frozen=True, slots=True)
 class RobustnessLimits:
     """Limits that gains have to keep; None is no limit.
-
-    Attributes:
-        max_sensitivity: Largest Ms.
-        max_overshoot: Largest overshoot, as a share of the step.
-        min_phase_margin_deg: Smallest phase margin, degrees.
 
     Raises:
         InvalidInput: a value is out of its range.
     """
 
-    max_sensitivity: float | None = SENSITIVITY_MAX
-    max_overshoot: float | None = 0.05
-    min_phase_margin_deg: float | None = None
+    max_sensitivity: Annotated[
+        float | None,
+        Setting(
+            "Largest Ms, the peak of the sensitivity",
+            none=_NONE,
+            above=1.0,
+            most=100.0,
+        ),
+    ] = SENSITIVITY_MAX
+    max_overshoot: Annotated[
+        float | None,
+        Setting(
+            "Largest overshoot, as a share of the step",
+            share=True,
+            none=_NONE,
+            above=0.0,
+            most=1.0,
+        ),
+    ] = 0.05
+    min_phase_margin_deg: Annotated[
+        float | None,
+        Setting("Smallest phase margin", "degrees", none=_NONE, above=0.0, most=90.0),
+    ] = None
 
     def __post_init__(self) -> None:
-        for what, value, least, most in (
-            ("sensitivity limit", self.max_sensitivity, 1.0, 100.0),
-            ("overshoot limit", self.max_overshoot, 0.0, 1.0),
-            ("phase margin limit", self.min_phase_margin_deg, 0.0, 90.0),
-        ):
-            if value is not None and not least < value <= most:
-                raise InvalidInput(
-                    f"{what} is {value}; it must be above {least:g}, at most {most:g}"
-                )
+        check_settings(self)
 
     @property
     def asked(self) -> bool:

@@ -1,12 +1,12 @@
 """Plan of a run: everything that determines its trials."""
 
-import math
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Annotated, Any
 
 from estune.core.cost import StepCost
 from estune.core.gains import Gains
+from estune.core.setting import Setting, check_settings, documented
 from estune.errors import InvalidInput
 from estune.loop_model.optimum import RobustnessLimits
 from estune.trial.profiles import StepProfile
@@ -31,8 +31,50 @@ CONFIRMATION_REPEATS_MAX = 10
 """Maximum repeats of each gains in a confirmation, unless the plan asks for more."""
 
 
+@documented
+@dataclass(frozen=True, kw_only=True)
+class Search:
+    """Settings of a search for gains.
+
+    Raises:
+        InvalidInput: a value is out of its range.
+    """
+
+    trials: Annotated[int, Setting("Maximum number of search trials", least=1)] = TRIALS
+    repeats: Annotated[
+        int,
+        Setting(
+            "Trials of the initial gains before the search and of each candidate in the choice; "
+            "also the minimum of each in the confirmation",
+            least=1,
+        ),
+    ] = REPEATS
+    tolerance: Annotated[
+        float,
+        Setting(
+            "Remaining improvement, relative to the cost, at which the search ends, if the tuner "
+            "estimates it; 0 makes it use all its trials",
+            share=True,
+            least=0.0,
+            below=1.0,
+        ),
+    ] = TOLERANCE
+    eta_max: Annotated[
+        float | None,
+        Setting(
+            "Cost above which a trial is unsafe",
+            otherwise="three times the initial cost",
+            above=0.0,
+        ),
+    ] = None
+
+    def __post_init__(self) -> None:
+        check_settings(self)
+
+
+@documented
 @dataclass(frozen=True)
-class Plan:
+class Plan(Search):
     """Everything that determines the trials of a run.
 
     Attributes:
@@ -41,13 +83,6 @@ class Plan:
         start: Initial gains.
         step: The step trial.
         cost: The cost of a trial.
-        trials: Maximum number of search trials.
-        repeats: Trials of the initial gains before the search and of each candidate in the
-            choice; also the minimum of each in the confirmation.
-        eta_max: Cost above which a trial is unsafe (the paper's guard under (35)); None means
-            `UNSAFE_RATIO` times the initial cost.
-        tolerance: Remaining improvement, relative to the cost, at which the search ends, if the
-            tuner estimates it; zero makes it use all its trials.
         ask_first: Whether the operator must approve gains outside the region shown to be safe.
         start_source: Where initial gains come from that were not tried on the rig; the first
             record refuses them if their loop is not robust.
@@ -56,9 +91,8 @@ class Plan:
         forced: Whether ill-posed trials are tuned by all the same.
 
     Raises:
-        InvalidInput: a count is too small, the limit is not above zero, the tolerance is not a
-            share, the tuner does not predict which gains are safe, or the settling time is longer
-            than the trial.
+        InvalidInput: a value is out of its range, the tuner does not predict which gains are
+            safe, or the settling time is longer than the trial.
     """
 
     run: str
@@ -66,27 +100,13 @@ class Plan:
     start: Gains
     step: StepProfile
     cost: StepCost
-    trials: int = TRIALS
-    repeats: int = REPEATS
-    eta_max: float | None = None
-    tolerance: float = TOLERANCE
     ask_first: bool = False
     start_source: str = ""
     limits: RobustnessLimits | None = None
     forced: bool = False
 
     def __post_init__(self) -> None:
-        if self.trials < 1 or self.repeats < 1:
-            raise InvalidInput(
-                f"{self.trials} search trials with {self.repeats} repeats: each must be at least 1"
-            )
-        if self.eta_max is not None and not (math.isfinite(self.eta_max) and self.eta_max > 0.0):
-            raise InvalidInput(f"eta_max is {self.eta_max}; it must be finite and above zero")
-        if not 0.0 <= self.tolerance < 1.0:
-            raise InvalidInput(
-                f"tolerance is {self.tolerance}; it is a share of the cost: give 0 (use all "
-                "trials) to below 1, such as 0.02"
-            )
+        Search.__post_init__(self)
         if self.ask_first and not isinstance(self.tuner, PredictingTuner):
             raise InvalidInput(
                 f"tuner {self.tuner.name} does not predict which gains are safe, as approval "

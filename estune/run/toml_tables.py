@@ -2,24 +2,26 @@
 
 import math
 from dataclasses import replace
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, NamedTuple, Self
 
 from pydantic import AfterValidator, Field, model_validator
 
 from estune.core.cost import StepCost, cost_from
 from estune.core.gains import GAIN_NAMES
+from estune.core.pidf import ControllerSettings
+from estune.core.setting import Declared, Setting, declared
 from estune.loop_model.optimum import RobustnessLimits
-from estune.run.plan import REPEATS, TOLERANCE, TRIALS
+from estune.run.plan import Search
 from estune.run.planning import with_load
+from estune.run.settings_table import given_settings, table_of
 from estune.support.toml_file import TomlTable
 from estune.trial import RigDescription
-from estune.trial.profiles import StepProfile
+from estune.trial.profiles import LoadStepProfile, StepProfile
 from estune.tuners import tuner_class
 
 Positive = Annotated[float, Field(gt=0.0)]
 NotNegative = Annotated[float, Field(ge=0.0)]
 Count = Annotated[int, Field(ge=1)]
-Limit = Positive | Literal["none"] | None
 Range = Annotated[tuple[float, float], Field(strict=False)]
 
 
@@ -31,44 +33,76 @@ def _check_tuner(name: str) -> str:
 TunerName = Annotated[str, AfterValidator(_check_tuner)]
 
 
-def given_values(table: TomlTable) -> dict[str, Any]:
-    """The values of a table that are not left to the rig."""
-    return {name: value for name, value in table.model_dump().items() if value is not None}
-
-
-class StepTable(TomlTable):
-    """The step trial; by default as the rig suggests.
+class Group(NamedTuple):
+    """Settings that stand in one table of a file, under one heading.
 
     Attributes:
-        preload_N: Tension before the step.
-        step_N: Size of the step.
-        step_at_s: Time of the step.
-        duration_s: Length of the trial.
-        load_N: Load step after it, added to the effort, where the rig can make one.
-        load_at_s: Time of the load; by default the end of the trial, which grows by as much.
+        title: The heading.
+        kind: The dataclass that declares them.
+        leave_out: Fields of it that users do not set.
+        more: Settings that stand beside its fields.
     """
 
-    preload_N: float | None = None
-    step_N: float | None = None
-    step_at_s: NotNegative | None = None
-    duration_s: Positive | None = None
-    load_N: float | None = None
-    load_at_s: Positive | None = None
+    title: str
+    kind: type
+    leave_out: tuple[str, ...] = ()
+    more: tuple[Declared, ...] = ()
+
+    @property
+    def members(self) -> tuple[Declared, ...]:
+        """The settings."""
+        own = (member for member in declared(self.kind) if member.name not in self.leave_out)
+        return (*self.more, *own)
+
+
+_PRESET = Setting(
+    "Cost by name: paper for (35), itae, ise (with a price on the effort), rejection (of a load "
+    "step), tracking_and_rejection, or module:function of a StepResponse",
+    otherwise="paper",
+)
+_BOUNDS = Setting(
+    "Lowest and highest value of gains, by name, in their own units",
+    otherwise="a hundredth and a hundred times the initial value",
+)
+STEP = Group("The step trial", LoadStepProfile, ("loop", "kind"))
+COST = Group(
+    "The cost of a trial",
+    StepCost,
+    ("criterion", "function"),
+    (Declared("preset", str, None, _PRESET),),
+)
+SEARCH = Group("The search", Search, (), (Declared("bounds", dict, None, _BOUNDS),))
+LIMITS = Group("Limits of robustness", RobustnessLimits)
+CONTROLLER = Group(
+    "The controller", ControllerSettings, ("sampling_Hz", "output_min_N", "output_max_N", "form")
+)
+"""The groups; those of a tuning, and the part of the controller that is not tuned."""
+
+
+@table_of(STEP.kind, leave_out=STEP.leave_out)
+class StepTable(TomlTable):
+    """The step trial; by default as the rig suggests."""
+
+    @property
+    def given(self) -> dict[str, Any]:
+        """The settings that are not left to the rig."""
+        return given_settings(self, LoadStepProfile)
 
     @model_validator(mode="after")
     def _in_order(self) -> Self:
-        at, end = self.step_at_s, self.duration_s
+        given = self.given
+        at, end = given.get("step_at_s"), given.get("duration_s")
         if at is not None and end is not None and not at < end:
             raise ValueError(
                 f"step_at_s: {at:g} is not before the trial's end, duration_s {end:g}"
             )
-        if self.load_at_s is not None and self.load_N is None:
+        if "load_at_s" in given and "load_N" not in given:
             raise ValueError("load_at_s: there is no load_N; give its size too")
         return self
 
     def of(self, rig: RigDescription) -> StepProfile:
         """The step for a rig."""
-        given = given_values(self)
+        given = self.given
         load_N, load_at_s = given.pop("load_N", None), given.pop("load_at_s", None)
         step = replace(rig.step, **given)
         if load_N is None:
@@ -83,75 +117,45 @@ class StepTable(TomlTable):
         )
 
 
+@table_of(COST.kind, leave_out=COST.leave_out)
 class CostTable(TomlTable):
-    """The cost of a trial.
-
-    Attributes:
-        preset: Cost by name, or "module:function" of a `StepResponse`; (35) by default.
-        settling_time_s: Desired settling time; the rig's suggestion by default.
-        weight: Weight over the transient: as printed, or rising as in the paper's text.
-        time_unit: Unit of the time weight.
-        move_weight: Control-move penalty.
-        effort_weight: Price of the effort.
-        rejection: Share of load rejection, from 0 to 1.
-    """
+    """The cost of a trial."""
 
     preset: str | None = None
-    settling_time_s: Positive | None = None
-    weight: Literal["printed", "rising"] | None = None
-    time_unit: Literal["second", "settling_time"] | None = None
-    move_weight: NotNegative | None = None
-    effort_weight: NotNegative | None = None
-    rejection: Annotated[float, Field(ge=0.0, le=1.0)] | None = None
 
     def too_long(self, step: StepTable) -> list[str]:
         """The fault of the settling time for such a trial, if any, as a list."""
-        after_s = (step.duration_s or math.inf) - (step.step_at_s or 0.0)
-        if self.settling_time_s is None or self.settling_time_s <= after_s:
+        trial, settling_s = step.given, given_settings(self, StepCost).get("settling_time_s", 0.0)
+        after_s = trial.get("duration_s", math.inf) - trial.get("step_at_s", 0.0)
+        if settling_s <= after_s:
             return []
         limit = f"is longer than the {after_s:g} s after the step"
-        return [f"cost.settling_time_s: {self.settling_time_s:g} {limit}"]
+        return [f"cost.settling_time_s: {settling_s:g} {limit}"]
 
     def of(self, rig: RigDescription) -> StepCost:
         """The cost for a rig."""
-        given = given_values(self)
-        chosen = cost_from(given.pop("preset", "paper"), rig.settling_time_s)
-        return replace(chosen, **given).scaled(rig.effort_scale)
+        chosen = cost_from(self.preset or "paper", rig.settling_time_s)
+        return replace(chosen, **given_settings(self, StepCost)).scaled(rig.effort_scale)
 
 
+@table_of(Search, own=True)
+@table_of(RobustnessLimits)
 class SearchTable(TomlTable):
-    """The search.
+    """The search, and the limits that its gains keep."""
 
-    Attributes:
-        trials: Maximum number of search trials.
-        repeats: Trials of the initial gains before the search; also the minimum of confirmation
-            trials of the initial and of the tuned gains.
-        tolerance: Remaining improvement, relative to the cost, at which the search ends; zero
-            makes it use all its trials.
-        eta_max: Cost above which a trial is unsafe; three times the initial cost by default.
-        bounds: Lowest and highest value of gains, by name, in their own units.
-        max_sensitivity: Largest Ms, or "none"; 1.6 by default.
-        max_overshoot: Largest overshoot as a share of the step, or "none"; 0.05 by default.
-        min_phase_margin_deg: Smallest phase margin; none by default.
-    """
-
-    trials: Count = TRIALS
-    repeats: Count = REPEATS
-    tolerance: Annotated[float, Field(ge=0.0, lt=1.0)] = TOLERANCE
-    eta_max: Positive | None = None
     bounds: dict[str, Range] = Field(default={})
-    max_sensitivity: Limit = None
-    max_overshoot: Limit = None
-    min_phase_margin_deg: Limit = None
 
     @property
     def limits(self) -> RobustnessLimits | None:
         """The limits of robustness; None where all are the usual ones."""
-        names = ("max_sensitivity", "max_overshoot", "min_phase_margin_deg")
-        given = {name: value for name in names if (value := getattr(self, name)) is not None}
-        if not given:
-            return None
-        return RobustnessLimits(**{n: None if v == "none" else v for n, v in given.items()})
+        given = given_settings(self, RobustnessLimits)
+        return RobustnessLimits(**given) if given else None
+
+    @property
+    def search(self) -> dict[str, Any]:
+        """Arguments of `estune.run.planning.make_plan`."""
+        search = {m.name: getattr(self, m.name) for m in declared(Search)}
+        return {**search, "bounds": dict(self.bounds) or None, "limits": self.limits}
 
     @model_validator(mode="after")
     def _limited(self) -> Self:

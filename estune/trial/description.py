@@ -9,7 +9,7 @@ from pydantic import Field
 
 from estune.core.gains import Gains
 from estune.core.pidf import ControllerSettings
-from estune.core.quantities import check_not_negative
+from estune.core.setting import Setting, check_settings, documented
 from estune.errors import InvalidInput
 from estune.trial.profiles import AnyProfile, LoadStepProfile, StepProfile
 from estune.trial.signals import EFFORT, TENSION, NamedSignals, Signals
@@ -60,29 +60,36 @@ def _omitted_if(default: object) -> Any:
     return Field(exclude_if=lambda value: value == default)
 
 
+@documented
 @dataclass(frozen=True, slots=True)
 class RigLimits:
     """Limits of a rig for requests.
-
-    Attributes:
-        tension_min_N: Lowest setpoint, N; of an open loop too.
-        tension_max_N: Highest setpoint, N; of an open loop too.
-        duration_max_s: Longest trial, s.
-        load_max_N: Largest load step that the rig can add to the effort, N; zero where it cannot.
 
     Raises:
         InvalidInput: the limits are in the wrong order, or NaN.
     """
 
-    tension_min_N: float
-    tension_max_N: float
-    duration_max_s: float
-    load_max_N: Annotated[float, _omitted_if(0.0)] = 0.0
+    tension_min_N: Annotated[
+        float, Setting("Lowest setpoint, of an open loop too", "N", infinite=True)
+    ]
+    tension_max_N: Annotated[
+        float, Setting("Highest setpoint, of an open loop too", "N", infinite=True)
+    ]
+    duration_max_s: Annotated[float, Setting("Longest trial", "s", infinite=True, above=0.0)]
+    load_max_N: Annotated[
+        float,
+        _omitted_if(0.0),
+        Setting(
+            "Largest load step that the rig can add to the effort; zero where it cannot",
+            "N",
+            least=0.0,
+        ),
+    ] = 0.0
 
     def __post_init__(self) -> None:
-        check_not_negative("limit of load steps", self.load_max_N, "N")
+        check_settings(self)
         # Infinite limits satisfy both conditions, NaN neither.
-        if not (self.tension_min_N <= self.tension_max_N and self.duration_max_s > 0.0):
+        if not self.tension_min_N <= self.tension_max_N:
             raise InvalidInput(
                 f"limits {self.tension_min_N:g} to {self.tension_max_N:g} and "
                 f"{self.duration_max_s:g} s: give them in order, and a duration above zero"

@@ -229,14 +229,9 @@ def _places_at(
     cost = design.cost.of(description)
     step = _step(design, description, tension, cost)
     start = _start(design.start, description, step, cost)
-    search: dict[str, Any] = {
-        "trials": design.trials,
-        "repeats": design.repeats,
-        "tolerance": design.tolerance,
-        "eta_max": design.eta_max,
-        "bounds": dict(design.bounds) or None,
-        **({"limits": design.limits} if design.limits else {}),  # keys on disk are older
-    }
+    search = design.search
+    if search["limits"] is None:
+        del search["limits"]  # keys on disk are older
     places = []
     for tuner in design.tuners or [DEFAULT_TUNER]:
         plan = make_plan(

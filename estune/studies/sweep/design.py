@@ -117,7 +117,7 @@ class SweepDesign(SearchTable):
                 f"lengths_m: none is given, and {models[0]} is a model, to be simulated at each "
                 "of them; give at least two"
             )
-        if self.step.preload_N is not None:
+        if "preload_N" in self.step.given:
             wrong.append("step.preload_N: in a sweep that is tensions_N; give it there")
         wrong += [
             f"start.{name}: no gain; the gains are {', '.join(GAIN_NAMES)}"
