@@ -190,7 +190,7 @@ def test_invalid_settling_time_is_refused(bad):
 
 @pytest.mark.parametrize("bad", [-0.1, math.nan, math.inf])
 def test_invalid_move_weight_is_refused(bad):
-    with pytest.raises(InvalidInput, match=f"move weight is {bad}"):
+    with pytest.raises(InvalidInput, match=f"move_weight is {bad}"):
         StepCost(0.3, move_weight=bad)
 
 

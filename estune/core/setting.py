@@ -67,8 +67,8 @@ class Bounds:
         low += [f"{self.least:g} or more"] if self.least is not None else []
         high = [f"below {self.below:g}"] if self.below is not None else []
         high += [f"at most {self.most:g}"] if self.most is not None else []
-        if self.least is not None and self.most is not None:
-            return f"from {self.least:g} to {self.most:g}"
+        if self.least is not None and high:
+            return f"from {self.least:g} to {high[0].removeprefix('at most ')}"
         return ", ".join([*low, *high, *(["not zero"] if self.not_zero else [])])
 
     def hold(self, value: float) -> bool:

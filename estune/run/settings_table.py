@@ -4,7 +4,7 @@ from collections.abc import Callable, Collection, Mapping
 from dataclasses import MISSING
 from typing import Annotated, Any, Literal, TypeVar
 
-from pydantic import BeforeValidator, Field, create_model
+from pydantic import AfterValidator, BeforeValidator, Field, create_model
 
 from estune.core.setting import Declared, declared, share
 from estune.support.toml_file import TomlTable
@@ -67,6 +67,8 @@ def _checked(member: Declared) -> Any:
         kind = Annotated[
             kind, Field(gt=bounds.above, ge=bounds.least, lt=bounds.below, le=bounds.most)
         ]
+        if bounds.not_zero:
+            kind = Annotated[kind, AfterValidator(_not_zero)]
     if member.setting.share:
         kind = Annotated[kind, BeforeValidator(_from_per_cent)]
     return kind | Literal["none"] if member.setting.none else kind
@@ -74,3 +76,9 @@ def _checked(member: Declared) -> Any:
 
 def _from_per_cent(value: Any) -> Any:
     return share(value) if isinstance(value, str) and value.endswith("%") else value
+
+
+def _not_zero(value: float) -> float:
+    if value == 0.0:
+        raise ValueError("Input should not be zero")
+    return value
