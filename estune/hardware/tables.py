@@ -163,7 +163,7 @@ class MotionTable(TomlTable):
 class ControllerTable(TomlTable):
     """The part of the controller that is not tuned."""
 
-    def settings(self, **rest: float) -> ControllerSettings:
+    def settings(self, **rest: Any) -> ControllerSettings:
         """Fixed part of the controller, with the settings that are no keys."""
         return ControllerSettings(**self.model_dump(), **rest)
 
