@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 import estune
 from estune.cli import run
@@ -19,6 +20,7 @@ from estune.conformance.rig import RigConformance
 from estune.core import pidf
 from estune.core.gains import Gains
 from estune.errors import RigError
+from estune.hardware.compensation.plan import KnownMotion
 from estune.hardware.compensation.runtime import PlainCompensation
 from estune.hardware.trial_board.export import board_files
 from estune.hardware.trial_board.rig import BoardRig
@@ -193,7 +195,12 @@ def test_trials_of_a_tuning_on_the_board_are_those_of_the_simulated_loop_bit_for
 
 def test_compensations_on_the_board_are_those_of_the_computer(tmp_path):
     compensation = {
-        "friction": {"coulomb_Nm": 0.002, "static_Nm": 0.003, "stribeck_rad_s": 0.5},
+        "friction": {
+            "coulomb_Nm": 0.002,
+            "static_Nm": 0.003,
+            "stribeck_rad_s": 0.5,
+            "tension_per_rad_N": 190.0,
+        },
         "inertia": {"inertia_kgm2": 1e-5},
         "gravity": {"weight_N_m": 0.5, "rise_m": 0.4, "length_min_m": 0.5, "length_max_m": 1.4},
     }
@@ -204,8 +211,12 @@ def test_compensations_on_the_board_are_those_of_the_computer(tmp_path):
     assert record.outcome is Outcome.DONE
     plain = PlainCompensation(rig_file(**changes).compensations())
     gauge = record.tension_N + record.gravity_N
-    sampled = zip(record.time_s, gauge, record.angle_rad, strict=True)
-    terms = np.array([plain.sample(*map(float, row)) for row in sampled])[60:]
+    c = pidf.coefficients(about.controller, record.gains)
+    filtered = filter_setpoint(c.setpoint_pole, record.setpoint_N)
+    sampled = zip(record.time_s, gauge, record.angle_rad, map(KnownMotion, filtered), strict=True)
+    # From the step on: before it, friction keeps the direction of the way to the preload.
+    moved = slice(round(about.step.step_at_s * record.sampling_Hz) + 20, None)
+    terms = np.array([plain.sample(*row) for row in sampled])[moved]
     recorded = (
         record.drum_velocity_rad_s,
         record.gravity_N,
@@ -214,9 +225,16 @@ def test_compensations_on_the_board_are_those_of_the_computer(tmp_path):
     )
     assert np.abs(terms).max(axis=0).min() > 0.0
     # The board counts time from its start: another rounding may choose another window.
-    np.testing.assert_allclose(np.transpose(recorded)[60:], terms, rtol=1e-6, atol=1e-4)
+    np.testing.assert_allclose(np.transpose(recorded)[moved], terms, rtol=1e-6, atol=1e-4)
     own = 16.0 * record.controller_A
     np.testing.assert_allclose(recomputed_effort(record, about, own[0]), own, atol=1e-3)
+
+
+def filter_setpoint(pole, setpoint):
+    """The filtered setpoint of the sample before each."""
+    steps = setpoint - setpoint[0]
+    filtered = setpoint[0] + lfilter([1.0 - pole], [1.0, -pole], steps)
+    return np.concatenate(([setpoint[0]], filtered[:-1])).tolist()
 
 
 def request(rig, number, gains=None, **changes):

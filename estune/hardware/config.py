@@ -167,7 +167,8 @@ class RigConfig(TomlTable):
             return None
         reel = self.reel
         geometry = reel.encoder_counts_per_turn, reel.drum_radius_m, reel.cable_length_m
-        return self.compensation.plan(*geometry, self.settings().output_max_N)
+        limit_N = self.settings().output_max_N
+        return self.compensation.plan(self.sampling_Hz, *geometry, limit_N)
 
     def hybrid_control(self) -> HybridPlan | None:
         """Position control beside that of the tension; None where there is none."""

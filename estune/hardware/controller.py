@@ -15,6 +15,7 @@ from estune.support import c_compiler
 _LIMITS = slice(
     Coefficients._fields.index("output_min_N"), Coefficients._fields.index("output_max_N") + 1
 )
+_FILTERED = pidf.PidfState._fields.index("filtered_setpoint_N")
 _EXPORT = '#define ESTUNE_PIDF_EXPORT __attribute__((visibility("default")))\n'
 
 
@@ -79,6 +80,11 @@ class CompiledController(_Limits):
         self.forward_N = effort_N
         self._struct.coefficients[_LIMITS] = self.own_limits_N
 
+    @property
+    def filtered_setpoint_N(self) -> float:
+        """Setpoint after its filter at the last step, N."""
+        return float(self._struct.state[_FILTERED])
+
     def rest(self, tension_N: float, effort_N: float) -> None:
         """Takes the state of a settled loop."""
         self._rest(self._at, tension_N, effort_N - self.forward_N)
@@ -122,6 +128,11 @@ class PlainController(_Limits):
         self.forward_N = effort_N
         low, high = self.own_limits_N
         self._coefficients = self._coefficients._replace(output_min_N=low, output_max_N=high)
+
+    @property
+    def filtered_setpoint_N(self) -> float:
+        """Setpoint after its filter at the last step, N."""
+        return float(self._state.filtered_setpoint_N)
 
     def rest(self, tension_N: float, effort_N: float) -> None:
         """Takes the state of a settled loop."""

@@ -96,6 +96,11 @@ ESTUNE_PIDF_EXPORT void estune_pidf_init(estune_pidf *pidf) {{
   estune_pidf_at_rest(pidf, 0, 0);
 }}
 
+/* The setpoint after its filter, N, at the last step. */
+ESTUNE_PIDF_EXPORT casadi_real estune_pidf_setpoint(const estune_pidf *pidf) {{
+  return pidf->state[{filtered}];
+}}
+
 /* Makes the next step at these signals give exactly this effort, whatever the gains were. */
 ESTUNE_PIDF_EXPORT void estune_pidf_take_over(estune_pidf *pidf, casadi_real setpoint,
                                               casadi_real measurement, casadi_real effort) {{
@@ -170,6 +175,7 @@ def controller_source(settings: ControllerSettings, gains: Gains) -> str:
         coefficient_names=", ".join(pidf.Coefficients._fields),
         states=STATES,
         state_names=", ".join(pidf.PidfState._fields),
+        filtered=pidf.PidfState._fields.index("filtered_setpoint_N"),
         limits=pidf.Coefficients._fields.index("output_min_N"),
         gains=", ".join(repr(value) for value in gains.as_tuple()),
     )

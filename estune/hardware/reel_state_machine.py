@@ -15,7 +15,7 @@ rig takes no trial until an operator has cleared it.
 import math
 
 from estune.core.pidf import Coefficients
-from estune.hardware.compensation.plan import NO_COMPENSATION, CompensationTerms
+from estune.hardware.compensation.plan import NO_COMPENSATION, CompensationTerms, KnownMotion
 from estune.hardware.compensation.runtime import Compensation
 from estune.hardware.controller import Controller
 from estune.hardware.driver import Reading
@@ -60,6 +60,7 @@ class ReelStateMachine:
         self._controller = controller
         self._compensation, self._hybrid = compensation, hybrid
         self._forward_N = 0.0
+        self._filtered_N = math.nan
         self._live = LiveGains(plan.live, plan.length_source)
         self._angle_rad = 0.0
         self._guard = GuardWatch(plan, memory)
@@ -149,6 +150,11 @@ class ReelStateMachine:
                 self._trip(stop, reading.time_s, tension)
         self._angle_rad = angle
         self._effort_N = self._next_effort(reading.time_s, tension)
+        closed = self.phase in (MotionPhase.HOLD, MotionPhase.TRIAL)
+        in_tension = self._hybrid is None or self._hybrid.in_tension
+        self._filtered_N = (
+            self._controller.filtered_setpoint_N if closed and in_tension else math.nan
+        )
         current = self._effort_N / plan.newtons_per_ampere
         if recorded:
             memory.record(
@@ -176,9 +182,12 @@ class ReelStateMachine:
 
     def _compensate(self, time_s: float, gauge_N: float, angle_rad: float) -> CompensationTerms:
         """The compensations at this sample; in an open loop they would alter what is asked for."""
-        terms = self._compensation.sample(time_s, gauge_N, angle_rad)
         trial = self._trial
-        if self.phase is MotionPhase.TRIAL and trial is not None and trial.open_loop:
+        is_open = self.phase is MotionPhase.TRIAL and trial is not None and trial.open_loop
+        filtered = math.nan if is_open else self._filtered_N
+        known = KnownMotion(filtered, self._memory.far_end_m_s[0] if self._follows else 0.0)
+        terms = self._compensation.sample(time_s, gauge_N, angle_rad, known)
+        if is_open:
             terms = NO_COMPENSATION._replace(velocity_rad_s=terms.velocity_rad_s)
         self._forward_N = terms.feed_forward_N
         self._controller.feed_forward(self._forward_N)

@@ -179,6 +179,7 @@ class HardwareRig:
             )
         self._memory.target_N[0] = setpoint.tension_N
         self._memory.target_rad[0] = math.nan if setpoint.angle_rad is None else setpoint.angle_rad
+        self._memory.far_end_m_s[0] = setpoint.far_end_m_s
         words[Word.SETPOINTS] += 1
         return Feedback(
             time_s=levels[SensorLevels.TIME_s],

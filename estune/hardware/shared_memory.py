@@ -113,6 +113,7 @@ class Memory:
         weights: Weight of the squared error in the running cost; written by the rig.
         target_N: Setpoint from above, a single number; written by the rig.
         target_rad: Angle for position control from above, a single number; NaN for tension.
+        far_end_m_s: Velocity of the far end from above, a single number; written by the rig.
         time_s: Further columns of the trial, as in a record; written by the loop. Those of
             compensations that are off stay zero.
     """
@@ -130,6 +131,7 @@ class Memory:
         self.words = self._take("q", len(Word))
         self.levels = self._take("d", len(SensorLevels))
         self.target_N, self.target_rad = self._take("d", 1), self._take("d", 1)
+        self.far_end_m_s = self._take("d", 1)
         self.lateness, self.turnaround = self._take("q", BINS), self._take("q", BINS)
         self._reason, self._order = self._take("B", REASON_BYTES), self._take("B", REASON_BYTES)
         columns = [self._take("d", capacity) for _ in range(_COLUMNS)]
@@ -201,7 +203,7 @@ class Memory:
 
 
 def _size(capacity: int) -> int:
-    head = 8 * (len(Word) + len(SensorLevels) + 2 + 2 * BINS) + 2 * REASON_BYTES
+    head = 8 * (len(Word) + len(SensorLevels) + 3 + 2 * BINS) + 2 * REASON_BYTES
     return head + _BYTES_PER_SAMPLE * capacity
 
 

@@ -1,18 +1,15 @@
-"""Feed-forward of friction and inertia to the drum.
+"""Dry friction of the drum, and its feed-forward along the motion that is known beforehand.
 
-The motor supplies the torque of friction and inertia beforehand, so that the tension has no error
-for the PIDF to correct. All quantities are at the drum, as the paper tunes it: torques in N m,
-velocities in rad/s.
+The motor supplies the torque of friction in advance, so that the tension has no error for the PIDF
+to correct. All quantities are at the drum, as the paper tunes it: torques in N m, velocities in
+rad/s.
 
-Friction feed-forward is positive feedback of the velocity. The paper warns of instability when the
-velocity is noisy and the friction coefficients are high: the sign changes with the noise, each
-change disturbs the cable by twice the friction, and the tension decreases toward zero, where no
-controller holds it. Two limits prevent this:
-
-* the feed-forward is a fraction, below one, of the friction of (10). If the identified curve is at
-  most 1/fraction too high, friction exceeds the feed-forward at any velocity;
-* within the error bound of the velocity estimate, where its sign is uncertain, the sign is
-  replaced by velocity / bound: zero on average over noise about rest, without jumps.
+The feed-forward follows the drum's known motion: that which the filtered setpoint and the
+commanded motion of the cable's far end require of it. It does not follow the measured velocity.
+Friction fed along that is positive feedback around a drum that sticks, and makes the tension hunt
+even where the friction is known exactly. Along the known motion nothing is fed back: at rest the
+tension is as calm as without (`python -m experiments.compensation`). Friction of a motion that
+nobody announces is not compensated.
 """
 
 import math
@@ -23,7 +20,6 @@ import numpy as np
 
 from estune.core.quantities import check_not_negative, check_positive
 from estune.errors import InvalidInput
-from estune.reel.velocity import Motion
 
 Signal = Any
 """A float or an array."""
@@ -75,46 +71,62 @@ class StribeckFriction:
         return self.size_Nm(velocity_rad_s) * np.sign(velocity_rad_s)
 
 
+FRACTION_MAX = 1.2
+"""Greatest fraction fed forward: up to it the tension at rest is as calm as without."""
+
+
 @dataclass(frozen=True, slots=True)
-class FeedForward:
-    """Feed-forward of friction and inertia.
+class FrictionFeedForward:
+    """Feed-forward of dry friction along the known motion of the drum.
+
+    The direction z follows the angle s that the drum is known to have turned, as the bristles of
+    Dahl (1968) do, and keeps its value at rest:
+
+        dz = (sgn(ds) - z) |ds| / d
+
+    so that the torque changes over the same distance as the friction of a drum that presses its
+    contacts forward before it slides, at whatever velocity.
 
     Attributes:
         friction: The identified dry friction.
-        inertia_kgm2: Identified inertia J_m of all rotating parts at the drum, kg m2.
-        fraction: Compensated share of the friction, from 0 to below 1. The identified friction may
-            be too high by up to 1/fraction - 1 before the compensation drives the drum.
+        memory_rad: Presliding distance d, rad; far below any motion where the friction has none.
+        load_share: Friction per tension c, without unit: adds c T R to the torque.
+        fraction: Share of the friction that is fed forward, from 0 to `FRACTION_MAX`.
 
     Raises:
         InvalidInput: a value is out of its range.
     """
 
     friction: StribeckFriction
-    inertia_kgm2: float
+    memory_rad: float
+    load_share: float = 0.0
     fraction: float = 0.8
 
     def __post_init__(self) -> None:
-        check_not_negative("inertia", self.inertia_kgm2, "kg m2")
-        if not 0.0 <= self.fraction < 1.0:
+        check_positive("presliding distance", self.memory_rad, "rad")
+        check_not_negative("friction per tension", self.load_share, "")
+        if not 0.0 <= self.fraction <= FRACTION_MAX:
             raise InvalidInput(
-                f"friction fraction is {self.fraction}; from 1 on the compensation drives the "
-                "drum by itself, choose one from 0 to below 1"
+                f"friction fraction is {self.fraction}; choose one from 0 to {FRACTION_MAX:g}"
             )
 
-    def friction_Nm(self, motion: Motion) -> Signal:
-        """Friction compensation, N m, along the motion: (10) within its two limits.
+    def direction(self, before: float, moved_rad: float) -> float:
+        """Direction z after the drum has turned by an angle, from its value before."""
+        if moved_rad == 0.0:
+            return before
+        sign = math.copysign(1.0, moved_rad)
+        return sign + (before - sign) * math.exp(-abs(moved_rad) / self.memory_rad)
+
+    def force_N(
+        self, direction: float, velocity_rad_s: float, tension_N: float, drum_radius_m: float
+    ) -> float:
+        """Force at the cable that is fed forward, N.
 
         Args:
-            motion: Estimated motion. Below its velocity bound the sign is uncertain; a velocity
-                with an infinite bound, as at the first sample, is not compensated.
+            direction: Direction z.
+            velocity_rad_s: Known velocity of the drum, rad/s.
+            tension_N: Known tension, that of the filtered setpoint, N.
+            drum_radius_m: Radius of the cable on the drum, m.
         """
-        velocity = np.asarray(motion.velocity_rad_s)
-        # The smallest float keeps an exact velocity, bound zero, from dividing zero by zero.
-        scale = np.maximum(np.abs(velocity), np.maximum(motion.velocity_bound_rad_s, 5e-324))
-        smooth_sign = velocity / scale
-        torque = self.fraction * self.friction.size_Nm(velocity) * smooth_sign
-        return torque if torque.ndim else float(torque)
-
-    def inertia_Nm(self, motion: Motion) -> Signal:
-        """Inertia compensation T_m = J_m alpha_m, N m; zero below the noise floor."""
-        return self.inertia_kgm2 * motion.acceleration_rad_s2
+        dry_N = float(self.friction.size_Nm(velocity_rad_s)) / drum_radius_m
+        return self.fraction * direction * (dry_N + self.load_share * max(tension_N, 0.0))

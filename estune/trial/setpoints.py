@@ -18,6 +18,8 @@ class Setpoint:
         tension_N: Tension to be held, N.
         angle_rad: Angle of the drum to be held by position control, rad; None selects tension
             control.
+        far_end_m_s: Velocity with which the cable's far end is commanded to move, away from the
+            reel, m/s; what the rig feeds forward along a known motion follows it.
 
     Raises:
         InvalidInput: a number is not finite.
@@ -25,11 +27,14 @@ class Setpoint:
 
     tension_N: float
     angle_rad: float | None = None
+    far_end_m_s: float = 0.0
 
     def __post_init__(self) -> None:
-        if not all(map(math.isfinite, (self.tension_N, self.angle_rad or 0.0))):
+        numbers = self.tension_N, self.angle_rad or 0.0, self.far_end_m_s
+        if not all(map(math.isfinite, numbers)):
             raise InvalidInput(
-                f"setpoint {self.tension_N} N, {self.angle_rad} rad: give finite numbers"
+                f"setpoint {self.tension_N} N, {self.angle_rad} rad, far end {self.far_end_m_s} "
+                "m/s: give finite numbers"
             )
 
 

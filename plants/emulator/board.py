@@ -66,11 +66,12 @@ class Electronics:
 
 @dataclass(frozen=True, slots=True)
 class FarEnd:
-    """Motion of the cable's far end: `amplitude sin(2 pi frequency t)`, away from the reel.
+    """Motion of the cable's far end: `amplitude sin(2 pi frequency (t - begin))`, away from it.
 
     Attributes:
         amplitude_m: Amplitude, m.
         frequency_Hz: Frequency, Hz.
+        begin_s: Time from the emulator's start at which it begins to move, s.
 
     Raises:
         InvalidInput: a value is below zero.
@@ -78,14 +79,24 @@ class FarEnd:
 
     amplitude_m: float = 0.0
     frequency_Hz: float = 0.0
+    begin_s: float = 0.0
 
     def __post_init__(self) -> None:
         check_not_negative("far end's amplitude", self.amplitude_m, "m")
         check_not_negative("far end's frequency", self.frequency_Hz, "Hz")
+        check_not_negative("far end's begin", self.begin_s, "s")
 
     def position_m(self, time_s: float) -> float:
         """Position at a time, m."""
-        return self.amplitude_m * math.sin(2.0 * math.pi * self.frequency_Hz * time_s)
+        moved_s = max(0.0, time_s - self.begin_s)
+        return self.amplitude_m * math.sin(2.0 * math.pi * self.frequency_Hz * moved_s)
+
+    def velocity_m_s(self, time_s: float) -> float:
+        """Velocity at a time, m/s."""
+        if time_s < self.begin_s:
+            return 0.0
+        pace = 2.0 * math.pi * self.frequency_Hz
+        return self.amplitude_m * pace * math.cos(pace * (time_s - self.begin_s))
 
     def check(self, reel: Reel) -> None:
         """Checks that the reel's effects allow a far end that moves.
@@ -184,6 +195,11 @@ class Board:
             self._tripped,
             self._written,
         )
+
+    @property
+    def far_end_m_s(self) -> float:
+        """Velocity of the far end at the present, m/s."""
+        return self._far_end.velocity_m_s(self._time_s - self._start_s)
 
     def _current_A(self) -> float:
         return self._electronics.current_A(self._command) if self._powered else 0.0

@@ -1,11 +1,16 @@
-/* Compensations beside the PIDF controller: velocity and acceleration by adaptive windows, friction
- * (10) and inertia as feed-forward, the cable's weight (9), and the current's calibration C1.
+/* Compensations beside the PIDF controller: friction (10) as feed-forward along the known motion,
+ * velocity and acceleration by adaptive windows, inertia as feed-forward, the cable's weight (9),
+ * and the current's calibration C1.
  *
  *     static estune_compensation reel;                    all zero at the start
- *     estune_compensation_sample(&reel, time_s, gauge_N, angle_rad);
+ *     estune_compensation_sample(&reel, time_s, gauge_N, angle_rad, estune_pidf_setpoint(&pidf),
+ *                                far_end_m_s);
  *     effort = estune_pidf_step_beside(&pidf, reel.friction + reel.inertia, setpoint,
  *                                      gauge_N - reel.gravity, &excess);
  *     counts = estune_current_counts(effort / ESTUNE_NEWTONS_PER_AMPERE);
+ *
+ * The setpoint is the filtered one of the last step, N, and NAN where the loop was open; the far
+ * end's commanded velocity counts away from the reel, 0 where nothing is commanded.
  *
  * C99, in double precision (times need it), no allocation, no library but math. A compensation that
  * is not a number is zero; friction and inertia together stay within ESTUNE_FEED_FORWARD_MAX.
@@ -24,6 +29,8 @@ typedef struct {
   double middles[ESTUNE_HISTORY], velocities[ESTUNE_HISTORY], bounds[ESTUNE_HISTORY];
   double velocity, velocity_bound, acceleration; /* of the drum, rad/s and rad/s2 */
   double gravity, friction, inertia;             /* N */
+  int closed;                                    /* whether the next is a setpoint */
+  double setpoint, sliding;                      /* of the last sample; N, direction -1 to 1 */
 } estune_compensation;
 
 static void estune_prepend(double *values, double value) {
@@ -97,10 +104,22 @@ static double estune_gravity(double tension, double angle) {
   return -(fmin(fmax(vertical, -tension), tension) / tension) * weight;
 }
 
-static double estune_friction(double velocity, double bound) {
-  double ratio = velocity / ESTUNE_STRIBECK, scale = fmax(fabs(velocity), fmax(bound, 5e-324));
-  double size = ESTUNE_COULOMB + (ESTUNE_STATIC - ESTUNE_COULOMB) * exp(-(ratio * ratio));
-  return ESTUNE_FRACTION * size * (velocity / scale) / ESTUNE_DRUM_RADIUS;
+/* Along the known motion: that of the filtered setpoint and of the far end. */
+static double estune_friction(estune_compensation *c, double setpoint, double far_end) {
+  double moved = (setpoint - c->setpoint) / ESTUNE_TENSION_PER_RAD -
+                 far_end * ESTUNE_PERIOD / ESTUNE_DRUM_RADIUS;
+  double ratio = moved / ESTUNE_PERIOD / ESTUNE_STRIBECK, size, sign;
+  int known = c->closed && isfinite(moved);
+  c->closed = isfinite(setpoint);
+  c->setpoint = setpoint;
+  if (!known) return c->sliding = 0.0;
+  if (moved != 0.0) {
+    sign = moved > 0.0 ? 1.0 : -1.0;
+    c->sliding = sign + (c->sliding - sign) * exp(-fabs(moved) / ESTUNE_MEMORY);
+  }
+  size = ESTUNE_COULOMB + (ESTUNE_STATIC - ESTUNE_COULOMB) * exp(-(ratio * ratio));
+  return ESTUNE_FRACTION * c->sliding *
+         (size / ESTUNE_DRUM_RADIUS + ESTUNE_LOAD_SHARE * fmax(setpoint, 0.0));
 }
 
 static double estune_limited(double value) {
@@ -108,12 +127,14 @@ static double estune_limited(double value) {
   return fmin(fmax(value, -ESTUNE_FEED_FORWARD_MAX), ESTUNE_FEED_FORWARD_MAX);
 }
 
-/* The compensations of a sample: time in s, tension at the gauge in N, angle of the drum in rad. */
+/* The compensations of a sample: time in s, tension at the gauge in N, angle of the drum in rad,
+ * filtered setpoint of the last step in N, velocity of the far end in m/s. */
 ESTUNE_COMPENSATION_EXPORT void estune_compensation_sample(estune_compensation *c, double time,
-                                                           double tension, double angle) {
+                                                           double tension, double angle,
+                                                           double setpoint, double far_end) {
   estune_motion(c, time, angle);
   c->gravity = estune_gravity(tension, angle);
-  c->friction = estune_limited(estune_friction(c->velocity, c->velocity_bound));
+  c->friction = estune_limited(estune_friction(c, setpoint, far_end));
   c->inertia = estune_limited(ESTUNE_INERTIA * c->acceleration / ESTUNE_DRUM_RADIUS);
   c->inertia = estune_limited(c->friction + c->inertia) - c->friction;
 }

@@ -4,8 +4,23 @@ import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from estune.reel.friction import FeedForward
+from estune.reel.friction import FrictionFeedForward
 from estune.reel.velocity import Windows
+
+
+class KnownMotion(NamedTuple):
+    """What is known of the drum's motion before it is measured.
+
+    Attributes:
+        setpoint_N: Filtered setpoint at the last sample, N; NaN where the loop is open.
+        far_end_m_s: Commanded velocity of the cable's far end, away from the reel.
+    """
+
+    setpoint_N: float
+    far_end_m_s: float = 0.0
+
+
+NOTHING_KNOWN = KnownMotion(math.nan)
 
 
 class CompensationTerms(NamedTuple):
@@ -15,7 +30,8 @@ class CompensationTerms(NamedTuple):
         velocity_rad_s: Velocity of the drum by adaptive windows.
         gravity_N: The cable's weight at the gauge, F_g of (9); the controlled tension is that at
             the gauge less F_g.
-        friction_N: Feed-forward of the friction, (10), added to the effort.
+        friction_N: Feed-forward of the friction, (10), along the known motion; added to the
+            effort.
         inertia_N: Feed-forward of the inertia, added to the effort.
     """
 
@@ -62,16 +78,22 @@ class CompensationPlan:
     """Compensations of a loop.
 
     Attributes:
+        period_s: Sampling period, s.
         windows: Estimator of the velocity.
-        feed_forward: Friction and inertia; zero where they are off.
+        friction: Friction along the known motion; None where it is off.
+        tension_per_rad_N: Rise of the tension per angle of the drum, the far end held, N/rad.
+        inertia_kgm2: Inertia that is fed forward, kg m2; zero where it is off.
         gravity: The cable's weight; None where it is off.
         drum_radius_m: Radius of the cable on the drum, m.
         feed_forward_max_N: Greatest size of friction and inertia together, N.
         columns: Names of the columns that a record has of them.
     """
 
+    period_s: float
     windows: Windows
-    feed_forward: FeedForward
+    friction: FrictionFeedForward | None
+    tension_per_rad_N: float
+    inertia_kgm2: float
     gravity: Gravity | None
     drum_radius_m: float
     feed_forward_max_N: float

@@ -7,8 +7,10 @@ from typing import Protocol
 from estune.errors import PlantError
 from estune.hardware.compensation.plan import (
     NO_COMPENSATION,
+    NOTHING_KNOWN,
     CompensationPlan,
     CompensationTerms,
+    KnownMotion,
 )
 from estune.reel import velocity
 from estune.reel.gravity import gravity_force_by_position_N
@@ -21,8 +23,8 @@ __attribute__((visibility("default"))) int estune_compensation_size(void) {
 }
 __attribute__((visibility("default")))
 void estune_compensation_terms(estune_compensation *c, double time, double tension, double angle,
-                               double *terms) {
-  estune_compensation_sample(c, time, tension, angle);
+                               double setpoint, double far_end, double *terms) {
+  estune_compensation_sample(c, time, tension, angle, setpoint, far_end);
   terms[0] = c->velocity; terms[1] = c->gravity; terms[2] = c->friction; terms[3] = c->inertia;
 }
 """
@@ -31,14 +33,22 @@ void estune_compensation_terms(estune_compensation *c, double time, double tensi
 class Compensation(Protocol):
     """The compensations with their state."""
 
-    def sample(self, time_s: float, gauge_N: float, angle_rad: float) -> CompensationTerms:
+    def sample(
+        self, time_s: float, gauge_N: float, angle_rad: float, known: KnownMotion = NOTHING_KNOWN
+    ) -> CompensationTerms:
         """The compensations at a sample; none where it is out of order or not finite."""
 
 
 class NoCompensation:
     """A loop without compensations."""
 
-    def sample(self, _time_s: float, _gauge_N: float, _angle_rad: float) -> CompensationTerms:
+    def sample(
+        self,
+        _time_s: float,
+        _gauge_N: float,
+        _angle_rad: float,
+        _known: KnownMotion = NOTHING_KNOWN,
+    ) -> CompensationTerms:
         """No compensation."""
         return NO_COMPENSATION
 
@@ -49,21 +59,41 @@ class PlainCompensation:
     def __init__(self, plan: CompensationPlan) -> None:
         self._plan = plan
         self._state = MotionState()
+        self._setpoint_N, self._direction = math.nan, 0.0
 
-    def sample(self, time_s: float, gauge_N: float, angle_rad: float) -> CompensationTerms:
+    def sample(
+        self, time_s: float, gauge_N: float, angle_rad: float, known: KnownMotion = NOTHING_KNOWN
+    ) -> CompensationTerms:
         """The compensations at a sample; none where it is out of order or not finite."""
         plan, times = self._plan, self._state.times_s
+        friction = plan.limited_N(self._friction_N(known))
         gravity = self._gravity_N(gauge_N, angle_rad)
         finite = math.isfinite(time_s) and math.isfinite(angle_rad)
         if not finite or (times and not time_s > times[0]):
             self._state = MotionState()
-            return NO_COMPENSATION._replace(gravity_N=gravity)
+            return NO_COMPENSATION._replace(gravity_N=gravity, friction_N=friction)
         self._state, motion = velocity.step(plan.windows, self._state, time_s, angle_rad)
-        forward, radius = plan.feed_forward, plan.drum_radius_m
-        friction = plan.limited_N(forward.friction_Nm(motion) / radius)
-        inertia = plan.limited_N(forward.inertia_Nm(motion) / radius)
+        torque_Nm = plan.inertia_kgm2 * motion.acceleration_rad_s2
+        inertia = plan.limited_N(torque_Nm / plan.drum_radius_m)
         inertia = plan.limited_N(friction + inertia) - friction
         return CompensationTerms(motion.velocity_rad_s, gravity, friction, inertia)
+
+    def _friction_N(self, known: KnownMotion) -> float:
+        """Friction along the known motion; begins anew where the loop was open."""
+        plan, before = self._plan, self._setpoint_N
+        self._setpoint_N = known.setpoint_N
+        if plan.friction is None:
+            return 0.0
+        wound_m = -known.far_end_m_s * plan.period_s
+        moved = (known.setpoint_N - before) / plan.tension_per_rad_N + wound_m / plan.drum_radius_m
+        if not math.isfinite(moved):
+            self._direction = 0.0
+            return 0.0
+        self._direction = plan.friction.direction(self._direction, moved)
+        velocity = moved / plan.period_s
+        return plan.friction.force_N(
+            self._direction, velocity, known.setpoint_N, plan.drum_radius_m
+        )
 
     def _gravity_N(self, gauge_N: float, angle_rad: float) -> float:
         gravity = self._plan.gravity
@@ -88,15 +118,17 @@ class CompiledCompensation:
         library = c_compiler.load(source + _EXPORT)
         self._sample = library.estune_compensation_terms
         number, address = ctypes.c_double, ctypes.c_void_p
-        self._sample.argtypes, self._sample.restype = (address, *3 * (number,), address), None
+        self._sample.argtypes, self._sample.restype = (address, *5 * (number,), address), None
         self._state = ctypes.create_string_buffer(library.estune_compensation_size())
         self._terms = (number * len(CompensationTerms._fields))()
         self._addresses = ctypes.addressof(self._state), ctypes.addressof(self._terms)
 
-    def sample(self, time_s: float, gauge_N: float, angle_rad: float) -> CompensationTerms:
+    def sample(
+        self, time_s: float, gauge_N: float, angle_rad: float, known: KnownMotion = NOTHING_KNOWN
+    ) -> CompensationTerms:
         """The compensations at a sample; none where it is out of order or not finite."""
         state, terms = self._addresses
-        self._sample(state, time_s, gauge_N, angle_rad, terms)
+        self._sample(state, time_s, gauge_N, angle_rad, *known, terms)
         return CompensationTerms(*self._terms)
 
 

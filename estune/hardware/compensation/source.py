@@ -19,7 +19,8 @@ def compensation_source(
         current: C1.
         newtons_per_ampere: Tension at rest per motor current, N/A.
     """
-    windows, forward, gravity = plan.windows, plan.feed_forward, plan.gravity
+    windows, friction, gravity = plan.windows, plan.friction, plan.gravity
+    dry = friction.friction if friction else None
     numbers: dict[str, float | int | str] = {
         "HISTORY": max(windows.velocity_intervals, windows.acceleration_intervals) + 1,
         "VELOCITY_INTERVALS": windows.velocity_intervals,
@@ -27,11 +28,15 @@ def compensation_source(
         "HALF_BAND": windows.half_band_rad,
         "WEAK": windows.weak,
         "STRONG": windows.strong,
-        "COULOMB": forward.friction.coulomb_Nm,
-        "STATIC": forward.friction.static_Nm,
-        "STRIBECK": forward.friction.stribeck_rad_s,
-        "FRACTION": forward.fraction,
-        "INERTIA": forward.inertia_kgm2,
+        "PERIOD": plan.period_s,
+        "COULOMB": dry.coulomb_Nm if dry else 0.0,
+        "STATIC": dry.static_Nm if dry else 0.0,
+        "STRIBECK": dry.stribeck_rad_s if dry else 1.0,
+        "LOAD_SHARE": friction.load_share if friction else 0.0,
+        "FRACTION": friction.fraction if friction else 0.0,
+        "MEMORY": friction.memory_rad if friction else 1.0,
+        "TENSION_PER_RAD": plan.tension_per_rad_N,
+        "INERTIA": plan.inertia_kgm2,
         "FEED_FORWARD_MAX": plan.feed_forward_max_N,
         "DRUM_RADIUS": plan.drum_radius_m,
         "WEIGHT": gravity.weight_N_m if gravity else 0.0,

@@ -9,12 +9,16 @@ from pydantic import Field
 from estune.errors import InvalidInput
 from estune.hardware.compensation.plan import CompensationPlan, Gravity
 from estune.hardware.tables import FileOrNumbers, NotNegative, Positive
-from estune.reel.friction import FeedForward, StribeckFriction
+from estune.reel.friction import FRACTION_MAX, FrictionFeedForward, StribeckFriction
 from estune.reel.velocity import Windows
 from estune.support.toml_file import TomlTable
 
 INTERVALS_MAX = 200
 """Longest window: 0.3 s at 632 Hz, and 10 kB of a board's memory."""
+
+
+MEMORY_COUNTS = 0.1
+"""Presliding distance where none is given, in encoder counts: far below what can be seen."""
 
 
 class VelocityTable(TomlTable):
@@ -31,12 +35,19 @@ class VelocityTable(TomlTable):
 
 
 class FrictionTable(FileOrNumbers):
-    """Friction of (10) at the drum: numbers, or a JSON file of them; a share is fed forward."""
+    """Friction of (10) at the drum: numbers, or a JSON file of them; a share is fed forward.
+
+    It follows the known motion, so that the reel's tension per angle must be given, to within a
+    factor of two. Without presliding, the distance is a tenth of an encoder count.
+    """
 
     coulomb_Nm: NotNegative | None = None
     static_Nm: NotNegative | None = None
     stribeck_rad_s: Positive | None = None
-    fraction: Annotated[float, Field(ge=0.0, lt=1.0)] = 0.8
+    tension_per_rad_N: Positive
+    memory_rad: NotNegative = 0.0
+    load_share: NotNegative = 0.0
+    fraction: Annotated[float, Field(ge=0.0, le=FRACTION_MAX)] = 0.8
 
     @property
     def friction(self) -> StribeckFriction:
@@ -94,6 +105,7 @@ class CompensationTable(TomlTable):
 
     def plan(
         self,
+        sampling_Hz: float,
         encoder_counts: float,
         drum_radius_m: float,
         cable_length_m: float | None,
@@ -102,6 +114,7 @@ class CompensationTable(TomlTable):
         """The compensations of a reel.
 
         Args:
+            sampling_Hz: Sampling rate.
             encoder_counts: Encoder counts per turn, of any sign.
             drum_radius_m: Radius of the cable on the drum, m.
             cable_length_m: Length at an angle of zero, m; None where it is not known.
@@ -119,18 +132,28 @@ class CompensationTable(TomlTable):
             self.velocity.error_counts * 2.0 * math.pi / abs(encoder_counts),
             **self.velocity.model_dump(exclude={"error_counts"}),
         )
-        none = StribeckFriction(0.0, 0.0, 1.0)
-        forward = FeedForward(
-            self.friction.friction if self.friction else none,
-            self.inertia.inertia_kgm2 if self.inertia else 0.0,
-            self.friction.fraction if self.friction else 0.0,
-        )
         limit = self.share_max * effort_max_N
-        self._check_friction(forward, drum_radius_m, limit)
-        gravity = self._gravity(cable_length_m, limit)
-        return CompensationPlan(windows, forward, gravity, drum_radius_m, limit, self.columns)
+        count_rad = 2.0 * math.pi / abs(encoder_counts)
+        return CompensationPlan(
+            period_s=1.0 / sampling_Hz,
+            windows=windows,
+            friction=self._friction(count_rad, drum_radius_m, limit),
+            tension_per_rad_N=self.friction.tension_per_rad_N if self.friction else 1.0,
+            inertia_kgm2=self.inertia.inertia_kgm2 if self.inertia else 0.0,
+            gravity=self._gravity(cable_length_m, limit),
+            drum_radius_m=drum_radius_m,
+            feed_forward_max_N=limit,
+            columns=self.columns,
+        )
 
-    def _check_friction(self, forward: FeedForward, drum_radius_m: float, limit_N: float) -> None:
+    def _friction(
+        self, count_rad: float, drum_radius_m: float, limit_N: float
+    ) -> FrictionFeedForward | None:
+        table = self.friction
+        if table is None:
+            return None
+        memory = table.memory_rad or MEMORY_COUNTS * count_rad
+        forward = FrictionFeedForward(table.friction, memory, table.load_share, table.fraction)
         largest_N = forward.fraction * forward.friction.static_Nm / drum_radius_m
         if largest_N > limit_N:
             raise InvalidInput(
@@ -138,6 +161,7 @@ class CompensationTable(TomlTable):
                 f"compensation.share_max {self.share_max:g} of the greatest effort, {limit_N:.4g} "
                 "N; check the unit of static_Nm, then raise share_max"
             )
+        return forward
 
     def _gravity(self, cable_length_m: float | None, limit_N: float) -> Gravity | None:
         table = self.gravity

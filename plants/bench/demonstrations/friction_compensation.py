@@ -7,15 +7,16 @@ and inertia are fed forward from the encoder alone.
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from estune.core.gains import Gains
 from estune.core.pidf import coefficients, state_at_rest
 from estune.core.pidf import step as pidf_step
-from estune.core.quantities import FloatArray
-from estune.reel.friction import FeedForward, StribeckFriction
+from estune.core.quantities import FloatArray, check_not_negative
+from estune.errors import InvalidInput
+from estune.reel.friction import StribeckFriction
 from estune.reel.velocity import Motion, MotionState, Windows
 from estune.reel.velocity import step as estimate
 from plants.bench.demonstrations.platform import TENSION_GAINS, Platform
@@ -26,6 +27,53 @@ ENCODER_COUNTS = 2048.0
 
 Compensation = Callable[[Motion], float]
 """Feed-forward torque at a sample, N m, from the motion estimated at that sample."""
+
+Signal = Any
+"""A float or an array."""
+
+
+@dataclass(frozen=True, slots=True)
+class FeedForward:
+    """Feed-forward of friction and inertia along the estimated motion.
+
+    Attributes:
+        friction: The identified dry friction.
+        inertia_kgm2: Identified inertia J_m of all rotating parts at the drum, kg m2.
+        fraction: Compensated share of the friction, from 0 to below 1.
+
+    Raises:
+        InvalidInput: a value is out of its range.
+    """
+
+    friction: StribeckFriction
+    inertia_kgm2: float
+    fraction: float = 0.8
+
+    def __post_init__(self) -> None:
+        check_not_negative("inertia", self.inertia_kgm2, "kg m2")
+        if not 0.0 <= self.fraction < 1.0:
+            raise InvalidInput(
+                f"friction fraction is {self.fraction}; from 1 on the compensation drives the "
+                "drum by itself, choose one from 0 to below 1"
+            )
+
+    def friction_Nm(self, motion: Motion) -> Signal:
+        """Friction compensation, N m, along the motion: (10) within its two limits.
+
+        Args:
+            motion: Estimated motion. Below its velocity bound the sign is uncertain; a velocity
+                with an infinite bound, as at the first sample, is not compensated.
+        """
+        velocity = np.asarray(motion.velocity_rad_s)
+        # The smallest float keeps an exact velocity, bound zero, from dividing zero by zero.
+        scale = np.maximum(np.abs(velocity), np.maximum(motion.velocity_bound_rad_s, 5e-324))
+        smooth_sign = velocity / scale
+        torque = self.fraction * self.friction.size_Nm(velocity) * smooth_sign
+        return torque if torque.ndim else float(torque)
+
+    def inertia_Nm(self, motion: Motion) -> Signal:
+        """Inertia compensation T_m = J_m alpha_m, N m; zero below the noise floor."""
+        return self.inertia_kgm2 * motion.acceleration_rad_s2
 
 
 @dataclass(frozen=True)

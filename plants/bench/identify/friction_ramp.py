@@ -22,7 +22,7 @@ import numpy as np
 
 from estune.core.quantities import FloatArray
 from estune.errors import InvalidInput
-from estune.reel.friction import FeedForward, StribeckFriction
+from estune.reel.friction import StribeckFriction
 from estune.reel.velocity import Windows, motion
 from plants.bench.identify.estimate import Estimate
 from plants.bench.identify.ramp_response import NAMES, ramp_residual, simulate_ramp
@@ -55,10 +55,6 @@ class FrictionFit:
         return StribeckFriction(
             self.coulomb_Nm.value, self.static_Nm.value, self.stribeck_rad_s.value
         )
-
-    def feed_forward(self, fraction: float = 0.8) -> FeedForward:
-        """The compensation for this reel; see `estune.reel.friction.FeedForward`."""
-        return FeedForward(self.friction, self.inertia_kgm2.value, fraction)
 
 
 def fit_friction(records: Sequence[RampRecord], confidence: float = 0.95) -> FrictionFit:
