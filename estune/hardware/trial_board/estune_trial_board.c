@@ -71,7 +71,8 @@ static void uncompensated(void) {
 /* The tension that is controlled; in an open loop nothing is altered. */
 static double compensate(double gauge, double angle) {
   static double samples;
-  int closed = board.state == MOVE || board.state == HOLD || (board.state == TRIAL && !board.open_loop);
+  int closed =
+      board.state == MOVE || board.state == HOLD || (board.state == TRIAL && !board.open_loop);
   estune_compensation_sample(&compensation, ++samples / ESTUNE_PIDF_SAMPLING_HZ, gauge, angle,
                              closed ? estune_pidf_setpoint(&board.pidf) : NAN, 0);
   if (board.state == TRIAL && board.open_loop) uncompensated();
