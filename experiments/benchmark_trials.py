@@ -47,7 +47,7 @@ from plants.models.reel import Reel
 from plants.simulation.batch import divergence_limit_N
 from plants.simulation.noise import NoiseSource
 from plants.simulation.plant import drive_of
-from plants.simulation.trial_loop import Batch, VirtualLoop, loop_functions, trial_loop
+from plants.simulation.trial_loop import Batch, CasadiLoop, loop_functions, trial_loop
 
 GAINS = Gains(P=1.2, I=50.0, D=0.02, setpoint_filter_s=0.004)
 REEL = plants.reference_reel()
@@ -122,7 +122,7 @@ def measure_nonlinear(rounds: int) -> dict[str, float]:
     noise = NoiseSource(0).draw(0, 632, reel.gauge_noise_N)
     batch = reference_batch(reel, noise)
     library, compiled = reference_library(), trial_loop(reel.structure)
-    virtual = VirtualLoop(loop_functions(reel.structure.equations()))
+    virtual = CasadiLoop(loop_functions(reel.structure.equations()))
     by_hand = hand_written(library, batch)
     system, start = nonlinear_system(reel, GAINS, FRICTION.torque_Nm), nonlinear_start(reel)
     t, inputs = np.arange(632) / reel.sampling_Hz, np.vstack([batch.setpoint_N, noise])

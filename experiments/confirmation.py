@@ -74,7 +74,7 @@ FAMILIES = tuple(
 
 
 @dataclass(frozen=True, slots=True)
-class Claim:
+class RunClaim:
     """The claim of a run, and the true values.
 
     Attributes:
@@ -107,7 +107,7 @@ class Claim:
         return self.low <= self.true <= self.high
 
 
-def claim(situation: Situation, seed: int) -> Claim:
+def claim(situation: Situation, seed: int) -> RunClaim:
     """Runs one tuning to its summary."""
     problem = PROBLEMS[situation.problem]
     best = optimum(problem)
@@ -125,7 +125,7 @@ def claim(situation: Situation, seed: int) -> Claim:
         session = after_trial(session, Outcome.DONE, measured)
     summary, final = summarise(session), session.candidate or start
     intervals = zip(best.coordinates, summary.intervals, strict=False)
-    return Claim(
+    return RunClaim(
         situation=situation.name,
         searched=session.search_trials,
         trials=session.number,
@@ -143,7 +143,7 @@ def _quiet(problem: Problem, gains: Gains) -> float:
     return float(problem.costs(np.log([gains.as_tuple()]))[0])
 
 
-def figures_of(claims: Sequence[Claim]) -> dict[str, Any]:
+def figures_of(claims: Sequence[RunClaim]) -> dict[str, Any]:
     """The figures of some runs."""
     compared = [c for c in claims if not math.isnan(c.low)]
     inside = [each for c in claims for each in c.gains_inside]

@@ -20,7 +20,7 @@ from matplotlib.figure import Figure
 import plants
 from experiments import hidden_machines
 from experiments.hidden_effects import FIRST_SEED, OUT, tasks
-from experiments.hidden_scores import Row, Task, diagnose, measurement, model
+from experiments.hidden_scores import DiagnosisTask, Row, diagnose, measurement, model
 from experiments.results import command_line, print_results, save_figure
 from plants.diagnosis import build_diagnosis
 from plants.diagnosis.search import intervals, mains_interference
@@ -178,7 +178,7 @@ def main() -> int:
         lines = options.rows.read_text(encoding="utf-8").splitlines()
         rows = [Row.from_json(json.loads(line)) for line in lines]
     else:
-        todo: list[Task] = tasks(CASES, FIRST_SEED)
+        todo: list[DiagnosisTask] = tasks(CASES, FIRST_SEED)
         rows = [diagnose(task) for task in (todo[:6] if options.quick else todo)]
     right = right_models(1 if options.quick else RIGHT_CASES)
     noisy = 1 if options.quick else NOISE_CASES

@@ -44,7 +44,7 @@ HELD_OUT_N = 3.5
 """Force error allowed on the record held out."""
 
 
-class Case(NamedTuple):
+class EmpsCase(NamedTuple):
     """One diagnosis of the drive.
 
     Attributes:
@@ -155,7 +155,7 @@ SIGNS = np.array([1.0, 1.0, 1.0, -1.0, *(1.0 for _ in FURTHER)])
 """The model's parameters in the order of `LIMITS`; its offset is of the force given."""
 
 
-def diagnose(data: Path, pieces: int, rate_Hz: int) -> Case:
+def diagnose(data: Path, pieces: int, rate_Hz: int) -> EmpsCase:
     """The diagnosis of the record, cut and resampled."""
     parts = list(cut(record(data / FITTED, rate_Hz), pieces))
     begun = time.process_time()
@@ -174,7 +174,7 @@ def diagnose(data: Path, pieces: int, rate_Hz: int) -> Case:
         one is not None and bool(one.low <= at <= one.high)
         for one, at in zip(listed[: len(LIMITS)], SIGNS * true, strict=False)
     ]
-    return Case(
+    return EmpsCase(
         pieces,
         rate_Hz,
         f"{answer.verdict} {' + '.join(names)}".strip(),
@@ -204,7 +204,7 @@ def with_friction(data: Path, coulomb_N: float) -> dict[str, Any]:
     return {"said": said, "held_out_before": errors[0], "held_out_after": errors[1]}
 
 
-def targets(cases: list[Case], plain: FloatArray) -> dict[str, Target]:
+def targets(cases: list[EmpsCase], plain: FloatArray) -> dict[str, Target]:
     """Targets of every case; `plain` are the numbers of the plain law, shape (6,)."""
     differences = np.array([np.subtract(one.numbers, one.true) for one in cases])
     apart = np.abs(differences[:, : len(LIMITS)] / plain[: len(LIMITS)]).max(axis=0)

@@ -58,7 +58,7 @@ PATHS: Mapping[str, Callable[[Gains, float], Gains]] = {
 }
 
 
-class Batch(NamedTuple):
+class ReelBatch(NamedTuple):
     """A batch of matched reels."""
 
     reels: dict[str, Reel]
@@ -97,7 +97,7 @@ def true_cost(reel: Reel, gains: Gains, cost: StepCost) -> float:
     return float(plants.batch_costs(reel, table, None, cost, seed=DRAWS_SEED, workers=1).mean())
 
 
-def match_batch(batch: int) -> Batch:
+def match_batch(batch: int) -> ReelBatch:
     """A batch tuned and matched, every reel with its own noise."""
     reels = reels_of(batch)
     rigs = {
@@ -115,10 +115,10 @@ def match_batch(batch: int) -> Batch:
         )
         for of in ([r.tuned for r in matching.reels], [r.gains for r in matching.reels])
     )
-    return Batch(reels, matching, before, after)
+    return ReelBatch(reels, matching, before, after)
 
 
-def along(batch: Batch, path: Callable[[Gains, float], Gains]) -> PathFigures:
+def along(batch: ReelBatch, path: Callable[[Gains, float], Gains]) -> PathFigures:
     """The tuned reels moved along a path until their true cost is the target."""
     matching = batch.matching
     steepness, noise, responses = [], [], []
@@ -153,13 +153,13 @@ def unlike(responses: FloatArray) -> float:
     return float(np.sqrt(np.mean((responses - responses.mean(axis=0)) ** 2)))
 
 
-def responses_of(batch: Batch, gains: Sequence[Gains | None]) -> FloatArray:
+def responses_of(batch: ReelBatch, gains: Sequence[Gains | None]) -> FloatArray:
     """Noise-free step responses of the reels, shape (reels, samples)."""
     pairs = zip(batch.reels.values(), gains, strict=True)
     return np.array([plants.simulate(reel, g).tension_N for reel, g in pairs if g is not None])
 
 
-def measure(batches: Sequence[Batch]) -> dict[str, Any]:
+def measure(batches: Sequence[ReelBatch]) -> dict[str, Any]:
     """All figures by name."""
     shrinkage = [float(b.before.std(ddof=1) / b.after.std(ddof=1)) for b in batches]
     above = [float(b.after.mean() / b.before.max()) for b in batches]

@@ -17,7 +17,7 @@ from concurrent.futures import ProcessPoolExecutor, as_completed
 from pathlib import Path
 from typing import Any
 
-from experiments.hidden_scores import Row, Task, diagnose
+from experiments.hidden_scores import DiagnosisTask, Row, diagnose
 from experiments.hidden_tables import (
     confidence,
     confusion,
@@ -77,12 +77,12 @@ LIMITS: dict[str, tuple[float, Callable[[float, float], Target]]] = {
 }
 
 
-def tasks(cases: int, seed0: int) -> list[Task]:
+def tasks(cases: int, seed0: int) -> list[DiagnosisTask]:
     """The cases to run, their kinds mixed, so that the first of them already tell something."""
     total = sum(SHARES.values())
     counts = {variant: max(1, round(cases * n / total)) for variant, n in SHARES.items()}
     placed = [
-        ((n + 0.5) / count, Task(seed0 + n, variant))
+        ((n + 0.5) / count, DiagnosisTask(seed0 + n, variant))
         for variant, count in counts.items()
         for n in range(count)
     ]
@@ -90,10 +90,10 @@ def tasks(cases: int, seed0: int) -> list[Task]:
 
 
 def run(
-    todo: list[Task],
+    todo: list[DiagnosisTask],
     jobs: int,
     each: Callable[[Any], None],
-    do: Callable[[Task], Any] = diagnose,
+    do: Callable[[DiagnosisTask], Any] = diagnose,
 ) -> float:
     """Does all of them in `jobs` processes; returns the time it took once they were up, s."""
     spawn = multiprocessing.get_context("spawn")
@@ -111,7 +111,7 @@ def read_rows(path: Path) -> list[Row]:
     return [Row.from_json(json.loads(line)) for line in lines]
 
 
-def run_all(todo: list[Task], jobs: int, path: Path) -> list[Row]:
+def run_all(todo: list[DiagnosisTask], jobs: int, path: Path) -> list[Row]:
     """Runs those that a file has no row of, and adds each row to it as it is finished."""
     rows = read_rows(path) if path.exists() else []
     done = {(row.seed, row.variant) for row in rows}
@@ -136,7 +136,7 @@ def throughput(cases: int, seed0: int) -> dict[str, float]:
 
     The loop shows what the machine itself allows.
     """
-    todo = [Task(seed0 + n, "plain") for n in range(cases)]
+    todo = [DiagnosisTask(seed0 + n, "plain") for n in range(cases)]
     run(todo, 2, lambda _: None)  # everything is compiled and in the cache
     return {
         "throughput_two_workers": _two_over_one(todo, diagnose),
@@ -144,7 +144,7 @@ def throughput(cases: int, seed0: int) -> dict[str, float]:
     }
 
 
-def _two_over_one(todo: list[Task], do: Callable[[Task], Any]) -> float:
+def _two_over_one(todo: list[DiagnosisTask], do: Callable[[DiagnosisTask], Any]) -> float:
     """The same where each of the two has all of it to do.
 
     So they are both at work to the end, however unlike a few cases are.
@@ -157,7 +157,7 @@ def _two_over_one(todo: list[Task], do: Callable[[Task], Any]) -> float:
     return 2.0 * alone / together
 
 
-def _loop(_: Task) -> int:
+def _loop(_: DiagnosisTask) -> int:
     """Some seconds' work for nothing but the processor."""
     return sum(n & 1 for n in range(30_000_000))
 

@@ -26,7 +26,7 @@ FAIR = {
 
 
 @dataclass(frozen=True)
-class Task:
+class DiagnosisTask:
     """A case to be diagnosed, by its seed."""
 
     seed: int
@@ -140,7 +140,7 @@ def _model_summary(found: dict[str, Any]) -> ModelSummary:
     return ModelSummary(**{name: (found | sets)[name] for name in ModelSummary._fields})
 
 
-def measurement(record: hidden_machines.Record) -> MeasuredRecord:
+def measurement(record: hidden_machines.MachineRecord) -> MeasuredRecord:
     """A record as the workflow takes it."""
     about, columns = record.metadata, record.columns
     return MeasuredRecord(
@@ -179,7 +179,7 @@ def choice(case: hidden_machines.Case, secret: hidden_machines.Secret) -> list[s
     return [name for name in EFFECTS if hidden_machines.family(name) not in families]
 
 
-def diagnose(task: Task) -> Row:
+def diagnose(task: DiagnosisTask) -> Row:
     """Draws a case, has it explained, and scores the answer; never raises."""
     case, secret = hidden_machines.draw(task.seed, task.variant, task.effect)
     row = Row(
@@ -201,7 +201,7 @@ def diagnose(task: Task) -> Row:
     return score(answer, secret, replace(row, cpu_s=cpu, wall_s=wall))
 
 
-def _gap_alone(task: Task, name: str) -> float:
+def _gap_alone(task: DiagnosisTask, name: str) -> float:
     """Gap that one of the effects hidden makes where it acts without the other, in floors."""
     case, _ = hidden_machines.draw(task.seed, task.variant, task.effect, only=name)
     records = [measurement(record) for record in case.records]

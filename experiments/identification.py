@@ -14,7 +14,7 @@ from joblib import Parallel, delayed
 from experiments.results import Target, at_most, command_line, print_results
 from plants.bench.identify import (
     Band,
-    Excitation,
+    BroadbandExcitation,
     SecondOrderFit,
     fit_second_order,
     multisine,
@@ -49,7 +49,7 @@ class Trial(NamedTuple):
     half_width: dict[str, float]
 
 
-def excitation() -> Excitation:
+def excitation() -> BroadbandExcitation:
     """The multisine of the experiment, with most power above the resonance."""
     return multisine(SAMPLING_HZ, BAND, PEAK_N, slope=1.5, corner_Hz=20.0)
 
@@ -60,7 +60,7 @@ def conditions() -> list[Reel]:
     return [*grid, reference_reel(0.8, 15.0, dead_time_s=1.37 / SAMPLING_HZ)]
 
 
-def identify(reel: Reel, signal: Excitation, seed: int) -> SecondOrderFit:
+def identify(reel: Reel, signal: BroadbandExcitation, seed: int) -> SecondOrderFit:
     """Fit of one record."""
     record = open_loop_record(reel, signal, seed)
     return fit_second_order(response_of_record(record, signal), probability=PROBABILITY)
@@ -89,12 +89,12 @@ def compare(reel: Reel, fit: SecondOrderFit) -> Trial:
     return Trial(error, covered, half_width)
 
 
-def repeat(signal: Excitation, reel: Reel, seeds: range) -> list[Trial]:
+def repeat(signal: BroadbandExcitation, reel: Reel, seeds: range) -> list[Trial]:
     """Trials of one condition with many seeds."""
     return [compare(reel, identify(reel, signal, seed)) for seed in seeds]
 
 
-def study(reels: list[Reel], signal: Excitation, seeds: int) -> list[list[Trial]]:
+def study(reels: list[Reel], signal: BroadbandExcitation, seeds: int) -> list[list[Trial]]:
     """Trials of all conditions, each with its own seeds, on all cores."""
     ranges = [range(seeds * n, seeds * (n + 1)) for n in range(len(reels))]
     todo = zip(reels, ranges, strict=True)

@@ -28,7 +28,7 @@ from experiments.results import (
     print_tables,
 )
 from plants.diagnosis.improvement.result import Improvement
-from plants.diagnosis.improvement.tuning import TuneOptions
+from plants.diagnosis.improvement.tuning import ImprovementOptions
 from plants.effects import CoulombFriction
 from plants.emulator import RIG_FILE
 
@@ -36,8 +36,8 @@ PREDICTED_WITHIN = 0.05
 """Relative error allowed of a predicted cost."""
 FRICTION_Nm = 0.05
 TRIALS = {
-    False: TuneOptions(watch=None),
-    True: TuneOptions(model_trials=10, rig_trials=2, watch=None),
+    False: ImprovementOptions(watch=None),
+    True: ImprovementOptions(model_trials=10, rig_trials=2, watch=None),
 }
 ATTEMPTS = 8
 """Calls of an improvement that a busy machine interrupts; each goes on where the last stopped."""
@@ -85,7 +85,7 @@ def linear_plant() -> Iterator[Any]:
 RIGS = {"linear_plant": linear_plant, "served_reel": served_reel, "emulated_reel": emulated_reel}
 
 
-def improved(rig: Any, folder: Path, tuning: TuneOptions) -> tuple[Improvement | None, int]:
+def improved(rig: Any, folder: Path, tuning: ImprovementOptions) -> tuple[Improvement | None, int]:
     """The improvement of a rig, None where it never ends, and how often it was interrupted.
 
     Hardware that has stopped is cleared between the calls, as its operator does.

@@ -77,7 +77,7 @@ def configuration(address: str, device: str = "packets") -> RigConfig:
     return config_from(tables, str(RIG_FILE))
 
 
-class Condition(NamedTuple):
+class LoopCondition(NamedTuple):
     """Timing of the loop under one load."""
 
     name: str
@@ -104,7 +104,7 @@ class Condition(NamedTuple):
         return {f"{self.name}_{key}": value for key, value in made.items()}
 
 
-def drivers(seconds: float) -> list[Condition]:
+def drivers(seconds: float) -> list[LoopCondition]:
     """Timing of the loop with each driver on an otherwise idle machine."""
     found = []
     for device in ("serial", "can"):
@@ -114,7 +114,7 @@ def drivers(seconds: float) -> list[Condition]:
             HardwareRig(configuration(address, device)) as rig,
         ):
             hold(rig)
-            found.append(Condition(device, *observe(rig, seconds)))
+            found.append(LoopCondition(device, *observe(rig, seconds)))
     return found
 
 
@@ -168,7 +168,7 @@ def supervise(address: str) -> None:
         sys.stdin.read()
 
 
-def measure(seconds: float, times: int) -> tuple[list[Condition], dict[str, Any]]:
+def measure(seconds: float, times: int) -> tuple[list[LoopCondition], dict[str, Any]]:
     """Measures everything; the timing of the loop by load, and the other figures."""
     others = len(os.sched_getaffinity(0)) - 1
     with (
@@ -177,9 +177,9 @@ def measure(seconds: float, times: int) -> tuple[list[Condition], dict[str, Any]
     ):
         with HardwareRig(configuration(address)) as rig:
             hold(rig)
-            conditions = [Condition("idle", *observe(rig, seconds))]
+            conditions = [LoopCondition("idle", *observe(rig, seconds))]
             with busy(others):
-                conditions.append(Condition("loaded", *observe(rig, seconds)))
+                conditions.append(LoopCondition("loaded", *observe(rig, seconds)))
             stops = stopped_by_hand_ms(rig, driver, times)
         repeats = range(max(times // 5, 1))
         killed, frozen = (

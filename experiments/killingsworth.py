@@ -152,14 +152,16 @@ def tuners(benchmark: Benchmark) -> dict[str, Killingsworth]:
 
 
 @dataclass(frozen=True)
-class Search:
+class PublishedSearch:
     """The result of a search: costs of the trials, and the best point."""
 
     costs: tuple[float, ...]
     best: Point
 
 
-def search(tuner: Killingsworth, trial_cost: Callable[[Point], float], trials: int) -> Search:
+def search(
+    tuner: Killingsworth, trial_cost: Callable[[Point], float], trials: int
+) -> PublishedSearch:
     """Runs a tuner from the start; a trial over eta_max is censored."""
     state, costs = tuner.start(), []
     limit = ETA_MAX_RATIO * trial_cost(tuner.space.start)
@@ -167,7 +169,7 @@ def search(tuner: Killingsworth, trial_cost: Callable[[Point], float], trials: i
         J = trial_cost(tuner.ask(state))
         costs.append(J)
         state = tuner.tell(state, Observation(J, censored=not limit >= J))
-    return Search(tuple(costs), state.best_point)
+    return PublishedSearch(tuple(costs), state.best_point)
 
 
 def study(benchmark: Benchmark, trials: int, evaluations: int) -> dict[str, Any]:

@@ -51,7 +51,7 @@ class Use(NamedTuple):
         return cls(memory, len(list(Path(f"/proc/{pid}/fd").iterdir())))
 
 
-class Sample(NamedTuple):
+class ResourceSample(NamedTuple):
     """Resources of both processes, and file sizes, after so many trials."""
 
     trials: int
@@ -81,7 +81,7 @@ def work(endpoint: str, folder: Path, trials: int, per_run: int) -> None:
             return
 
 
-def soak(trials: int, per_run: int, folder: Path) -> Iterator[Sample]:
+def soak(trials: int, per_run: int, folder: Path) -> Iterator[ResourceSample]:
     """Runs so many trials; yields a sample after each tuning."""
     ledger = folder / "rig.ledger"
     serving = ("estune", "serve", "--ledger", str(ledger), "--stop-on-eof")
@@ -95,7 +95,7 @@ def soak(trials: int, per_run: int, folder: Path) -> Iterator[Sample]:
             for _ in range(trials // per_run):
                 count, size = map(int, next_line(client).split())
                 total += count
-                yield Sample(
+                yield ResourceSample(
                     total,
                     time.monotonic() - began_s,
                     *(Use.of(client.pid), Use.of(rig.pid)),
@@ -114,7 +114,7 @@ def growth(values: list[int], settled: int) -> float:
     return statistics.median(values[-third:]) / statistics.median(values[:third]) - 1.0
 
 
-def figures_of(samples: list[Sample], per_run: int) -> dict[str, Any]:
+def figures_of(samples: list[ResourceSample], per_run: int) -> dict[str, Any]:
     """Figures of the experiment."""
     last = samples[-1]
     # The ledger holds the newest records, and Pydantic the newest strings; memory is steady only

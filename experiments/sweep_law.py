@@ -47,7 +47,7 @@ COVERAGE_MIN = 0.90
 OVER_TUNED_MAX = 1.03
 
 
-class Plan(NamedTuple):
+class SweepLawExtent(NamedTuple):
     """Size of the measurement."""
 
     lengths_m: tuple[float, ...] = LENGTHS_m
@@ -58,7 +58,7 @@ class Plan(NamedTuple):
     draws: int = 400  # noise draws of an expected cost
 
 
-QUICK = Plan(LENGTHS_m[::2], UNSEEN_m[1::2], seeds=8, unseen_seeds=4, draws=100)
+QUICK = SweepLawExtent(LENGTHS_m[::2], UNSEEN_m[1::2], seeds=8, unseen_seeds=4, draws=100)
 
 
 def cost_at(length_m: float, gains: FloatArray, draws: int, seed: int) -> float:
@@ -126,7 +126,7 @@ def mean_gains(tunings: Sequence[TunedGains], length_m: float) -> Gains:
 
 
 def unseen_costs(
-    plan: Plan, laws: Sequence[GainLaw], law: GainLaw, folder: Path | None
+    plan: SweepLawExtent, laws: Sequence[GainLaw], law: GainLaw, folder: Path | None
 ) -> dict[str, dict[str, float]]:
     """Mean costs at the lengths that were not tuned, by length.
 
@@ -174,7 +174,7 @@ def moving(schedule: GainSchedule) -> dict[str, float]:
     return errors
 
 
-def measure(plan: Plan, folder: Path | None) -> dict[str, Any]:
+def measure(plan: SweepLawExtent, folder: Path | None) -> dict[str, Any]:
     """All figures by name."""
     result = run_sweep(plan.lengths_m, plan.seeds, plan.trials, folder)
     laws = [fit_law(of_seeds(result, n, n + 1)) for n in range(plan.seeds)]
@@ -239,7 +239,7 @@ def main() -> int:
     parser = command_line(__doc__, quick="fewer lengths, tunings and noise draws")
     parser.add_argument("--folder", type=Path, help="store the tunings there, to be continued")
     options = parser.parse_args()
-    plan = QUICK if options.quick else Plan()
+    plan = QUICK if options.quick else SweepLawExtent()
     figures = measure(plan, options.folder)
     targets = targets_of(figures, quick=options.quick)
     return print_results(figures, targets, as_json=options.json, tables=True)

@@ -33,7 +33,7 @@ SECONDS_MAX, SPEEDUP_MIN, MEMORY_MAX_MB = 30.0, 1.8, 400.0
 _MB = 1024.0  # ru_maxrss is in kB
 
 
-class Extent(NamedTuple):
+class SweepExtent(NamedTuple):
     """Size of the measurement."""
 
     lengths: int
@@ -55,8 +55,8 @@ class Extent(NamedTuple):
         }
 
 
-WHOLE = Extent(lengths=10, tensions=4, seeds=10, trials=200, overhead_cells=80)
-QUICK = Extent(lengths=2, tensions=1, seeds=2, trials=60, overhead_cells=8)
+WHOLE = SweepExtent(lengths=10, tensions=4, seeds=10, trials=200, overhead_cells=80)
+QUICK = SweepExtent(lengths=2, tensions=1, seeds=2, trials=60, overhead_cells=8)
 
 
 class TimedSweep(NamedTuple):
@@ -101,7 +101,7 @@ def _peak_memory_MB(pause_s: float) -> float:
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / _MB
 
 
-def measure(extent: Extent) -> dict[str, float]:
+def measure(extent: SweepExtent) -> dict[str, float]:
     """All figures by name."""
     design = extent.design()
     load_before = os.getloadavg()[0]

@@ -35,7 +35,7 @@ NOISE_DRAWS = 32
 WITHIN = 0.05
 
 
-class Run(NamedTuple):
+class TransferRun(NamedTuple):
     """A tuning of a new reel.
 
     Attributes:
@@ -77,7 +77,7 @@ def tuned(plant: Reel, seed: int, **how: Any) -> TuneResult:
     return estune.tune(plant.rig(seed=seed), tuner="model_based", watch=None, **how)
 
 
-def measured(plant: Reel, result: TuneResult) -> Run:
+def measured(plant: Reel, result: TuneResult) -> TransferRun:
     """The figures of a tuning of a new reel."""
     about = plant.describe("reel", None)
     cost = default_cost(about.settling_time_s)
@@ -88,7 +88,7 @@ def measured(plant: Reel, result: TuneResult) -> Run:
         return expected_cost(plant, gains) / least - 1.0
 
     searched = [e.gains for e in result.entries if e.phase is Phase.SEARCH]
-    return Run(
+    return TransferRun(
         tuple(map(excess, searched)),
         excess(result.start_gains),
         excess(result.gains),
@@ -97,7 +97,7 @@ def measured(plant: Reel, result: TuneResult) -> Run:
     )
 
 
-def row(runs: list[Run]) -> dict[str, float]:
+def row(runs: list[TransferRun]) -> dict[str, float]:
     """The figures of several tunings."""
     return {
         "first_within_5_%_median": float(np.median([r.first_within for r in runs])),
@@ -116,7 +116,7 @@ def main() -> int:
     """Prints a row for each kind of start."""
     options = command_line(__doc__, quick="one seed in place of ten, two new reels").parse_args()
     new = NEW[::3] if options.quick else NEW
-    starts: dict[str, list[Run]] = {"law": [], "model": [], "own": []}
+    starts: dict[str, list[TransferRun]] = {"law": [], "model": [], "own": []}
     with tempfile.TemporaryDirectory() as folder:
         for seed in range(1 if options.quick else 10):
             earlier = Path(folder) / f"seed-{seed}"

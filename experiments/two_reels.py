@@ -16,8 +16,8 @@ from joblib import Parallel, delayed
 from estune.errors import RigError
 from experiments.results import Target, at_most, command_line, print_results
 from plants.bench.two_reels import (
+    BenchGauge,
     Eyelet,
-    Gauge,
     ReelModel,
     SimulatedBench,
     TwoReelProcedure,
@@ -30,7 +30,7 @@ SETPOINTS_N = (8.0, 16.0, 24.0, 32.0, 40.0)
 SWEEPS = 12
 SWEEPS_MAX = 60
 PRELOAD_N = 2.0
-GAUGE_Y = Gauge(zero=3.0, sensitivity=0.8, curvature_per_N=1e-3)
+GAUGE_Y = BenchGauge(zero=3.0, sensitivity=0.8, curvature_per_N=1e-3)
 LIMIT = 0.02
 PROBABILITY = 0.95
 SIGMAS = 3.29
@@ -47,7 +47,7 @@ STEEP = eyelet_angle_rad(math.radians(45.0), 0.0, math.radians(20.0), 0.0)
 REFERENCE = Eyelet(0.1, (STEEP,))
 
 
-class Case(NamedTuple):
+class TwoReelCase(NamedTuple):
     """One bench."""
 
     eyelet: Eyelet
@@ -55,14 +55,14 @@ class Case(NamedTuple):
     wander_N: float = 0.01
 
 
-def make_bench(case: Case, seed: int) -> SimulatedBench:
+def make_bench(case: TwoReelCase, seed: int) -> SimulatedBench:
     """Two equal reels; Y's gauge has its own zero, sensitivity and curvature."""
-    x = Gauge(noise_N=case.noise_N, drift_N=case.wander_N)
+    x = BenchGauge(noise_N=case.noise_N, drift_N=case.wander_N)
     y = replace(GAUGE_Y, noise_N=case.noise_N, drift_N=case.wander_N)
     return SimulatedBench(ReelModel(case.eyelet, x), ReelModel(case.eyelet, y), seed=seed)
 
 
-def measure(case: Case, seed: int, **choices: Any) -> TwoReelResult:
+def measure(case: TwoReelCase, seed: int, **choices: Any) -> TwoReelResult:
     """One measurement of one bench."""
     procedure = TwoReelProcedure(
         **{"setpoints_N": SETPOINTS_N, "preload_N": PRELOAD_N, "sweeps": SWEEPS, **choices}
@@ -81,7 +81,7 @@ def geometries(thin: int) -> dict[str, dict[str, Any]]:
     cases = list(product(enumerate(np.radians(GEOMETRIES_deg)), enumerate(COEFFICIENTS)))
     for (row, (outside, inside, turn)), (column, coefficient) in cases[::thin]:
         seed, gamma = 100 + 10 * row + column, eyelet_angle_rad(outside, 0.0, inside, turn)
-        case = Case(Eyelet(coefficient, (gamma,)))
+        case = TwoReelCase(Eyelet(coefficient, (gamma,)))
         result = measure(case, seed)
         if not result.resolved and SWEEPS < (result.sweeps_needed or 0) <= SWEEPS_MAX:
             result = measure(case, seed, sweeps=result.sweeps_needed)
@@ -97,7 +97,7 @@ def geometries(thin: int) -> dict[str, dict[str, Any]]:
     return rows
 
 
-def _one(holding: str, case: Case, seed: int) -> tuple[float, bool, bool]:
+def _one(holding: str, case: TwoReelCase, seed: int) -> tuple[float, bool, bool]:
     """Relative error of one measurement, whether it is covered, and whether it is resolved."""
     result = measure(case, seed, holding=holding)
     C, true = result.friction_coefficient, case.eyelet.coefficient
@@ -112,7 +112,7 @@ def coverage(seeds: int, thin: int) -> dict[str, dict[str, float]]:
         ("breakout, C_R 0.05", "breakout", 0.05, seeds),
         ("position, C_R 0.1", "position", 0.1, seeds // thin),  # without a target
     ):
-        case, measured = Case(replace(REFERENCE, coefficient=coefficient)), delayed(_one)
+        case, measured = TwoReelCase(replace(REFERENCE, coefficient=coefficient)), delayed(_one)
         made = Parallel(n_jobs=-1)(measured(holding, case, seed) for seed in range(benches))
         errors, held, resolved = map(np.array, zip(*made, strict=True))
         rows[name] = {
@@ -129,12 +129,12 @@ def limits_of_the_bench() -> dict[str, dict[str, Any]]:
     """Warnings of the procedure on benches that do not determine the coefficient."""
     rows: dict[str, dict[str, Any]] = {}
     for name, case in (
-        ("gauge noise 0.011 N", Case(REFERENCE)),
-        ("gauge noise 0.1 N", Case(REFERENCE, noise_N=0.1)),
-        ("gauge drifts by 0.3 N", Case(REFERENCE, wander_N=0.3)),
-        ("friction varies by 5 %", Case(replace(REFERENCE, variation=0.05))),
-        ("almost straight, 5 degrees", Case(Eyelet(0.02, (math.radians(175.0),)))),
-        ("folded, C_R 0.25", Case(Eyelet(0.25, (math.radians(90.0),)))),
+        ("gauge noise 0.011 N", TwoReelCase(REFERENCE)),
+        ("gauge noise 0.1 N", TwoReelCase(REFERENCE, noise_N=0.1)),
+        ("gauge drifts by 0.3 N", TwoReelCase(REFERENCE, wander_N=0.3)),
+        ("friction varies by 5 %", TwoReelCase(replace(REFERENCE, variation=0.05))),
+        ("almost straight, 5 degrees", TwoReelCase(Eyelet(0.02, (math.radians(175.0),)))),
+        ("folded, C_R 0.25", TwoReelCase(Eyelet(0.25, (math.radians(90.0),)))),
     ):
         try:
             result = measure(case, seed=7)

@@ -15,7 +15,7 @@ from estune.hardware.loop_messages import Begin
 from estune.hardware.reel_state_machine import ReelStateMachine
 from estune.hardware.shared_memory import Memory, MotionPhase, SensorLevels, Word, make_file
 from plants.emulator import RIG_FILE
-from plants.emulator.board import Board, Electronics
+from plants.emulator.board import Electronics, EmulatedBoard
 
 _TABLES = tomllib.loads(RIG_FILE.read_text())
 
@@ -87,7 +87,7 @@ class VirtualLoop:
         )
         self.machine = ReelStateMachine(self.plan, self.memory, PlainController(), compensation)
         reel = plants.reference_reel(gauge_noise_N=noise_N or 1e-4)
-        self.board = Board(reel, Electronics(watchdog_s=10.0), 0, 0.0)
+        self.board = EmulatedBoard(reel, Electronics(watchdog_s=10.0), 0, 0.0)
         self.rig = rig
         self.columns = self.memory.columns
         self.time_s = 0.0

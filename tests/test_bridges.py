@@ -19,7 +19,7 @@ import zenoh
 
 from estune.bridges import cdr, ros2
 from estune.bridges.foxglove import FoxgloveViewer
-from estune.bridges.viewer import RigState, Sample, TrialClock
+from estune.bridges.viewer import TrialClock, ViewedRig, ViewedSample
 from estune.errors import InvalidInput, RigError
 from estune.remote.messages import Status
 from estune.remote.state_machine.state import Mode
@@ -111,12 +111,12 @@ def test_samples_are_stamped_from_the_first_telemetry_of_their_trial():
     assert stamps[-1] == NS
     assert np.diff(stamps).tolist() == [2_000_000] * 4
     later = clock.after(two := batch("a", 15, 2), NS + 99)
-    assert next(later.samples(two)) == Sample(NS + 2_000_000, 0.0, 0.5, 1.0, 1.5)
+    assert next(later.samples(two)) == ViewedSample(NS + 2_000_000, 0.0, 0.5, 1.0, 1.5)
     assert clock.after(batch("b", 0, 1), NS + 10**9).start_ns == NS + 10**9
 
 
 def test_values_that_are_no_numbers_are_left_out():
-    sample = Sample(NS, 10.0, math.nan, math.inf, -0.2)
+    sample = ViewedSample(NS, 10.0, math.nan, math.inf, -0.2)
     assert sample.values() == {"setpoint_N": 10.0, "angle_rad": -0.2}
 
 
@@ -152,19 +152,19 @@ def router():
 
 def state(latched=""):
     status = Status("0f", Mode.SAFE if latched else Mode.IDLE, "", 3, "me", latched)
-    return RigState(NS, status, description())
+    return ViewedRig(NS, status, description())
 
 
 def test_topics_carry_keys_attachments_and_tokens_of_rmw_zenoh(router, store):
     session, endpoint = router
     received = Received(session)
-    sample = Sample(NS, 10.0, 9.5, 0.5, -0.2)
+    sample = ViewedSample(NS, 10.0, 9.5, 0.5, -0.2)
     with PutSession(endpoint, "the router") as put:
         viewer = ros2.Ros2Viewer(put, description(), domain=5, drum_radius_m=0.025)
         viewer.show_samples([sample, sample])
         viewer.show_state(state())
         viewer.show_state(state("smoke"))
-        viewer.show_state(RigState(NS, None, None))
+        viewer.show_state(ViewedRig(NS, None, None))
         kinds = ("JOINT_STATE", "WRENCH_STAMPED", "DIAGNOSTIC_ARRAY")
         topics = ("scripted/joint_states", "scripted/tension", "diagnostics")
         keys = [
@@ -225,7 +225,7 @@ def test_rig_that_measures_no_force_has_no_force_topic(router):
     with PutSession(endpoint, "the router") as put:
         rig = description(measurement="speed, rad/s")
         viewer = ros2.Ros2Viewer(put, rig)
-        viewer.show_samples([Sample(NS, 1.0, 1.0, 1.0, 1.0)])
+        viewer.show_samples([ViewedSample(NS, 1.0, 1.0, 1.0, 1.0)])
         received.wait(bool)
     (key,) = received.samples
     assert "joint_states" in key
@@ -327,7 +327,7 @@ def shown_again_and_again(viewer):
 
     def show():
         for n in itertools.count():
-            viewer.show_samples([Sample(NS + n, 10.0, 9.5 + n, 0.5, -0.2)])
+            viewer.show_samples([ViewedSample(NS + n, 10.0, 9.5 + n, 0.5, -0.2)])
             viewer.show_state(state("smoke"))
             if over.wait(0.01):
                 return

@@ -26,7 +26,7 @@ from estune.hardware.drivers.serial_port import SerialPort
 from estune.hardware.exchange_timing import measure_exchanges
 from estune.trial import Outcome, TrialRequest
 from plants.emulator import EmulatedDriver
-from plants.emulator.board import Board, Electronics
+from plants.emulator.board import Electronics, EmulatedBoard
 from plants.emulator.devices import GAUGE, CanDevices, SerialDevice
 from plants.emulator.driver import emulated_hardware
 from tests.support_hardware import quick
@@ -143,7 +143,7 @@ class FaultyDevice(SerialDevice):
 @pytest.fixture
 def board():
     reel = plants.reference_reel()
-    device = FaultyDevice(Board(reel, Electronics(watchdog_s=60.0), 1, time.monotonic()))
+    device = FaultyDevice(EmulatedBoard(reel, Electronics(watchdog_s=60.0), 1, time.monotonic()))
     over = threading.Event()
 
     def serve():

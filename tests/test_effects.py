@@ -15,7 +15,7 @@ from plants.bench.identify import Band, multisine, open_loop_record
 from plants.conformance.effect import EffectConformance
 from plants.conformance.reel_runs import GAINS, REEL, UP, readings, rest, rollout, wander
 from plants.effects import EFFECTS, Effect, EyeletFriction, Port, Quantisation, RecordScale, Role
-from plants.simulation.trial_loop import CompiledLoop, VirtualLoop, loop_functions
+from plants.simulation.trial_loop import CasadiLoop, CompiledLoop, loop_functions
 
 SLUGS = [
     *("coulomb_friction", "stribeck_friction", "dahl_hysteresis", "eyelet_friction"),
@@ -127,7 +127,7 @@ def test_compiled_trial_equals_that_of_the_virtual_machine(order, monkeypatch):
     reel = all_on(order)
     functions = loop_functions(reel.structure.equations())
     seen = []
-    for kind in (CompiledLoop, VirtualLoop):
+    for kind in (CompiledLoop, CasadiLoop):
         monkeypatch.setattr(
             "plants.models.plant_model.trial_loop", lambda _, kind=kind: kind(functions)
         )

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import plants
-from experiments.hidden_scores import Task, diagnose
+from experiments.hidden_scores import DiagnosisTask, diagnose
 from plants.models.unloaded_reel import UnloadedReel
 from tests.support_hidden import skip_without_compiler
 from tests.support_measurements import open_loop
@@ -101,7 +101,7 @@ def test_friction_is_identified_in_the_notation_of_other_simulators(friction, na
 )
 def test_effect_of_a_real_drive_is_identified_in_a_hidden_machine(seed, variant, effect, size):
     skip_without_compiler()
-    row = diagnose(Task(seed, variant, effect))
+    row = diagnose(DiagnosisTask(seed, variant, effect))
     assert (row.verdict, row.found) == ("named", (effect,))
     (held,) = row.intervals
     assert held.name == f"{effect}.{size}"

@@ -13,7 +13,7 @@ from estune.errors import InvalidInput, PlantError
 from plants.effects import CurrentSaturation
 from plants.models.fmu.plant import fmu_plant
 from plants.models.fmu.step import FmuStep
-from plants.simulation.plant import Drive
+from plants.simulation.plant import TrialSetpoint
 from tests.support_fmu import build
 
 
@@ -26,7 +26,7 @@ def closed_loop(plant):
     """Columns of one trial on a setpoint of 3."""
     c = pidf.coefficients(plant.controller, Gains(2.0, 10.0, 0.01, 0.01))
     time_s = np.arange(100) / 100.0
-    drive = Drive(time_s, np.full(100, 3.0), 2.0, open_loop=False)
+    drive = TrialSetpoint(time_s, np.full(100, 3.0), 2.0, open_loop=False)
     return plant.respond(np.array([c, c]), drive, None, 1e9)
 
 

@@ -10,7 +10,7 @@ from scipy.stats import chi2
 
 from estune.errors import InvalidInput
 from estune.reel.friction import StribeckFriction
-from estune.reel.velocity import Motion, Windows
+from estune.reel.velocity import DrumMotion, Windows
 from plants.bench.demonstrations.friction_compensation import (
     FeedForward,
     reference_wrench_trial,
@@ -70,7 +70,7 @@ def test_compensation_never_drives_a_drum_of_less_friction(
     forward = FeedForward(identified, 2e-3, fraction)
 
     def given_at(v):
-        return forward.friction_Nm(Motion(v, bound, 0.01, 0.0, 1.0))
+        return forward.friction_Nm(DrumMotion(v, bound, 0.01, 0.0, 1.0))
 
     share = truth * fraction
     true = StribeckFriction(
@@ -86,7 +86,7 @@ def test_compensation_never_drives_a_drum_of_less_friction(
 
 def test_compensation_above_the_noise_is_a_fraction_of_friction():
     v = np.array([-3.0, -0.5, 0.2, 0.8, 5.0])
-    motion = Motion(v, np.full(5, 0.1), 0.01, np.zeros(5), 1.0)
+    motion = DrumMotion(v, np.full(5, 0.1), 0.01, np.zeros(5), 1.0)
     assert FeedForward(DRY, 0.0, 0.7).friction_Nm(motion) == pytest.approx(0.7 * DRY.torque_Nm(v))
 
 

@@ -7,7 +7,7 @@ from functools import cache
 
 import pytest
 
-from experiments.hidden_scores import Task, diagnose
+from experiments.hidden_scores import DiagnosisTask, diagnose
 from tests.support_hidden import skip_without_compiler
 
 FIRST_SEED = 70_200
@@ -23,7 +23,7 @@ def _compiler():
 def block():
     """Diagnoses of the block."""
     return [
-        diagnose(Task(FIRST_SEED + n, variant))
+        diagnose(DiagnosisTask(FIRST_SEED + n, variant))
         for variant, count in BLOCK.items()
         for n in range(count)
     ]

@@ -12,8 +12,8 @@ import plants
 from experiments.hidden_machines import signals
 from experiments.hidden_machines.bases import REEL, as_believed
 from experiments.hidden_machines.effects import CATALOGUE
-from experiments.hidden_machines.machine import Drive, NoCompiler, run
-from experiments.hidden_machines.records import Record, machine
+from experiments.hidden_machines.machine import DriveSignals, NoCompiler, run
+from experiments.hidden_machines.records import MachineRecord, machine
 from experiments.hidden_scores import measurement
 from plants.bench.identify import Band, multisine, open_loop_record
 from plants.diagnosis.data.measured_record import MeasuredRecord
@@ -62,7 +62,7 @@ def noiseless(name):
     t, about = np.arange(setpoint.size) / RATE, hidden.instrument
     drift = about.get("drift", 0.0) * about.get("drift_s", 1.0)
     added = -drift * np.expm1(-t / about.get("drift_s", 1.0))
-    drive = Drive(setpoint, added, np.zeros(setpoint.size))
+    drive = DriveSignals(setpoint, added, np.zeros(setpoint.size))
     try:
         done = run(settings, drive, RATE, rest_N=TENSION_N)
     except NoCompiler as error:
@@ -84,7 +84,7 @@ def noiseless(name):
         "profile": "custom",
         "gains": None,
     }
-    return measurement(Record(columns, about)), hidden
+    return measurement(MachineRecord(columns, about)), hidden
 
 
 class BestFit:

@@ -13,7 +13,7 @@ import pytest
 from experiments import hidden_machines
 from experiments.hidden_machines import machine as machines
 from experiments.hidden_machines.bases import REEL, UNLOADED
-from experiments.hidden_machines.machine import Drive, NoCompiler, Run
+from experiments.hidden_machines.machine import DriveSignals, NoCompiler, Run
 from experiments.hidden_scores import measurement
 from plants.diagnosis.data.measured_record import CHANNELS
 from plants.diagnosis.data.records import read_measurements
@@ -42,7 +42,7 @@ def _compiler():
 
 def respond(setpoint, rest_N=0.0, **settings) -> Run:
     nothing = np.zeros(len(setpoint))
-    drive = Drive(np.asarray(setpoint, float), nothing, nothing)
+    drive = DriveSignals(np.asarray(setpoint, float), nothing, nothing)
     return machines.run(PLAIN | settings, drive, RATE, rest_N=rest_N)
 
 

@@ -30,7 +30,7 @@ from plants.diagnosis.improvement.experiment_runner import ExperimentRunner
 from plants.diagnosis.improvement.improve import at_rig
 from plants.diagnosis.improvement.page import page
 from plants.diagnosis.improvement.result import Costs
-from plants.diagnosis.improvement.tuning import TuneOptions, is_worse, tune_with_model, way
+from plants.diagnosis.improvement.tuning import ImprovementOptions, is_worse, tune_with_model, way
 from plants.diagnosis.models.base import BaseNumbers
 from plants.diagnosis.residual.localisation import ResidualLocation, localise
 from plants.effects import CoulombFriction, EyeletFriction
@@ -38,7 +38,7 @@ from tests.serve_rig import served
 
 REEL = plants.reference_reel()
 GAINS = REEL.describe("rig", None).gains
-SHORT = TuneOptions(model_trials=40, rig_trials=6, watch=None)
+SHORT = ImprovementOptions(model_trials=40, rig_trials=6, watch=None)
 FEW = ("coulomb_friction", "eyelet_friction", "dead_time")
 RIGS = {
     "reel": REEL,
@@ -244,7 +244,7 @@ def stop(*_):
 FEWER = {
     "effects": FEW,
     "rounds": 1,
-    "tuning": TuneOptions(model_trials=5, rig_trials=2, watch=None),
+    "tuning": ImprovementOptions(model_trials=5, rig_trials=2, watch=None),
 }
 
 

@@ -8,14 +8,14 @@ import pytest
 from experiments.sample_efficiency.figures import median, quartiles
 from experiments.sample_efficiency.optimum import WARM_RATIO, search, warm_start
 from experiments.sample_efficiency.problems import PROBLEMS
-from experiments.sample_efficiency.searches import Row
+from experiments.sample_efficiency.searches import SearchRow
 from experiments.sample_efficiency.trials import COLD, ETA_MAX_RATIO, Job, Spent, Trials
 
 PROBLEM = PROBLEMS["20 Hz"]
 
 
 def row(*excess):
-    return Row(Job("20 Hz", "safe_bayesian", 0.03, COLD, 1, len(excess)), excess, 0, 0.0)
+    return SearchRow(Job("20 Hz", "safe_bayesian", 0.03, COLD, 1, len(excess)), excess, 0, 0.0)
 
 
 def test_optimum_is_below_all_other_points():

@@ -16,7 +16,7 @@ from estune.support import c_compiler
 from estune.trial import SATURATED
 from estune.trial.profiles import StepProfile
 from plants.simulation.noise import NoiseSource
-from plants.simulation.trial_loop import CompiledLoop, VirtualLoop, loop_functions, trial_loop
+from plants.simulation.trial_loop import CasadiLoop, CompiledLoop, loop_functions, trial_loop
 
 GAINS = Gains(1.2, 50.0, 0.02, 0.004)
 FRICTION = plants.reference_reel() + plants.CoulombFriction(torque_Nm=0.03)
@@ -50,7 +50,7 @@ def test_virtual_machine_matches_the_compiled_trial(name, monkeypatch):
     samples = profile.samples(plant.controller.sampling_Hz)
     noise = np.random.default_rng(4).normal(0.0, 0.05, samples)
     compiled = plants.simulate(plant, GAINS, profile, noise_N=noise)
-    virtual_loop = VirtualLoop(loop_functions(plant.structure.equations()))
+    virtual_loop = CasadiLoop(loop_functions(plant.structure.equations()))
     monkeypatch.setattr("plants.models.plant_model.trial_loop", lambda _: virtual_loop)
     virtual = plants.simulate(plant, GAINS, profile, noise_N=noise)
     for column in ("tension_N", "effort_N", "angle_rad"):
@@ -126,7 +126,7 @@ TOTAL = float(plants.simulate(plants.reference_reel(), GAINS).tension_N.sum())
 
 def test_missing_compiler_selects_the_virtual_machine_with_one_notice(cache):
     kind, total, stderr = run_elsewhere(PATH=str(cache), CC="")
-    assert kind == "VirtualLoop"
+    assert kind == "CasadiLoop"
     assert total == pytest.approx(TOTAL, rel=1e-12)
     assert stderr.count("virtual machine") == 1
     assert "no C compiler found" in stderr
@@ -137,7 +137,7 @@ def test_failing_compiler_is_named(tmp_path, cache):
     broken.write_text("#!/bin/sh\necho 'out of ideas' >&2\nexit 3\n")
     broken.chmod(0o755)
     kind, total, stderr = run_elsewhere(CC=str(broken))
-    assert (kind, total) == ("VirtualLoop", pytest.approx(TOTAL, rel=1e-12))
+    assert (kind, total) == ("CasadiLoop", pytest.approx(TOTAL, rel=1e-12))
     assert "broken-cc failed: out of ideas" in stderr
     assert libraries(cache) == []
 

@@ -13,7 +13,7 @@ from estune.daemon.supervisor_state import (
     GainSet,
     Goal,
     InvalidTransition,
-    Link,
+    RigLink,
     Shutdown,
     SupervisorEvent,
     SupervisorMode,
@@ -25,7 +25,7 @@ from estune.errors import InvalidInput
 STATES = [
     SupervisorState(goal, home, "why", link, 0, "", paused, ending)
     for goal, home, link, paused, ending in product(
-        Goal, (GainSet.ORIGINAL, GainSet.ACCEPTED), Link, ("", "told to"), Shutdown
+        Goal, (GainSet.ORIGINAL, GainSet.ACCEPTED), RigLink, ("", "told to"), Shutdown
     )
 ]
 """Every possible state."""
@@ -94,7 +94,7 @@ def test_stopping_ends_only_by_the_end_or_a_boot():
 def test_changed_nominal_gains_are_applied_before_anything_else():
     for state, event, after in moves():
         if after.home is not state.home:
-            assert after.link is not Link.READY, (state, event)
+            assert after.link is not RigLink.READY, (state, event)
 
 
 @given(st.lists(st.sampled_from(SupervisorEvent), max_size=40))
@@ -113,7 +113,7 @@ def test_kill_at_any_instant_leaves_gains_that_were_nominal(events):
             live = state.home
         nominal.add(after.home)
         assert live in nominal - {GainSet.CANDIDATE}
-        if after.link is Link.READY and not after.paused and after.ending is Shutdown.NO:
+        if after.link is RigLink.READY and not after.paused and after.ending is Shutdown.NO:
             assert live is after.home
         state = after
 
@@ -179,6 +179,6 @@ def test_supervision_from_first_tuning_to_stop_and_restart():
     ],
 )
 def test_command_not_allowed_is_refused_with_the_reason(event, words):
-    watching = SupervisorState(Goal.WATCH, link=Link.READY)
+    watching = SupervisorState(Goal.WATCH, link=RigLink.READY)
     with pytest.raises(InvalidInput, match=words):
         next_state(watching, event)

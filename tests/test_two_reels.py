@@ -14,16 +14,16 @@ from plants.bench import two_reels as tr
 from tests.test_transparency import slides_at
 
 SETPOINTS = (8.0, 16.0, 24.0, 32.0, 40.0)
-GAUGE_Y = tr.Gauge(zero=3.0, sensitivity=0.8, curvature_per_N=1e-3)
+GAUGE_Y = tr.BenchGauge(zero=3.0, sensitivity=0.8, curvature_per_N=1e-3)
 
 # The bench
 
 
 def bench(eyelet=None, *, seed=0, noise_N=0.011, drift_N=0.0, other=None, drive=None):
     """Two reels with one eyelet and an uncalibrated gauge at Y."""
-    eyelet, drive = eyelet or tr.Eyelet(), drive or tr.Drive()
+    eyelet, drive = eyelet or tr.Eyelet(), drive or tr.BenchDrive()
     quiet = {"noise_N": noise_N, "drift_N": drift_N}
-    x = tr.ReelModel(eyelet, tr.Gauge(**quiet), drive)
+    x = tr.ReelModel(eyelet, tr.BenchGauge(**quiet), drive)
     y = tr.ReelModel(other or eyelet, replace(GAUGE_Y, **quiet), drive)
     return tr.SimulatedBench(x, y, seed=seed)
 
@@ -179,7 +179,7 @@ def test_dynamic_ratio_is_measured_at_the_cable_velocity():
 
 
 def test_breakout_holding_is_unbiased_with_a_fast_tension_controller():
-    eager = tr.Drive(position_lag_s=3.0, compliance_m_N=3e-5)
+    eager = tr.BenchDrive(position_lag_s=3.0, compliance_m_N=3e-5)
     excess = {}
     for holding in ("position", "breakout"):
         two = bench(tr.Eyelet(variation=0.0), noise_N=0.0, drive=eager)

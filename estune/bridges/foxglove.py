@@ -4,13 +4,13 @@ import ipaddress
 from contextlib import suppress
 from typing import Self
 
-from estune.bridges.viewer import RigState, Sample
+from estune.bridges.viewer import ViewedRig, ViewedSample
 from estune.errors import InvalidInput
 
 ADDRESS = "127.0.0.1:8765"
 _SAMPLE = {
     "type": "object",
-    "properties": {name: {"type": "number"} for name in Sample._fields[1:]},
+    "properties": {name: {"type": "number"} for name in ViewedSample._fields[1:]},
 }
 
 
@@ -55,12 +55,12 @@ class FoxgloveViewer:
     def __exit__(self, *_: object) -> None:
         self._server.stop()
 
-    def show_samples(self, samples: list[Sample]) -> None:
+    def show_samples(self, samples: list[ViewedSample]) -> None:
         """Sends each sample to the clients that have subscribed."""
         for sample in samples:
             self._samples.log(sample.values(), log_time=sample.time_ns)
 
-    def show_state(self, state: RigState) -> None:
+    def show_state(self, state: ViewedRig) -> None:
         """Sends the status and the live gains."""
         self._state.log(state.values(), log_time=state.time_ns)
 

@@ -5,7 +5,7 @@ import socket
 from contextlib import suppress
 from typing import Any, Self
 
-from estune.bridges.viewer import RigState, Sample
+from estune.bridges.viewer import ViewedRig, ViewedSample
 from estune.errors import InvalidInput
 
 ADDRESS = "127.0.0.1:9870"
@@ -40,12 +40,12 @@ class PlotJuggler:
     def __exit__(self, *_: object) -> None:
         self._socket.close()
 
-    def show_samples(self, samples: list[Sample]) -> None:
+    def show_samples(self, samples: list[ViewedSample]) -> None:
         """Sends a datagram for each sample."""
         for sample in samples:
             self._send(sample.time_ns, sample.values())
 
-    def show_state(self, state: RigState) -> None:
+    def show_state(self, state: ViewedRig) -> None:
         """Sends the status and the live gains."""
         self._send(state.time_ns, state.values())
 

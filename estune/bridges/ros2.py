@@ -11,7 +11,7 @@ import time
 from typing import NamedTuple
 
 from estune.bridges import cdr
-from estune.bridges.viewer import RigState, Sample
+from estune.bridges.viewer import ViewedRig, ViewedSample
 from estune.core.gains import GAIN_NAMES
 from estune.errors import InvalidInput
 from estune.remote.zenoh.put_session import PutSession
@@ -125,7 +125,7 @@ class Ros2Viewer:
             publisher(3, f"{self.name}/tension", WRENCH_STAMPED) if measures_force else None
         )
 
-    def show_samples(self, samples: list[Sample]) -> None:
+    def show_samples(self, samples: list[ViewedSample]) -> None:
         """Publishes a joint state and a force for each sample."""
         for sample in samples:
             torque_Nm = None if self._torque_Nm_A is None else self._torque_Nm_A * sample.current_A
@@ -134,7 +134,7 @@ class Ros2Viewer:
             if self._force is not None:
                 self._force.publish(cdr.wrench_stamped(at, self.name, sample.tension_N))
 
-    def show_state(self, state: RigState) -> None:
+    def show_state(self, state: ViewedRig) -> None:
         """Publishes the status, with the live gains."""
         status, about = state.status, state.about
         values = {}

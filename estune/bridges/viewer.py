@@ -17,7 +17,7 @@ from estune.trial import RigDescription, Telemetry
 STATUS_EVERY_s = 1.0
 
 
-class Sample(NamedTuple):
+class ViewedSample(NamedTuple):
     """One sample of a running trial.
 
     Attributes:
@@ -42,7 +42,7 @@ class Sample(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True)
-class RigState:
+class ViewedRig:
     """A rig between two readings of its status; None for what it has not answered."""
 
     time_ns: int
@@ -62,11 +62,11 @@ class RigState:
 class Viewer(Protocol):
     """A program that shows rigs."""
 
-    def show_samples(self, samples: list[Sample]) -> None:
+    def show_samples(self, samples: list[ViewedSample]) -> None:
         """Shows samples of a running trial."""
         ...
 
-    def show_state(self, state: RigState) -> None:
+    def show_state(self, state: ViewedRig) -> None:
         """Shows the rig's status."""
         ...
 
@@ -84,12 +84,12 @@ class TrialClock(NamedTuple):
         last = batch.first_sample + batch.tension_N.size - 1
         return TrialClock(batch.trial_id, arrival_ns - round(1e9 * last / batch.sampling_Hz))
 
-    def samples(self, batch: Telemetry) -> Iterator[Sample]:
+    def samples(self, batch: Telemetry) -> Iterator[ViewedSample]:
         """The samples of a batch with their times."""
         columns = (batch.setpoint_N, batch.tension_N, batch.current_A, batch.angle_rad)
         for n, row in enumerate(zip(*(c.tolist() for c in columns), strict=True)):
             passed_ns = round(1e9 * (batch.first_sample + n) / batch.sampling_Hz)
-            yield Sample(self.start_ns + passed_ns, *row)
+            yield ViewedSample(self.start_ns + passed_ns, *row)
 
 
 def follow(
@@ -126,8 +126,8 @@ def follow(
         raise faults[0]
 
 
-def _state(rig: RemoteRig) -> RigState:
+def _state(rig: RemoteRig) -> ViewedRig:
     status = about = None
     with suppress(RigError):  # silent for now
         status, about = rig.status(), rig.describe()
-    return RigState(time.time_ns(), status, about)
+    return ViewedRig(time.time_ns(), status, about)

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple, Self
 from estune.core.control_chart import ChartSignal
 from estune.core.gains import Gains
 from estune.daemon.events import Event, EventKind
-from estune.daemon.supervisor_state import GainSet, Goal, Link, Shutdown, SupervisorState
+from estune.daemon.supervisor_state import GainSet, Goal, RigLink, Shutdown, SupervisorState
 from estune.errors import JournalError, RigError
 from estune.support.sqlite import FileKind, SqliteFile, has_writer
 from estune.trial import TrialRecord, TrialRequest, record_frame
@@ -164,7 +164,7 @@ class DaemonStore:
         stored = self.fact("life")
         if stored is None:
             return SupervisorState()
-        enums = {"goal": Goal, "home": GainSet, "link": Link, "ending": Shutdown}
+        enums = {"goal": Goal, "home": GainSet, "link": RigLink, "ending": Shutdown}
         return SupervisorState(**stored | {name: of(stored[name]) for name, of in enums.items()})
 
     @state.setter

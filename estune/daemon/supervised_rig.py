@@ -24,7 +24,7 @@ from estune.daemon.supervisor_state import (
     SupervisorState,
     next_state,
 )
-from estune.daemon.tuning_runs import Decision, TuningRuns
+from estune.daemon.tuning_runs import RunDecision, TuningRuns
 from estune.errors import EstuneError, InvalidInput, JournalError
 from estune.remote.messages.daemon import (
     Command,
@@ -242,7 +242,7 @@ class SupervisedRig:
                 event = self._unwritten(error, kind, sentence, facts)
         self._listener(event)
 
-    def apply_decision(self, decision: Decision, *, accept: bool) -> None:
+    def apply_decision(self, decision: RunDecision, *, accept: bool) -> None:
         """Applies the result of a tuning run: better gains are accepted, or await a decision."""
         sentence, better = decision.sentence, decision.better
         if better is None and decision.start_chart is None:

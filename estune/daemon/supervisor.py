@@ -17,7 +17,7 @@ from estune.daemon.rig_access import HeldByOtherDaemon, RigAccess, TooManyVoidTr
 from estune.daemon.shared_resources import SharedResources
 from estune.daemon.supervised_rig import Preempted, SupervisedRig
 from estune.daemon.supervisor_state import SupervisorEvent, SupervisorMode
-from estune.daemon.tuning_runs import Decision
+from estune.daemon.tuning_runs import RunDecision
 from estune.errors import EstuneError, Interrupted, InvalidInput, RigError, UnsafeStart
 from estune.run import archived_run, loop
 from estune.run.disk_space import DiskForecast
@@ -225,7 +225,7 @@ class RigSupervisor:
             decision = self._complete(self._rig.tuning_runs.open(access.description), access)
         self._rig.apply_decision(decision, accept=self._settings.accept == "auto")
 
-    def _complete(self, run: TuningRun, access: RigAccess) -> Decision:
+    def _complete(self, run: TuningRun, access: RigAccess) -> RunDecision:
         """Runs the trials of a tuning run that are missing, and decides on its result."""
         self._rig.session = run.session
         self._disk = DiskForecast(run.journal) if run.journal is not None else None

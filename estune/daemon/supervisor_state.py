@@ -35,7 +35,7 @@ class Goal(StrEnum):
     WATCH = "watch"
 
 
-class Link(StrEnum):
+class RigLink(StrEnum):
     """State of the connection to the rig; ready once its live gains are the nominal ones."""
 
     AWAY = "away"
@@ -103,7 +103,7 @@ class SupervisorState:
     goal: Goal = Goal.TUNE
     home: GainSet = GainSet.ORIGINAL
     why: str = "nothing else was accepted yet"
-    link: Link = Link.AWAY
+    link: RigLink = RigLink.AWAY
     failures: int = 0
     trouble: str = ""
     paused: str = ""
@@ -116,11 +116,11 @@ class SupervisorState:
             return SupervisorMode.STOPPED
         if self.ending is Shutdown.STOPPING:
             return SupervisorMode.STOPPING
-        if self.link is Link.AWAY:
+        if self.link is RigLink.AWAY:
             return SupervisorMode.WAITING
-        if self.link is Link.FAILED:
+        if self.link is RigLink.FAILED:
             return SupervisorMode.RETRYING
-        if self.link is Link.FOUND:
+        if self.link is RigLink.FOUND:
             return SupervisorMode.READYING
         return SupervisorMode.PAUSED if self.paused else _MODE_OF_GOAL[self.goal]
 
@@ -196,10 +196,10 @@ def _set(**changes: Any) -> _Transition:
 def _boot(state: SupervisorState, _: str) -> SupervisorState:
     # The result of a confirmation is not stored: its run is continued, and decided again.
     started = replace(_back_to_tuning(state), ending=Shutdown.NO)
-    return replace(started, link=Link.AWAY, failures=0, trouble="")
+    return replace(started, link=RigLink.AWAY, failures=0, trouble="")
 
 
-def _failure(link: Link) -> _Transition:
+def _failure(link: RigLink) -> _Transition:
     def fail(state: SupervisorState, reason: str) -> SupervisorState:
         failures = state.failures + 1
         return replace(_back_to_tuning(state), link=link, failures=failures, trouble=reason)
@@ -214,7 +214,7 @@ def _back_to_tuning(state: SupervisorState) -> SupervisorState:
 
 def _check_gains(state: SupervisorState, _: str = "") -> SupervisorState:
     """The live gains must be read, and replaced where they are not the nominal ones."""
-    return replace(state, link=Link.FOUND) if state.link is Link.READY else state
+    return replace(state, link=RigLink.FOUND) if state.link is RigLink.READY else state
 
 
 def _pause(state: SupervisorState, reason: str) -> SupervisorState:
@@ -300,16 +300,16 @@ def _command(
 TABLE: Mapping[SupervisorEvent, Mapping[SupervisorMode, _Cell]] = MappingProxyType(
     {
         SupervisorEvent.BOOT: _row((tuple(SupervisorMode), _boot)),
-        SupervisorEvent.FOUND: _row(((*_ABSENT, *_STOPPING), _set(link=Link.FOUND))),
+        SupervisorEvent.FOUND: _row(((*_ABSENT, *_STOPPING), _set(link=RigLink.FOUND))),
         # Another daemon had the rig before, and left it other gains.
         SupervisorEvent.INHERITED: _row(((SupervisorMode.READYING,), _inherit)),
         SupervisorEvent.READIED: _row(
-            ((SupervisorMode.READYING,), _set(link=Link.READY, failures=0, trouble=""))
+            ((SupervisorMode.READYING,), _set(link=RigLink.READY, failures=0, trouble=""))
         ),
         # The rig runs other gains than the nominal ones: restarted, or changed by others.
         SupervisorEvent.CHANGED: _row((_ACTIVE, _check_gains)),
-        SupervisorEvent.LOST: _row(((*_RUNNING, *_STOPPING), _failure(Link.AWAY))),
-        SupervisorEvent.FAILED: _row(((*_RUNNING, *_STOPPING), _failure(Link.FAILED))),
+        SupervisorEvent.LOST: _row(((*_RUNNING, *_STOPPING), _failure(RigLink.AWAY))),
+        SupervisorEvent.FAILED: _row(((*_RUNNING, *_STOPPING), _failure(RigLink.FAILED))),
         # Operator action is required. The rig keeps the nominal gains.
         SupervisorEvent.TROUBLE: _row((_RUNNING, _pause), (_STOPPING, _set())),
         # The nominal gains are no longer safe: the original ones are the best alternative.

@@ -28,7 +28,7 @@ from estune.trial import RigDescription
 _log = logging.getLogger(__name__)
 
 
-class Decision(NamedTuple):
+class RunDecision(NamedTuple):
     """Result of a complete run.
 
     Attributes:
@@ -95,7 +95,7 @@ class TuningRuns:
         self._store.set_fact("open_run", "")
         self._store.set_fact("run_ended_at", now())
 
-    def decide(self, run: TuningRun) -> Decision:
+    def decide(self, run: TuningRun) -> RunDecision:
         """Whether the best gains of a complete run are better than the initial ones."""
         session, settings = run.session, self._settings.tuning
         repeats = session.confirmation
@@ -105,23 +105,25 @@ class TuningRuns:
             return None if math.inf in costs else self._settings.watch.chart.begin(costs, *safe)
 
         if repeats is None:
-            return Decision(None, summarise(session).message, chart(session.baseline), None)
+            return RunDecision(None, summarise(session).message, chart(session.baseline), None)
         start, best = repeats.costs
         if len(repeats.safe) < 2:
             start_chart = chart((*session.baseline, *start))
-            return Decision(None, summarise(session).message, start_chart, None)
+            return RunDecision(None, summarise(session).message, start_chart, None)
         change = compare_costs(start, best, settings.confidence)
         start_chart = chart(start, best)
         verdict = verdict_on(run, change)
         if verdict.fault:
-            return Decision(None, f"not robust: {verdict.fault}; cost {change}", start_chart, None)
+            return RunDecision(
+                None, f"not robust: {verdict.fault}; cost {change}", start_chart, None
+            )
         if verdict.broken:
             sentence = f"within the limits; the initial gains have {verdict.broken}: cost {change}"
-            return Decision(repeats.gains[1], sentence, start_chart, chart(best, start))
+            return RunDecision(repeats.gains[1], sentence, start_chart, chart(best, start))
         if change.high < -settings.improvement_min:
             sentence = f"better than the initial gains: cost {change}"
-            return Decision(repeats.gains[1], sentence, start_chart, chart(best, start))
-        return Decision(None, f"no significant improvement: cost {change}", start_chart, None)
+            return RunDecision(repeats.gains[1], sentence, start_chart, chart(best, start))
+        return RunDecision(None, f"no significant improvement: cost {change}", start_chart, None)
 
     def _start(self, rig: RigDescription) -> TuningRun:
         count = int(self._store.fact("runs") or 0) + 1

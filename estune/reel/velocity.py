@@ -87,7 +87,7 @@ class Windows:
         return self.strong * 2.0 * self.angle_error_rad / spans_s2
 
 
-class Motion(NamedTuple):
+class DrumMotion(NamedTuple):
     """The drum's motion at a sample, or at each sample of a record (then arrays).
 
     Attributes:
@@ -118,7 +118,7 @@ class MotionState(NamedTuple):
 
 def step(
     windows: Windows, state: MotionState, time_s: float, angle_rad: float
-) -> tuple[MotionState, Motion]:
+) -> tuple[MotionState, DrumMotion]:
     """One sample of the estimator.
 
     Args:
@@ -150,7 +150,7 @@ def step(
     goes_on = direction == state.direction and abs(raw) >= windows.weak * floor
     counts = abs(raw) >= windows.strong * floor or goes_on
     following = MotionState(times, angles, middles, velocities, bounds, direction if counts else 0)
-    return following, Motion(velocity, bound, span, raw if counts else 0.0, floor)
+    return following, DrumMotion(velocity, bound, span, raw if counts else 0.0, floor)
 
 
 def _longest_chord(
@@ -183,7 +183,7 @@ def _longest_chord(
     return slope, bound, length
 
 
-def motion(windows: Windows, time_s: ArrayLike, angle_rad: ArrayLike) -> Motion:
+def motion(windows: Windows, time_s: ArrayLike, angle_rad: ArrayLike) -> DrumMotion:
     """The motion at each sample of a record, by `step`.
 
     Args:
@@ -208,4 +208,4 @@ def motion(windows: Windows, time_s: ArrayLike, angle_rad: ArrayLike) -> Motion:
     for instant, angle in zip(times.tolist(), angles.tolist(), strict=True):
         state, now = step(windows, state, instant, angle)
         rows.append(now)
-    return Motion(*np.array(rows).reshape(-1, len(Motion._fields)).T)
+    return DrumMotion(*np.array(rows).reshape(-1, len(DrumMotion._fields)).T)

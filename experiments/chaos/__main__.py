@@ -57,7 +57,7 @@ def run_campaign(
 ) -> dict[str, Any]:
     """Figures of one campaign, and of the tunings with outages of the network that follow."""
     search = min(SEARCH_TRIALS, max(extent.trials - BESIDE_SEARCH, 10))
-    kinds, durations = list(faults.Kind), extent.durations
+    kinds, durations = list(faults.LinkFault), extent.durations
     schedule = faults.schedule(kinds, PAUSES_TRIALS, extent.faults, seed, durations)
     with Stand(folder, extent.pace) as stand:
         campaign = Campaign(stand, schedule, search, seed)
@@ -87,7 +87,9 @@ def _suffer_outages(
 ) -> Diary:
     """Course of tunings with an outage of the network in each, and no other fault."""
     count = extent.outages
-    schedule = faults.schedule([faults.Kind.OUTAGE], (1, 4, 10), count, seed, extent.durations)
+    schedule = faults.schedule(
+        [faults.LinkFault.OUTAGE], (1, 4, 10), count, seed, extent.durations
+    )
     campaign = Campaign(stand, schedule, OUTAGE_SEARCH_TRIALS, seed, name="outage")
     campaign.run(count, report)
     return campaign.diary

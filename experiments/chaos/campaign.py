@@ -13,7 +13,7 @@ from typing import NamedTuple
 from experiments.chaos import faults
 from experiments.chaos.client import INTERRUPTED
 from experiments.chaos.errand import Errand
-from experiments.chaos.faults import Fault, Kind
+from experiments.chaos.faults import Fault, LinkFault
 from experiments.chaos.processes import end, started
 from experiments.chaos.stand import NAME, Stand
 
@@ -168,30 +168,30 @@ class Campaign:
     def _cause(self, fault: Fault) -> None:
         client, stand = self._live_client, self._stand
         match fault.kind:
-            case Kind.CUT | Kind.LOSE:
+            case LinkFault.CUT | LinkFault.LOSE:
                 for wire in stand.wires:
-                    wire.cut() if fault.kind is Kind.CUT else wire.lose_next_answer()
-            case Kind.KILL_CLIENT | Kind.CTRL_C:
-                killed = fault.kind is Kind.KILL_CLIENT
+                    wire.cut() if fault.kind is LinkFault.CUT else wire.lose_next_answer()
+            case LinkFault.KILL_CLIENT | LinkFault.CTRL_C:
+                killed = fault.kind is LinkFault.KILL_CLIENT
                 end(client, signal.SIGKILL if killed else signal.SIGINT)
                 self._alone_since_s = time.monotonic()
                 time.sleep(fault.lasts_s)
-            case Kind.KILL_RIG | Kind.RESTART:
-                killed = fault.kind is Kind.KILL_RIG
+            case LinkFault.KILL_RIG | LinkFault.RESTART:
+                killed = fault.kind is LinkFault.KILL_RIG
                 end(stand.rig, signal.SIGKILL if killed else signal.SIGINT)
                 time.sleep(fault.lasts_s)
                 stand.restart()
-            case Kind.DOUBLE | Kind.LATE | Kind.AGAIN if client.stdin:
+            case LinkFault.DOUBLE | LinkFault.LATE | LinkFault.AGAIN if client.stdin:
                 with contextlib.suppress(BrokenPipeError):
                     client.stdin.write(f"{fault.kind.name.lower()}\n".encode())
                     client.stdin.flush()
-            case Kind.TWIN:
+            case LinkFault.TWIN:
                 self.diary.twins += not stand.is_twin_refused()
             case _:
                 since_s = time.monotonic()
                 with self._lasting(fault.kind):
                     time.sleep(fault.lasts_s)
-                if fault.kind is Kind.STOP_CLIENT:
+                if fault.kind is LinkFault.STOP_CLIENT:
                     self.diary.absences.append(Absence(since_s, time.monotonic()))
 
     def _lasting(self, kind: str) -> contextlib.AbstractContextManager[object]:
@@ -199,16 +199,16 @@ class Campaign:
         stand = self._stand
         rival = f"rival{self.diary.faults[kind]}"
         states: dict[str, Callable[[], contextlib.AbstractContextManager[object]]] = {
-            Kind.HANG: lambda: faults.stalled(stand.wires, "both"),
-            Kind.OUTAGE: lambda: faults.stalled(stand.wires, "both"),
-            Kind.HANG_THERE: lambda: faults.stalled(stand.wires, "there"),
-            Kind.HANG_BACK: lambda: faults.stalled(stand.wires, "back"),
-            Kind.STOP_CLIENT: lambda: faults.frozen(self._live_client),
-            Kind.STOP_RIG: lambda: faults.frozen(stand.rig),
-            Kind.RIG_DISK: lambda: faults.disk_full(stand.rig),
-            Kind.CLIENT_DISK: lambda: faults.disk_full(self._live_client),
-            Kind.NAMESAKE: stand.namesake,
-            Kind.RIVAL: lambda: stand.rival(rival),
-            Kind.SLOW: stand.slow,
+            LinkFault.HANG: lambda: faults.stalled(stand.wires, "both"),
+            LinkFault.OUTAGE: lambda: faults.stalled(stand.wires, "both"),
+            LinkFault.HANG_THERE: lambda: faults.stalled(stand.wires, "there"),
+            LinkFault.HANG_BACK: lambda: faults.stalled(stand.wires, "back"),
+            LinkFault.STOP_CLIENT: lambda: faults.frozen(self._live_client),
+            LinkFault.STOP_RIG: lambda: faults.frozen(stand.rig),
+            LinkFault.RIG_DISK: lambda: faults.disk_full(stand.rig),
+            LinkFault.CLIENT_DISK: lambda: faults.disk_full(self._live_client),
+            LinkFault.NAMESAKE: stand.namesake,
+            LinkFault.RIVAL: lambda: stand.rival(rival),
+            LinkFault.SLOW: stand.slow,
         }
         return states[kind]()

@@ -27,7 +27,7 @@ from estune.remote import zenoh
 from estune.remote.zenoh.endpoints import with_port
 from estune.trial import TrialRequest
 from experiments.chaos.faults import LEASE_S
-from experiments.chaos.motions import Log, LoggedRig, Motion
+from experiments.chaos.motions import Log, LoggedMotion, LoggedRig
 from experiments.chaos.processes import end, ready, started
 from plants.emulator import RIG_FILE, EmulatedDriver
 from plants.emulator.driver import emulated_hardware
@@ -137,8 +137,8 @@ def time_below(driver: EmulatedDriver, level_N: float) -> float:
     return time.monotonic()
 
 
-def _await(log: Log, what: str, trial_id: str) -> Motion:
-    def matching(motions: tuple[Motion, ...]) -> list[Motion]:
+def _await(log: Log, what: str, trial_id: str) -> LoggedMotion:
+    def matching(motions: tuple[LoggedMotion, ...]) -> list[LoggedMotion]:
         return [m for m in motions if m.what == what and m.trial_id.startswith(trial_id)]
 
     if not log.wait(lambda motions: bool(matching(motions)), _WITHIN_S):

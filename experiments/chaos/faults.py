@@ -32,7 +32,7 @@ DISK_FULL_BYTES = 8192
 """File size limit of a process whose disk is full."""
 
 
-class Kind(StrEnum):
+class LinkFault(StrEnum):
     """Kind of a fault of the link."""
 
     CUT = "connections cut"
@@ -82,7 +82,7 @@ def schedule(
         Fault(
             kind,
             random.uniform(*durations.outage_s)
-            if kind is Kind.OUTAGE
+            if kind is LinkFault.OUTAGE
             else random.choice(durations.usual_s),
             random.choice(pauses_trials),
             random.uniform(0.0, 0.1),

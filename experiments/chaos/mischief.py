@@ -17,7 +17,7 @@ LATE_S = 0.05, 2.5
 _TIMEOUT_S = 1.0
 
 
-class Message(NamedTuple):
+class CommandInTransit(NamedTuple):
     """A command in transit."""
 
     key: str
@@ -39,11 +39,11 @@ class Mischief:
         self._opening = threading.Lock()
         self._closed = threading.Event()
         self._threads: list[threading.Thread] = []
-        self._past: deque[Message] = deque(maxlen=REMEMBERED)
+        self._past: deque[CommandInTransit] = deque(maxlen=REMEMBERED)
         self._orders: deque[str] = deque()
         threading.Thread(target=self._listen, daemon=True).start()
 
-    def is_held_back(self, message: Message) -> bool:
+    def is_held_back(self, message: CommandInTransit) -> bool:
         """Whether a command is held back."""
         self._past.append(message)
         if not message.key.endswith("/submit") or not self._orders:
@@ -73,7 +73,7 @@ class Mischief:
                 else:
                     self._orders.append(order)
 
-    def _deliver(self, message: Message, after_s: float) -> None:
+    def _deliver(self, message: CommandInTransit, after_s: float) -> None:
         def deliver() -> None:
             if self._closed.wait(after_s):
                 return
@@ -96,7 +96,7 @@ def disturbed(ask: Callable[..., bytes | None], mischief: Mischief) -> Callable[
     """`RigConnection.ask` with the mischief between it and the network."""
 
     def disturbed_ask(self: object, key: str, payload: bytes, **options: object) -> bytes | None:
-        if "/@cmd/" in key and mischief.is_held_back(Message(key, payload)):
+        if "/@cmd/" in key and mischief.is_held_back(CommandInTransit(key, payload)):
             return None
         return ask(self, key, payload, **options)
 

@@ -19,7 +19,7 @@ from estune.trial import Rig, RigDescription, Telemetry, TelemetrySource, TrialR
 Kind = Literal["boot", "begin", "end", "apply"]
 
 
-class Motion(NamedTuple):
+class LoggedMotion(NamedTuple):
     """One line of the log.
 
     Attributes:
@@ -47,14 +47,14 @@ class Log:
     """The lines of all rigs, in the order of reading. Any thread may call."""
 
     def __init__(self) -> None:
-        self._motions: list[Motion] = []
+        self._motions: list[LoggedMotion] = []
         self._changed = threading.Condition()
 
     def follow(self, stream: IO[bytes]) -> None:
         """Reads a rig's log by a thread, until the rig ends."""
         threading.Thread(target=self._read, args=(stream,), daemon=True).start()
 
-    def motions(self) -> tuple[Motion, ...]:
+    def motions(self) -> tuple[LoggedMotion, ...]:
         """All lines so far."""
         with self._changed:
             return tuple(self._motions)
@@ -63,7 +63,9 @@ class Log:
         """Number of lines of a kind."""
         return sum(motion.what == what for motion in self.motions())
 
-    def wait(self, condition: Callable[[tuple[Motion, ...]], bool], timeout_s: float) -> bool:
+    def wait(
+        self, condition: Callable[[tuple[LoggedMotion, ...]], bool], timeout_s: float
+    ) -> bool:
         """Waits for a condition on the lines; returns whether it holds."""
         with self._changed:
             return self._changed.wait_for(lambda: condition(tuple(self._motions)), timeout_s)
@@ -73,7 +75,7 @@ class Log:
             for line in stream:
                 at_s, rig, what, trial_id, live = json.loads(line)
                 with self._changed:
-                    self._motions.append(Motion(at_s, rig, what, trial_id, tuple(live)))
+                    self._motions.append(LoggedMotion(at_s, rig, what, trial_id, tuple(live)))
                     self._changed.notify_all()
 
 

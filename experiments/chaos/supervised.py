@@ -57,7 +57,7 @@ watch = {{every_s = 0.05, baseline_checks = 3, rest_s = 0.0}}
 """
 
 
-class Kind(StrEnum):
+class DaemonFault(StrEnum):
     """Kind of a fault of the daemon."""
 
     KILL = "daemon killed"
@@ -70,7 +70,7 @@ class Kind(StrEnum):
 
 
 @dataclass
-class Diary:
+class DaemonDiary:
     """Course of a campaign, counted as in `count_violations`; faults by kind."""
 
     faults: Counter[str] = field(default_factory=Counter)
@@ -83,7 +83,7 @@ class SupervisedStand:
     """A daemon on a stand, restarted whenever it has ended."""
 
     def __init__(self, stand: Stand, seed: int) -> None:
-        self.diary = Diary()
+        self.diary = DaemonDiary()
         self.state = stand.folder / "estune-state"
         self._stand = stand
         self._random = Random(seed)  # noqa: S311  for decisions, not for secrets
@@ -146,24 +146,24 @@ class SupervisedStand:
         self.diary.faults[fault.kind] += 1
         process, wires = self._process, [self._stand.near]
         match fault.kind:
-            case Kind.KILL:
+            case DaemonFault.KILL:
                 end(process, signal.SIGKILL)
                 time.sleep(fault.lasts_s)
                 self._process = self._started()
-            case Kind.END:
+            case DaemonFault.END:
                 self.stop()
                 self._process = self._started()
-            case Kind.CUT:
+            case DaemonFault.CUT:
                 wires[0].cut()
-            case Kind.RIG:
+            case DaemonFault.RIG:
                 end(self._stand.rig, signal.SIGKILL)
                 time.sleep(fault.lasts_s)
                 self._stand.restart()
-            case Kind.FREEZE | Kind.HANG | Kind.DISK:
+            case DaemonFault.FREEZE | DaemonFault.HANG | DaemonFault.DISK:
                 lasting: dict[str, Callable[[], contextlib.AbstractContextManager[None]]] = {
-                    Kind.FREEZE: lambda: frozen(process),
-                    Kind.HANG: lambda: stalled(wires, "both"),
-                    Kind.DISK: lambda: disk_full(process),
+                    DaemonFault.FREEZE: lambda: frozen(process),
+                    DaemonFault.HANG: lambda: stalled(wires, "both"),
+                    DaemonFault.DISK: lambda: disk_full(process),
                 }
                 with lasting[fault.kind]():
                     time.sleep(fault.lasts_s)
@@ -251,7 +251,7 @@ def run_campaign(
         daemon = SupervisedStand(stand, seed)
         try:
             daemon.await_trials(1)
-            for fault in schedule(list(Kind), PAUSES_TRIALS, count, seed, durations):
+            for fault in schedule(list(DaemonFault), PAUSES_TRIALS, count, seed, durations):
                 daemon.await_trials(fault.after_trials)
                 time.sleep(fault.delay_s)
                 daemon.cause(fault)

@@ -16,7 +16,7 @@ from estune.trial import Outcome, TrialRecord, record_frame
 from experiments.chaos.campaign import Absence, Diary
 from experiments.chaos.errand import Errand
 from experiments.chaos.faults import LEASE_S
-from experiments.chaos.motions import Motion
+from experiments.chaos.motions import LoggedMotion
 from experiments.chaos.rig import reference_rig
 from experiments.chaos.stand import Stand
 
@@ -142,7 +142,7 @@ def _same(one: TrialRecord, other: TrialRecord) -> bool:
     )
 
 
-def _count_overlapping(motions: tuple[Motion, ...]) -> int:
+def _count_overlapping(motions: tuple[LoggedMotion, ...]) -> int:
     active = Counter[int]()
     overlapping = 0
     for motion in motions:
@@ -154,7 +154,7 @@ def _count_overlapping(motions: tuple[Motion, ...]) -> int:
     return overlapping
 
 
-def _count_unattended(motions: tuple[Motion, ...], absences: list[Absence]) -> int:
+def _count_unattended(motions: tuple[LoggedMotion, ...], absences: list[Absence]) -> int:
     return sum(
         motion.what == "begin"
         and not motion.trial_id.startswith("rival")
@@ -163,7 +163,7 @@ def _count_unattended(motions: tuple[Motion, ...], absences: list[Absence]) -> i
     )
 
 
-def _count_never_restored(motions: tuple[Motion, ...]) -> int:
+def _count_never_restored(motions: tuple[LoggedMotion, ...]) -> int:
     """Trials after which the process that ran them continued without restoring the gains."""
     last = {motion.rig: motion for motion in motions}
     unfinished = Counter[int]()

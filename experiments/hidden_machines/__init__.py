@@ -7,7 +7,7 @@ and metres of cable), another integrator, other laws for the same effects, other
 from experiments.hidden_machines.cases import VARIANTS, Case, Secret, draw, family
 from experiments.hidden_machines.effects import CATALOGUE
 from experiments.hidden_machines.machine import NoCompiler
-from experiments.hidden_machines.records import Record, write
+from experiments.hidden_machines.records import MachineRecord, write
 from experiments.hidden_machines.undeclared_effects import OUTSIDE
 
 __all__ = [
@@ -15,8 +15,8 @@ __all__ = [
     "OUTSIDE",
     "VARIANTS",
     "Case",
+    "MachineRecord",
     "NoCompiler",
-    "Record",
     "Secret",
     "draw",
     "family",

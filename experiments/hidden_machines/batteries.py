@@ -13,7 +13,7 @@ Column = NDArray[np.float64]
 Rng = np.random.Generator
 
 
-class Plan(NamedTuple):
+class RecordPlan(NamedTuple):
     """One record to be taken.
 
     Attributes:
@@ -29,95 +29,105 @@ class Plan(NamedTuple):
     repeats: int | None = None
 
 
-def tensioned(rng: Rng, base: Base) -> list[Plan]:
+def tensioned(rng: Rng, base: Base) -> list[RecordPlan]:
     """Tensions from 3 to 38 N; the cable never goes slack."""
     rate = base.rate_Hz
     low, mid, high = rng.uniform(8.0, 11.0), rng.uniform(14.0, 18.0), rng.uniform(19.0, 23.0)
     size = rng.uniform(4.0, 7.0)
-    first = Plan("step", "closed", signals.steps(rate, 2.4, [mid, mid + 1.5 * size, mid]))
+    first = RecordPlan("step", "closed", signals.steps(rate, 2.4, [mid, mid + 1.5 * size, mid]))
     return [
         first,
-        Plan("step", "open", signals.steps(rate, 2.4, [high, high + size, high - size, high])),
-        Plan("triangle", "open", signals.triangle(rate, 4.0, 20.0, rng.uniform(12.0, 15.0), 2)),
+        RecordPlan(
+            "step", "open", signals.steps(rate, 2.4, [high, high + size, high - size, high])
+        ),
+        RecordPlan(
+            "triangle", "open", signals.triangle(rate, 4.0, 20.0, rng.uniform(12.0, 15.0), 2)
+        ),
         _multisine(rng, base, 1.0, 4, high, rms=rng.uniform(5.0, 6.5)),
-        Plan(
+        RecordPlan(
             "chirp",
             "open",
             signals.sweep(rate, 3.0, mid, rng.uniform(1.2, 1.8), low=0.7, high=60.0),
         ),
-        Plan("custom", "closed", _staircase(rng, rate, 4.0, 7.0, 35.0)),
+        RecordPlan("custom", "closed", _staircase(rng, rate, 4.0, 7.0, 35.0)),
         _multisine(rng, base, 1.0, 3, low, rms=rng.uniform(2.0, 2.6)),
         first._replace(repeats=0),
-        Plan("triangle", "closed", signals.triangle(rate, 3.0, mid, rng.uniform(5.0, 9.0), 3)),
+        RecordPlan(
+            "triangle", "closed", signals.triangle(rate, 3.0, mid, rng.uniform(5.0, 9.0), 3)
+        ),
     ]
 
 
-def low(rng: Rng, base: Base) -> list[Plan]:
+def low(rng: Rng, base: Base) -> list[RecordPlan]:
     """Tensions from next to nothing to 12 N."""
     rate = base.rate_Hz
-    first = Plan("step", "open", signals.steps(rate, 2.4, [3.0, 5.0, 2.5]))
+    first = RecordPlan("step", "open", signals.steps(rate, 2.4, [3.0, 5.0, 2.5]))
     return [
         first,
-        Plan("step", "closed", signals.steps(rate, 2.4, [4.0, 9.0, 3.0])),
-        Plan("triangle", "open", signals.triangle(rate, 4.0, 5.0, rng.uniform(4.3, 4.8), 2)),
+        RecordPlan("step", "closed", signals.steps(rate, 2.4, [4.0, 9.0, 3.0])),
+        RecordPlan("triangle", "open", signals.triangle(rate, 4.0, 5.0, rng.uniform(4.3, 4.8), 2)),
         _multisine(rng, base, 1.0, 4, rng.uniform(4.0, 5.5), rms=rng.uniform(0.9, 1.2)),
-        Plan(
+        RecordPlan(
             "chirp",
             "open",
             signals.sweep(rate, 3.0, 4.0, rng.uniform(0.5, 0.7), low=0.7, high=60.0),
         ),
-        Plan("custom", "closed", _staircase(rng, rate, 4.0, 2.0, 12.0)),
+        RecordPlan("custom", "closed", _staircase(rng, rate, 4.0, 2.0, 12.0)),
         _multisine(rng, base, 1.0, 3, rng.uniform(7.0, 9.0), rms=rng.uniform(1.5, 2.0)),
         first._replace(repeats=0),
-        Plan("triangle", "open", signals.triangle(rate, 3.0, 4.0, 3.4, 1)),
+        RecordPlan("triangle", "open", signals.triangle(rate, 3.0, 4.0, 3.4, 1)),
     ]
 
 
-def parting(rng: Rng, base: Base) -> list[Plan]:
+def parting(rng: Rng, base: Base) -> list[RecordPlan]:
     """Tensions up to 12 N, and forces through zero and back, short ones: the cable goes slack.
 
     A mean force winds the drum back in, as gravity brings back a ball that was thrown. Forces
     change slowly or seldom: teeth that rattle cannot be foretold for long.
     """
     rate = base.rate_Hz
-    first = Plan("step", "closed", signals.steps(rate, 2.4, [4.0, 9.0, 3.0]))
+    first = RecordPlan("step", "closed", signals.steps(rate, 2.4, [4.0, 9.0, 3.0]))
     return [
         first,
-        Plan("custom", "open", signals.reversals(rng, rate, 4.0, 3.0, 3.0)),
-        Plan("triangle", "closed", signals.triangle(rate, 4.0, 3.2, rng.uniform(2.7, 3.1), 2)),
-        Plan(
+        RecordPlan("custom", "open", signals.reversals(rng, rate, 4.0, 3.0, 3.0)),
+        RecordPlan(
+            "triangle", "closed", signals.triangle(rate, 4.0, 3.2, rng.uniform(2.7, 3.1), 2)
+        ),
+        RecordPlan(
             "chirp",
             "open",
             signals.sweep(rate, 3.0, 3.0, rng.uniform(4.5, 5.5), low=0.8, high=8.0),
         ),
         _multisine(rng, base, 1.0, 3, rng.uniform(7.0, 9.0), rms=rng.uniform(1.5, 2.0)),
-        Plan("custom", "open", signals.reversals(rng, rate, 3.0, 3.0, 4.0)),
+        RecordPlan("custom", "open", signals.reversals(rng, rate, 3.0, 3.0, 4.0)),
         first._replace(repeats=0),
-        Plan("triangle", "open", signals.triangle(rate, 3.0, 3.0, rng.uniform(5.0, 6.5), 6)),
-        Plan("custom", "closed", _staircase(rng, rate, 4.0, 2.0, 12.0)),
+        RecordPlan("triangle", "open", signals.triangle(rate, 3.0, 3.0, rng.uniform(5.0, 6.5), 6)),
+        RecordPlan("custom", "closed", _staircase(rng, rate, 4.0, 2.0, 12.0)),
     ]
 
 
-def soft(rng: Rng, base: Base) -> list[Plan]:
+def soft(rng: Rng, base: Base) -> list[RecordPlan]:
     """The same tensions on a cord so soft that the drum turns far and slowly."""
     rate = base.rate_Hz
-    first = Plan("step", "open", signals.steps(rate, 3.0, [14.0, 20.0, 14.0]))
+    first = RecordPlan("step", "open", signals.steps(rate, 3.0, [14.0, 20.0, 14.0]))
     return [
         first,
-        Plan("triangle", "open", signals.triangle(rate, 6.0, 20.0, rng.uniform(11.0, 14.0), 1)),
+        RecordPlan(
+            "triangle", "open", signals.triangle(rate, 6.0, 20.0, rng.uniform(11.0, 14.0), 1)
+        ),
         _multisine(rng, base, 2.0, 3, 20.0, rms=rng.uniform(3.0, 4.0), high_Hz=40.0),
-        Plan("custom", "open", _staircase(rng, rate, 5.0, 9.0, 30.0)),
+        RecordPlan("custom", "open", _staircase(rng, rate, 5.0, 9.0, 30.0)),
         first._replace(repeats=0),
-        Plan(
+        RecordPlan(
             "chirp",
             "open",
             signals.sweep(rate, 4.0, 18.0, rng.uniform(1.5, 2.5), low=0.3, high=20.0),
         ),
-        Plan("triangle", "open", signals.triangle(rate, 4.0, 16.0, 6.0, 1)),
+        RecordPlan("triangle", "open", signals.triangle(rate, 4.0, 16.0, 6.0, 1)),
     ]
 
 
-def steps_only(rng: Rng, base: Base) -> list[Plan]:
+def steps_only(rng: Rng, base: Base) -> list[RecordPlan]:
     """Nothing but steps, at several tensions."""
     rate, plans = base.rate_Hz, []
     for n in range(11):
@@ -126,40 +136,44 @@ def steps_only(rng: Rng, base: Base) -> list[Plan]:
         if n % 2 and abs(size) > 6.0:
             size *= 0.7  # in open loop it overshoots
         levels = [level, level + size, level]
-        plans.append(Plan("step", "open" if n % 2 else "closed", signals.steps(rate, 2.4, levels)))
+        plans.append(
+            RecordPlan("step", "open" if n % 2 else "closed", signals.steps(rate, 2.4, levels))
+        )
     return [*plans, plans[0]._replace(repeats=0)]
 
 
-def unloaded(rng: Rng, base: Base) -> list[Plan]:
+def unloaded(rng: Rng, base: Base) -> list[RecordPlan]:
     """No cable: forces about zero, or an angle that is followed."""
     rate, F = base.rate_Hz, force(base)
     turn = {"unloaded": 1.0, "stage": 0.06}[base.kind]
-    first = Plan("step", "open", signals.steps(rate, 2.6, [0.0, 0.8 * F, -0.8 * F, 0.6 * F, 0.0]))
+    first = RecordPlan(
+        "step", "open", signals.steps(rate, 2.6, [0.0, 0.8 * F, -0.8 * F, 0.6 * F, 0.0])
+    )
     around = [0.0, 1.0, -0.6, 1.6, 0.4]
     small = turn * rng.uniform(0.3, 0.6)
     return [
         first,
         _multisine(rng, base, 1.0, 4, 0.0, rms=F * rng.uniform(0.5, 0.7)),
-        Plan(
+        RecordPlan(
             "custom",
             "closed",
             signals.smooth_steps(
                 rate, 5.0, [turn * a * rng.uniform(0.8, 1.2) for a in around], 0.4
             ),
         ),
-        Plan("triangle", "closed", signals.triangle(rate, 5.0, 0.0, turn, 2)),
-        Plan(
+        RecordPlan("triangle", "closed", signals.triangle(rate, 5.0, 0.0, turn, 2)),
+        RecordPlan(
             "chirp",
             "open",
             signals.sweep(rate, 3.0, 0.0, F * rng.uniform(0.4, 0.7), low=1.0, high=60.0),
         ),
         first._replace(repeats=0),
-        Plan("chirp", "closed", signals.sweep(rate, 3.0, 0.0, small, low=0.5, high=4.0)),
+        RecordPlan("chirp", "closed", signals.sweep(rate, 3.0, 0.0, small, low=0.5, high=4.0)),
         _multisine(rng, base, 1.0, 3, 0.0, rms=F * rng.uniform(0.25, 0.4)),
     ]
 
 
-def reversing(rng: Rng, base: Base) -> list[Plan]:
+def reversing(rng: Rng, base: Base) -> list[RecordPlan]:
     """No cable, and forces that turn round slowly enough for teeth not to rattle.
 
     What a wide multisine about zero does to a gear with play nobody foretells: each time the teeth
@@ -182,7 +196,7 @@ def reversing(rng: Rng, base: Base) -> list[Plan]:
     ]
 
 
-def stage(rng: Rng, base: Base) -> list[Plan]:
+def stage(rng: Rng, base: Base) -> list[RecordPlan]:
     """A position controller only, as of a machine tool; the same kind of motion throughout."""
     rate = base.rate_Hz
     plans = []
@@ -190,7 +204,7 @@ def stage(rng: Rng, base: Base) -> list[Plan]:
         targets = rng.uniform(-0.1, 0.1, 4)
         targets[0] = 0.0
         profile = signals.smooth_steps(rate, 4.0, list(targets), rng.uniform(0.6, 0.9))
-        plans.append(Plan("custom", "closed", profile))
+        plans.append(RecordPlan("custom", "closed", profile))
         if n == 3:
             plans.append(plans[0]._replace(repeats=0))
     return plans
@@ -211,6 +225,6 @@ def _multisine(
     *,
     rms: float,
     high_Hz: float = 110.0,
-) -> Plan:
+) -> RecordPlan:
     wave = signals.multisine(rng, base.rate_Hz, period_s, periods, mean, rms=rms, high_Hz=high_Hz)
-    return Plan("multisine", "open", wave)
+    return RecordPlan("multisine", "open", wave)

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from experiments.hidden_machines import bases, batteries
 from experiments.hidden_machines.bases import Base
 from experiments.hidden_machines.effects import CATALOGUE, FURTHER, Hidden
-from experiments.hidden_machines.records import Bench, Record, record
+from experiments.hidden_machines.records import CaseProperties, MachineRecord, record
 from experiments.hidden_machines.undeclared_effects import OUTSIDE
 
 Rng = np.random.Generator
@@ -98,7 +98,7 @@ class Case:
     variant: str
     kind: str
     given: dict[str, Any]
-    records: tuple[Record, ...]
+    records: tuple[MachineRecord, ...]
 
 
 @dataclass(frozen=True)
@@ -144,7 +144,7 @@ def draw(
         actual = bases.as_believed(rng, believed)
     else:
         actual = bases.actual(rng, believed, wrong=variant == "wrong_base")
-    bench = Bench(
+    bench = CaseProperties(
         actual,
         believed,
         hidden,
@@ -182,12 +182,12 @@ def draw(
 
 def _taken(
     chance: tuple[Rng, Rng],
-    bench: Bench,
-    plans: list[batteries.Plan],
+    bench: CaseProperties,
+    plans: list[batteries.RecordPlan],
     lengths: list[float | None],
-) -> tuple[Record, ...]:
+) -> tuple[MachineRecord, ...]:
     """The records of a battery, one after the other."""
-    records: list[Record] = []
+    records: list[MachineRecord] = []
     warmth = 0.0
     for number, plan in enumerate(plans):
         same = number if plan.repeats is None else plan.repeats
@@ -217,7 +217,9 @@ def _without_play(effect: Hidden) -> Hidden:
     )
 
 
-def _differ(some: tuple[Record, ...], others: tuple[Record, ...], bench: Bench) -> bool:
+def _differ(
+    some: tuple[MachineRecord, ...], others: tuple[MachineRecord, ...], bench: CaseProperties
+) -> bool:
     """Whether records of the same noise differ by what shows.
 
     What shows is a gap of one and a half floors: the difference in stretches of a tenth of a
@@ -307,7 +309,7 @@ def _lengths(rng: Rng, believed: Base, names: tuple[str, ...]) -> list[float | N
 
 def _battery(
     rng: Rng, variant: str, believed: Base, names: tuple[str, ...]
-) -> list[batteries.Plan]:
+) -> list[batteries.RecordPlan]:
     if believed.kind == "stage":
         return batteries.stage(rng, believed)
     if believed.kind == "unloaded":

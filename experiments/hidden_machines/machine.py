@@ -44,7 +44,7 @@ class NoCompiler(RuntimeError):
     """There is no C compiler; the machine cannot be run."""
 
 
-class Drive(NamedTuple):
+class DriveSignals(NamedTuple):
     """Signals of a record; columns of one value per sample, without the warm-up.
 
     Attributes:
@@ -107,7 +107,7 @@ def names() -> tuple[str, ...]:
 
 def run(
     machine: dict[str, float],
-    drive: Drive,
+    drive: DriveSignals,
     sampling_Hz: float,
     *,
     rest_N: float = 0.0,

@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from experiments.hidden_machines import instruments
 from experiments.hidden_machines.bases import Base, CURRENT_LOOP_s
-from experiments.hidden_machines.batteries import Plan
+from experiments.hidden_machines.batteries import RecordPlan
 from experiments.hidden_machines.effects import Hidden
-from experiments.hidden_machines.machine import Drive, Run, run
+from experiments.hidden_machines.machine import DriveSignals, Run, run
 
 Column = NDArray[np.float64]
 Rng = np.random.Generator
@@ -21,7 +21,7 @@ CURRENT_NOISE_A = 2e-3
 
 
 @dataclass(frozen=True, eq=False)
-class Record:
+class MachineRecord:
     """Contents of one record that is handed over: plain columns and plain metadata."""
 
     columns: dict[str, Column]
@@ -29,7 +29,7 @@ class Record:
 
 
 @dataclass(frozen=True)
-class Bench:
+class CaseProperties:
     """Properties that the records of one case have in common.
 
     Attributes:
@@ -71,13 +71,13 @@ def machine(base: Base, hidden: tuple[Hidden, ...], length_m: float | None) -> d
 
 def record(
     chance: tuple[Rng, Rng],
-    bench: Bench,
-    plan: Plan,
+    bench: CaseProperties,
+    plan: RecordPlan,
     length_m: float | None,
     *,
     number: int,
     warmth: float,
-) -> tuple[Record, float]:
+) -> tuple[MachineRecord, float]:
     """Takes one record; returns it and how warm the motor is after it.
 
     Of the two sources of chance the second serves what is hidden.
@@ -90,7 +90,7 @@ def record(
     settings.setdefault("gauge_step", 2.0 ** -int(rng.choice([12, 16])) * 64.0)
     settings["lag"] = settings.get("lag", 0.0) + float(rng.uniform(*CURRENT_LOOP_s))
     settings |= _controller(base, plan, bench.gains)
-    drive = Drive(
+    drive = DriveSignals(
         setpoint=plan.setpoint,
         added=base.zero_N
         + instruments.gauge_noise(rng, samples, rms)
@@ -116,10 +116,10 @@ def record(
         "started_at": f"2024-05-13T09:{number:02d}:00+00:00",
         "software": "bench 3.1",
     }
-    return Record(columns, about), done.warmth
+    return MachineRecord(columns, about), done.warmth
 
 
-def write(records: list[Record], folder: Path) -> None:
+def write(records: list[MachineRecord], folder: Path) -> None:
     """One CSV file per record, with JSON beside it."""
     folder.mkdir(parents=True, exist_ok=True)
     for one in records:
@@ -132,7 +132,7 @@ def write(records: list[Record], folder: Path) -> None:
 
 
 def _controller(
-    base: Base, plan: Plan, gains: tuple[float, float, float, float]
+    base: Base, plan: RecordPlan, gains: tuple[float, float, float, float]
 ) -> dict[str, float]:
     if plan.loop == "open":
         return {}
@@ -150,14 +150,14 @@ def _controller(
     }
 
 
-def _gains(base: Base, plan: Plan, gains: tuple[float, float, float, float]) -> Any:
+def _gains(base: Base, plan: RecordPlan, gains: tuple[float, float, float, float]) -> Any:
     if base.kind != "reel" and plan.loop == "closed":
         return None  # nobody told
     return dict(zip(("P", "I", "D", "setpoint_filter_s"), gains, strict=True))
 
 
 def _columns(
-    chance: tuple[Rng, Rng], bench: Bench, plan: Plan, done: Run, rms: float
+    chance: tuple[Rng, Rng], bench: CaseProperties, plan: RecordPlan, done: Run, rms: float
 ) -> dict[str, Column]:
     (rng, own), base, samples = chance, bench.believed, plan.setpoint.size
     force = done.command
@@ -183,7 +183,7 @@ def _columns(
     return columns
 
 
-def _instrument(rng: Rng, bench: Bench, samples: int) -> Column:
+def _instrument(rng: Rng, bench: CaseProperties, samples: int) -> Column:
     """Zero, drift and hum of the gauge."""
     t, out = np.arange(samples) / bench.actual.rate_Hz, np.zeros(samples)
     for effect in bench.hidden:
@@ -197,7 +197,7 @@ def _instrument(rng: Rng, bench: Bench, samples: int) -> Column:
     return out
 
 
-def _jolts(rng: Rng, bench: Bench, samples: int) -> Column:
+def _jolts(rng: Rng, bench: CaseProperties, samples: int) -> Column:
     rate, out = bench.actual.rate_Hz, np.zeros(samples)
     for effect in bench.hidden:
         if "jolt" in effect.instrument:
@@ -211,7 +211,7 @@ def _jolts(rng: Rng, bench: Bench, samples: int) -> Column:
     return out
 
 
-def _scale(bench: Bench, samples: int) -> Column | None:
+def _scale(bench: CaseProperties, samples: int) -> Column | None:
     t = np.arange(samples) / bench.actual.rate_Hz
     for effect in bench.hidden:
         if "warming" in effect.instrument:
@@ -221,7 +221,7 @@ def _scale(bench: Bench, samples: int) -> Column | None:
     return None
 
 
-def _kept(rng: Rng, bench: Bench, samples: int) -> NDArray[np.int64]:
+def _kept(rng: Rng, bench: CaseProperties, samples: int) -> NDArray[np.int64]:
     """Which sample each row shows: its own, or where some were lost, the last before."""
     kept: NDArray[np.int64] = np.arange(samples)
     for effect in bench.hidden:

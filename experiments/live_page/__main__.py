@@ -37,7 +37,7 @@ from estune.remote import zenoh
 from estune.remote.zenoh.daemon_service import DaemonClient
 from estune.support.child_process import child_process
 from estune.web.reader import LINGER_S
-from experiments.live_page.browser import Seen, look_at
+from experiments.live_page.browser import SeenPage, look_at
 from experiments.results import Target, at_least, at_most, command_line, print_results
 
 PAGES = 10
@@ -112,7 +112,7 @@ def pages_open(address: str, view: str) -> Iterator[None]:
         ended.set()
 
 
-def in_browser(folder: Path, watch_s: float) -> tuple[Seen, list[float]]:
+def in_browser(folder: Path, watch_s: float) -> tuple[SeenPage, list[float]]:
     """Observations of a tuning's page, and times from each trial's commit to its display."""
     options = ("--trials", 10_000, "--tolerance", 0, "--tuner", "least_squares_gradient")
     with ExitStack() as stack:

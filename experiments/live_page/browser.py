@@ -31,7 +31,7 @@ IS_USABLE = """() => document.getElementById("state").textContent === "running"
 IS_STALE = """() => document.getElementById("state").textContent.startsWith("no link")"""
 
 
-class Seen(NamedTuple):
+class SeenPage(NamedTuple):
     """Observations of a page.
 
     Attributes:
@@ -53,7 +53,7 @@ class Seen(NamedTuple):
     elsewhere: list[str]
 
 
-def look_at(address: str, watch_s: float, kill_rig: Callable[[], None]) -> Seen:
+def look_at(address: str, watch_s: float, kill_rig: Callable[[], None]) -> SeenPage:
     """Opens the page of a running tuning, watches it for a while, then ends the rig's process."""
     with (
         sync_playwright() as playwright,
@@ -62,7 +62,9 @@ def look_at(address: str, watch_s: float, kill_rig: Callable[[], None]) -> Seen:
         return _look_at(browser, address, watch_s, kill_rig)
 
 
-def _look_at(browser: Browser, address: str, watch_s: float, kill_rig: Callable[[], None]) -> Seen:
+def _look_at(
+    browser: Browser, address: str, watch_s: float, kill_rig: Callable[[], None]
+) -> SeenPage:
     page = browser.new_page()
     page.set_default_timeout(WITHIN_MS)
     complaints: list[str] = []
@@ -85,7 +87,7 @@ def _look_at(browser: Browser, address: str, watch_s: float, kill_rig: Callable[
     stale_s = time.perf_counter() - begun_s
     own = urlsplit(address).netloc
     elsewhere = [one.url for one in answers if urlsplit(one.url).netloc != own]
-    return Seen(shown, page_kB, usable_s, stale_s, faults, complaints, elsewhere)
+    return SeenPage(shown, page_kB, usable_s, stale_s, faults, complaints, elsewhere)
 
 
 def _usable_s(page: Page, address: str) -> float:

@@ -15,20 +15,22 @@ from typing import Any
 import numpy as np
 
 from estune.loop_model.optimum import RobustnessLimits
-from experiments.loop_claims.cases import Case, families, outside, random_loops
+from experiments.loop_claims.cases import LoopCase, families, outside, random_loops
 from experiments.loop_claims.search import Searched, search
 from experiments.loop_claims.truth import EVALUATIONS, TrueLoop, Truth, constrained_optimum
 from experiments.results import Target, at_least, at_most, command_line, print_results
 
 TRIALS_MAX = 24
-KINDS: dict[str, Callable[[int, int], Iterator[Case]]] = {
+KINDS: dict[str, Callable[[int, int], Iterator[LoopCase]]] = {
     "family": lambda *_: families(),
     "outside": lambda *_: outside(),
     "random": random_loops,
 }
 
 
-def measure(case: Case, noise: float, seeds: Sequence[int], evaluations: int) -> dict[str, Any]:
+def measure(
+    case: LoopCase, noise: float, seeds: Sequence[int], evaluations: int
+) -> dict[str, Any]:
     """The row of a plant: medians over the seeds, worst values, and shares of the seeds.
 
     `broken` is the worst of true Ms over the end of the claimed interval. The first seed is of the

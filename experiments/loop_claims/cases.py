@@ -46,7 +46,7 @@ RANDOM_BEYOND = 4000
 """First seed of the random loops less that of the searches."""
 
 
-class Case(NamedTuple):
+class LoopCase(NamedTuple):
     """A plant to be tuned.
 
     Attributes:
@@ -64,21 +64,21 @@ class Case(NamedTuple):
     start: Gains
 
 
-def families() -> Iterator[Case]:
+def families() -> Iterator[LoopCase]:
     """The families of `experiments.sample_efficiency`."""
     for name, problem in PROBLEMS.items():
         plant = with_noise(problem.build(), RECORD_NOISE)
-        yield Case(name, "family", plant, problem.cost, problem.start)
+        yield LoopCase(name, "family", plant, problem.cost, problem.start)
 
 
-def outside() -> Iterator[Case]:
+def outside() -> Iterator[LoopCase]:
     """The reference reel with an effect that no linear model has."""
     for name, effect in OUTSIDE.items():
         plant = plants.reference_reel() + effect()
-        yield Case(name, "outside", plant, PROBLEMS["friction"].cost, WEAK_ON_A_REEL)
+        yield LoopCase(name, "outside", plant, PROBLEMS["friction"].cost, WEAK_ON_A_REEL)
 
 
-def random_loops(count: int, seed0: int) -> Iterator[Case]:
+def random_loops(count: int, seed0: int) -> Iterator[LoopCase]:
     """Loops drawn at random whose optimum lies within the bounds."""
     found, seed = 0, seed0 + RANDOM_BEYOND
     while found < count:
@@ -89,10 +89,10 @@ def random_loops(count: int, seed0: int) -> Iterator[Case]:
             yield case
 
 
-def _random_loop(seed: int) -> Case | None:
+def _random_loop(seed: int) -> LoopCase | None:
     drawn = loops.draw_loop(seed)
     if drawn is None:
         return None
     noisy = with_noise(drawn.plant, RECORD_NOISE)
     start = Gains(*np.exp(drawn.start).tolist())
-    return Case(f"random {seed}", "random", noisy, drawn.cost, start)
+    return LoopCase(f"random {seed}", "random", noisy, drawn.cost, start)

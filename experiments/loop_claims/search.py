@@ -14,7 +14,7 @@ from estune.loop_model.identification import LoopRecord
 from estune.loop_model.prediction import StepTrial
 from estune.tuners import Observation, SearchSpace
 from estune.tuners.identified_loop import IdentifiedLoopTuner
-from experiments.loop_claims.cases import Case
+from experiments.loop_claims.cases import LoopCase
 from experiments.loop_claims.truth import TrueLoop, Truth
 from experiments.sample_efficiency.problems import BOUNDS_FACTOR
 from plants.simulation.noise import NoiseSource
@@ -61,7 +61,7 @@ class Searched(NamedTuple):
         return _kept(self.at)
 
 
-def search(case: Case, optimum: Truth, noise: float, seed: int, trials_max: int) -> Searched:
+def search(case: LoopCase, optimum: Truth, noise: float, seed: int, trials_max: int) -> Searched:
     """One model-based search with repeats of what it recommends."""
     plant, cost, step = case.plant, case.cost, case.plant.profile
     rate = plant.controller.sampling_Hz
@@ -126,7 +126,7 @@ def _kept(at: Truth) -> bool:
     return not (at.sensitivity > LIMITS_KEPT[0] or at.overshoot > LIMITS_KEPT[1])
 
 
-def _trials(case: Case, seed: int) -> Callable[[Gains, int], tuple[float, LoopRecord | None]]:
+def _trials(case: LoopCase, seed: int) -> Callable[[Gains, int], tuple[float, LoopRecord | None]]:
     """A function that runs the trial of some gains with its number."""
     plant, step, source = case.plant, case.plant.profile, NoiseSource(seed)
     rate = plant.controller.sampling_Hz

@@ -15,7 +15,7 @@ from joblib import Parallel, delayed
 
 from estune.tuners.gaussian_process import PIDF_LOOP_PRIOR, CostPrior
 from experiments.loop_prior.fitting import fitted, isotropic, likelihood, mean_curvature
-from experiments.loop_prior.loops import Loop, draw
+from experiments.loop_prior.loops import RandomLoop, draw
 from experiments.results import at_least, command_line, print_results
 
 FIRST_SEED = 10_000
@@ -25,7 +25,7 @@ LOOPS, QUICK_LOOPS = 300, 10
 STEPS = 80  # of a fit
 
 
-def drawn(count: int, workers: int) -> list[Loop]:
+def drawn(count: int, workers: int) -> list[RandomLoop]:
     """The given number of loops, less those with an optimum at a bound."""
     seeds = range(FIRST_SEED, FIRST_SEED + count)
     loops = Parallel(n_jobs=workers)(delayed(draw)(seed) for seed in seeds)

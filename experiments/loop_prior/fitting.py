@@ -9,19 +9,19 @@ from scipy.optimize import minimize
 from estune.core.quantities import FloatArray
 from estune.tuners.gaussian_process import CostPrior, prior_covariance, prior_mean
 from estune.tuners.safe_bayesian_state import clip_log_costs
-from experiments.loop_prior.loops import NOISE, Loop
+from experiments.loop_prior.loops import NOISE, RandomLoop
 
 LOWER = np.tril_indices(4)
 IMPOSSIBLE = 1e9
 FIRST_TRIALS = 5  # the reference cost is the median of so many
 
 
-def likelihood(prior: CostPrior, loops: Sequence[Loop]) -> float:
+def likelihood(prior: CostPrior, loops: Sequence[RandomLoop]) -> float:
     """Mean log likelihood of a trial's cost, as the safe Bayesian tuner sees it."""
     return float(np.mean([_likelihood(prior, loop) for loop in loops]))
 
 
-def _likelihood(prior: CostPrior, loop: Loop) -> float:
+def _likelihood(prior: CostPrior, loop: RandomLoop) -> float:
     costs = loop.costs + NOISE * np.random.default_rng(0).standard_normal(len(loop.costs))
     costs = clip_log_costs(costs - np.median(costs[:FIRST_TRIALS]))
     covariance = prior_covariance(prior, loop.points, loop.points)
@@ -34,7 +34,7 @@ def _likelihood(prior: CostPrior, loop: Loop) -> float:
     return float(-0.5 * whitened @ whitened - np.sum(np.log(np.diag(root)))) / len(costs) - normal
 
 
-def isotropic(loops: Sequence[Loop]) -> CostPrior:
+def isotropic(loops: Sequence[RandomLoop]) -> CostPrior:
     """The likeliest prior that treats all parameters alike."""
 
     def prior(logarithms: FloatArray) -> CostPrior:
@@ -47,7 +47,7 @@ def isotropic(loops: Sequence[Loop]) -> CostPrior:
     return _likeliest(prior, np.log([0.5, 0.35, 1.0 / 1.2, 0.8, 0.1]), loops)
 
 
-def fitted(loops: Sequence[Loop], initial: CostPrior, steps: int) -> CostPrior:
+def fitted(loops: Sequence[RandomLoop], initial: CostPrior, steps: int) -> CostPrior:
     """The likeliest prior, from an initial one; takes minutes."""
     curvature = mean_curvature(loops)
 
@@ -69,7 +69,7 @@ def fitted(loops: Sequence[Loop], initial: CostPrior, steps: int) -> CostPrior:
 def _likeliest(
     prior: Callable[[FloatArray], CostPrior],
     initial: FloatArray,
-    loops: Sequence[Loop],
+    loops: Sequence[RandomLoop],
     options: dict[str, int] | None = None,
 ) -> CostPrior:
     solution = minimize(
@@ -78,7 +78,7 @@ def _likeliest(
     return prior(solution.x)
 
 
-def mean_curvature(loops: Sequence[Loop]) -> FloatArray:
+def mean_curvature(loops: Sequence[RandomLoop]) -> FloatArray:
     """Winsorised mean of the curvatures at the optima, 5 % to either side, shape (4, 4)."""
     each = np.array([loop.curvature for loop in loops])
     low, high = np.percentile(each, [5.0, 95.0], axis=0)

@@ -29,7 +29,7 @@ DIFFERENCE = 0.07  # step in logarithms, for the curvature
 
 
 @dataclass(frozen=True)
-class Loop:
+class RandomLoop:
     """A loop and a search on it, in logarithms of P, I, D and the setpoint filter's time constant.
 
     Attributes:
@@ -71,12 +71,12 @@ def draw_loop(seed: int) -> DrawnLoop | None:
     return None if start is None else DrawnLoop(plant, cost, costs, best, start, random)
 
 
-def draw(seed: int) -> Loop | None:
+def draw(seed: int) -> RandomLoop | None:
     """A loop drawn at random with a search on it; None as of `draw_loop`."""
     d = draw_loop(seed)
     if d is None:
         return None
-    return Loop(*_search(d.log_costs, d.start, d.random), _curvature(d.log_costs, d.best))
+    return RandomLoop(*_search(d.log_costs, d.start, d.random), _curvature(d.log_costs, d.best))
 
 
 def random_plant(random: np.random.Generator) -> tuple[LinearPlant, StepCost, float]:

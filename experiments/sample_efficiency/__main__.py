@@ -19,7 +19,7 @@ from experiments.sample_efficiency.algorithms import ALGORITHMS, OURS
 from experiments.sample_efficiency.figures import MORE_NOISE, NOISE
 from experiments.sample_efficiency.optimum import optimum
 from experiments.sample_efficiency.problems import ALL_PROBLEMS, GAUGE, PROBLEMS
-from experiments.sample_efficiency.searches import Row
+from experiments.sample_efficiency.searches import SearchRow
 from experiments.sample_efficiency.trials import COLD, WARM, Job
 
 HELD_OUT = range(1000, 1020)
@@ -58,7 +58,7 @@ def quick_jobs() -> Iterator[Job]:
             yield Job(problem, name, NOISE, COLD, seed, 20 if name == RECORDED else 60)
 
 
-def run(todo: list[Job], workers: int, file: Path | None) -> list[Row]:
+def run(todo: list[Job], workers: int, file: Path | None) -> list[SearchRow]:
     """Runs the searches but those of a file, to which each row is added as it is finished."""
     for problem in ALL_PROBLEMS.values():
         optimum(problem)  # cached before the workers need it

@@ -7,7 +7,7 @@ from typing import Any
 from experiments.results import Target, at_least, at_most
 from experiments.sample_efficiency.algorithms import ALGORITHMS, OURS
 from experiments.sample_efficiency.problems import ALL_PROBLEMS, PROBLEMS
-from experiments.sample_efficiency.searches import Row, select
+from experiments.sample_efficiency.searches import SearchRow, select
 from experiments.sample_efficiency.trials import COLD, WARM
 
 DEFAULT = OURS[0]
@@ -35,7 +35,7 @@ def median(values: Sequence[float]) -> float:
     return quartiles(values)[1] if values else math.nan
 
 
-def of_algorithm(rows: Iterable[Row], problem: str, algorithm: str) -> dict[str, Any]:
+def of_algorithm(rows: Iterable[SearchRow], problem: str, algorithm: str) -> dict[str, Any]:
     """Figures of an algorithm on a problem, as far as there are rows."""
     mine = select(rows, problem=problem, algorithm=algorithm)
     noise = 0.0 if ALL_PROBLEMS[problem].gauge_noise else NOISE
@@ -67,7 +67,7 @@ def of_algorithm(rows: Iterable[Row], problem: str, algorithm: str) -> dict[str,
     return figures
 
 
-def of_all(rows: Sequence[Row]) -> dict[str, dict[str, dict[str, Any]]]:
+def of_all(rows: Sequence[SearchRow]) -> dict[str, dict[str, dict[str, Any]]]:
     """Figures of every problem and algorithm with rows."""
     figures = {
         problem: {name: own for name in ALGORITHMS if (own := of_algorithm(rows, problem, name))}

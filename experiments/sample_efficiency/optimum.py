@@ -20,7 +20,7 @@ WARM_RATIO = 2.5
 """A warm start is this many times as costly as the optimum."""
 
 
-class Optimum(NamedTuple):
+class TrueOptimum(NamedTuple):
     """The optimum of a problem.
 
     Attributes:
@@ -35,7 +35,7 @@ class Optimum(NamedTuple):
 
 
 @lru_cache
-def optimum(problem: Problem) -> Optimum:
+def optimum(problem: Problem) -> TrueOptimum:
     """The optimum within the bounds, from the cache file if it is there."""
     file = OUT / "sample_efficiency_optima.json"
     cached: dict[str, Any] = json.loads(file.read_text()) if file.exists() else {}
@@ -48,10 +48,10 @@ def optimum(problem: Problem) -> Optimum:
         written.write_text(json.dumps(cached))
         written.replace(file)
     coordinates, cost, start_cost = cached[key]
-    return Optimum(tuple(coordinates), cost, start_cost)
+    return TrueOptimum(tuple(coordinates), cost, start_cost)
 
 
-def search(problem: Problem) -> Optimum:
+def search(problem: Problem) -> TrueOptimum:
     """Differential evolution over the bounds, then Nelder-Mead until it converges."""
     space = problem.space()
     low, high = np.array(space.coordinates_low), np.array(space.coordinates_high)
@@ -78,10 +78,10 @@ def search(problem: Problem) -> Optimum:
         x = minimize(one, x, method="Nelder-Mead", options=options).x
     x = np.clip(x, low, high)
     start = np.array([space.coordinates(space.start)])
-    return Optimum(tuple(x.tolist()), math.exp(one(x)), float(problem.costs(start)[0]))
+    return TrueOptimum(tuple(x.tolist()), math.exp(one(x)), float(problem.costs(start)[0]))
 
 
-def warm_start(problem: Problem, best: Optimum) -> Gains:
+def warm_start(problem: Problem, best: TrueOptimum) -> Gains:
     """Gains 2.5 times as costly as the optimum, on the straight line to it from the start."""
     there = np.array(best.coordinates)
     away = np.array(problem.space().coordinates(problem.start.as_tuple())) - there

@@ -21,7 +21,7 @@ NEAR = 0.05
 
 
 @dataclass(frozen=True, slots=True)
-class Row:
+class SearchRow:
     """The result of a search.
 
     Attributes:
@@ -54,7 +54,7 @@ class Row:
         return self.excess[trials - 1]
 
 
-def search(job: Job) -> Row:
+def search(job: Job) -> SearchRow:
     """Runs a search."""
     trials = Trials(job)
     began = time.perf_counter()
@@ -64,26 +64,26 @@ def search(job: Job) -> Row:
         ALGORITHMS[job.algorithm](trials)
     seconds = time.perf_counter() - began
     excess = trials.settled_costs() / optimum(trials.problem).cost - 1.0
-    return Row(job, tuple(np.round(excess, 6).tolist()), trials.unsafe, round(seconds, 3))
+    return SearchRow(job, tuple(np.round(excess, 6).tolist()), trials.unsafe, round(seconds, 3))
 
 
-def add(row: Row, file: Path) -> None:
+def add(row: SearchRow, file: Path) -> None:
     """Adds a row to a file."""
     with file.open("a", encoding="utf-8") as rows:
         rows.write(f"{json.dumps(asdict(row))}\n")
 
 
-def read(file: Path) -> list[Row]:
+def read(file: Path) -> list[SearchRow]:
     """The rows of a file; none where there is no file."""
     lines = file.read_text(encoding="utf-8").splitlines() if file.exists() else []
     return [_row(**json.loads(line)) for line in lines]
 
 
-def _row(job: dict[str, Any], excess: list[float], **others: Any) -> Row:
-    return Row(Job(**job), tuple(excess), **others)
+def _row(job: dict[str, Any], excess: list[float], **others: Any) -> SearchRow:
+    return SearchRow(Job(**job), tuple(excess), **others)
 
 
-def select(rows: Iterable[Row], **values: object) -> list[Row]:
+def select(rows: Iterable[SearchRow], **values: object) -> list[SearchRow]:
     """The rows whose jobs have these values, in the order of their seeds."""
     matching = [r for r in rows if all(getattr(r.job, k) == v for k, v in values.items())]
     return sorted(matching, key=lambda row: row.job.seed)

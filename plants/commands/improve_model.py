@@ -76,7 +76,7 @@ def improve_model(
     from plants.diagnosis.improvement.experiment_runner import (  # noqa: PLC0415  slow to import
         default_folder,
     )
-    from plants.diagnosis.improvement.tuning import TuneOptions  # noqa: PLC0415  slow to import
+    from plants.diagnosis.improvement.tuning import ImprovementOptions  # noqa: PLC0415  slow to import
     from plants.effects import declared, find  # noqa: PLC0415  slow to import
 
     where = folder or default_folder()
@@ -103,7 +103,7 @@ def improve_model(
             columns=columns,
             effects=(*declared(), *own) if own else None,
             rounds=rounds,
-            tuning=TuneOptions(
+            tuning=ImprovementOptions(
                 model_trials=model_trials,
                 rig_trials=trials,
                 repeats=repeats,

@@ -14,7 +14,7 @@ from estune.trial.profiles import StepProfile
 from plants.models.reel import Reel, reference_reel
 from plants.models.reel_equations import ReelStructure
 from plants.simulation.plant import Columns
-from plants.simulation.trial_loop import Batch, VirtualLoop, loop_functions
+from plants.simulation.trial_loop import Batch, CasadiLoop, loop_functions
 
 REEL = reference_reel(gauge_noise_N=0.0)
 RATE = REEL.sampling_Hz
@@ -24,8 +24,8 @@ DOWN = StepProfile(15.0, -14.5, 0.05, 0.3)  # through slack
 
 
 @lru_cache(maxsize=128)
-def _loop(structure: ReelStructure) -> VirtualLoop:
-    return VirtualLoop(loop_functions(structure.equations()))
+def _loop(structure: ReelStructure) -> CasadiLoop:
+    return CasadiLoop(loop_functions(structure.equations()))
 
 
 def trial(reel: Reel, profile: StepProfile = UP, gains: Gains = GAINS) -> Columns:

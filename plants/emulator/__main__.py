@@ -19,7 +19,7 @@ from pathlib import Path
 
 from estune.errors import EstuneError
 from plants.emulator import wire
-from plants.emulator.board import Board
+from plants.emulator.board import EmulatedBoard
 from plants.emulator.devices import DEVICES, Device
 from plants.emulator.settings import make_board
 
@@ -28,7 +28,7 @@ _IDLE_ms = 5
 """Longest time between two updates of the reel's state without a request."""
 
 
-def serve(board: Board, listener: socket.socket, device: Device | None = None) -> None:
+def serve(board: EmulatedBoard, listener: socket.socket, device: Device | None = None) -> None:
     """Answers until standard input is closed."""
     poll = select.poll()
     poll.register(listener, select.POLLIN)
@@ -65,7 +65,7 @@ def _registered(poll: select.poll, known: set[int], files: set[int]) -> set[int]
     return files
 
 
-def _answer(board: Board, client: socket.socket) -> bool:
+def _answer(board: EmulatedBoard, client: socket.socket) -> bool:
     """Executes one packet; false where the client has gone."""
     try:
         packet = client.recv(wire.COMMAND.size)

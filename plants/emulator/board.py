@@ -12,7 +12,7 @@ import numpy as np
 from estune.core.quantities import check_not_negative, check_positive
 from estune.errors import InvalidInput
 from plants.effects.effect import Port
-from plants.emulator.wire import Truth
+from plants.emulator.wire import TrueState
 from plants.models.reel import Reel
 from plants.models.reel_signal_path import THETA
 from plants.simulation.buffers import Buffers
@@ -113,7 +113,7 @@ class FarEnd:
                 )
 
 
-class Board:
+class EmulatedBoard:
     """A reel and its electronics; begins slack, without power."""
 
     def __init__(
@@ -182,11 +182,11 @@ class Board:
         self.advance(now_s)
         self._powered, self._written_s = on, now_s
 
-    def truth(self, now_s: float) -> Truth:
+    def truth(self, now_s: float) -> TrueState:
         """True state."""
         self.advance(now_s)
         tension, _ = self._motion.observe(0.0)
-        return Truth(
+        return TrueState(
             now_s,
             tension,
             self._current_A(),

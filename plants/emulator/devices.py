@@ -12,7 +12,7 @@ import tty
 from collections.abc import Callable
 from typing import Protocol
 
-from plants.emulator.board import Board
+from plants.emulator.board import EmulatedBoard
 
 _REQUEST, _ANSWER = struct.Struct("<BcHi"), struct.Struct("<BBHHIii")
 _CAN = struct.Struct("<IB3x8s")
@@ -46,7 +46,7 @@ class Device(Protocol):
 class SerialDevice:
     """The board of `estune.hardware.drivers.serial_board` on a pseudo-terminal."""
 
-    def __init__(self, board: Board, _address: str) -> None:
+    def __init__(self, board: EmulatedBoard, _address: str) -> None:
         self._board = board
         self._file, self._far = os.openpty()  # the far end stays open between two drivers
         tty.setraw(self._file)
@@ -109,7 +109,7 @@ class CanDevices:
     newton_metres_per_count = 1e-4
     counts_per_turn = 8192
 
-    def __init__(self, board: Board, address: str) -> None:
+    def __init__(self, board: EmulatedBoard, address: str) -> None:
         self._board = board
         self.address = f"{address}.can"
         self._listener = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
@@ -193,5 +193,8 @@ class CanDevices:
                 continue  # its reader has gone, or is behind: frames are lost, as on a bus
 
 
-DEVICES: dict[str, Callable[[Board, str], Device]] = {"serial": SerialDevice, "can": CanDevices}
+DEVICES: dict[str, Callable[[EmulatedBoard, str], Device]] = {
+    "serial": SerialDevice,
+    "can": CanDevices,
+}
 """Devices by the setting `device` of `python -m plants.emulator`."""

@@ -13,7 +13,7 @@ from estune.errors import RigError
 from estune.hardware.driver import Reading
 from estune.support.child_process import child_process
 from plants.emulator import wire
-from plants.emulator.wire import Truth
+from plants.emulator.wire import TrueState
 
 _ANSWER_WITHIN_s = 0.05
 _END_WITHIN_s = 2.0
@@ -87,11 +87,11 @@ class EmulatedDriver:
         """Removes the amplifier's power: this reel has no brake."""
         self._say(wire.DISABLE)
 
-    def truth(self) -> Truth:
+    def truth(self) -> TrueState:
         """True state of the emulated hardware."""
         self._say(wire.TRUTH)
         answer = self._socket.recv(wire.TRUTH_ANSWER.size)
-        return Truth(*wire.TRUTH_ANSWER.unpack(answer))
+        return TrueState(*wire.TRUTH_ANSWER.unpack(answer))
 
     def close(self) -> None:
         """Closes the connection; ends hardware that the driver has started."""

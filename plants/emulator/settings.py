@@ -5,13 +5,13 @@ from typing import Any
 
 from estune.errors import InvalidInput
 from plants.effects import Effect, find
-from plants.emulator.board import Board, Electronics, FarEnd
+from plants.emulator.board import Electronics, EmulatedBoard, FarEnd
 from plants.models.reel import reference_reel
 
 _KNOWN = {"reel", "effects", "electronics", "far_end", "seed", "device"}
 
 
-def make_board(settings: Mapping[str, Any], now_s: float) -> Board:
+def make_board(settings: Mapping[str, Any], now_s: float) -> EmulatedBoard:
     """The emulated hardware of these settings.
 
     Args:
@@ -36,7 +36,7 @@ def make_board(settings: Mapping[str, Any], now_s: float) -> Board:
     reel = reference_reel(**settings.get("reel", {}))
     for effect in effects:
         reel += effect
-    return Board(reel, electronics, settings.get("seed", 0), now_s, far_end)
+    return EmulatedBoard(reel, electronics, settings.get("seed", 0), now_s, far_end)
 
 
 def _effect(name: str, **parameters: float) -> Effect:

@@ -12,10 +12,10 @@ READING = struct.Struct("<dqq")
 """The answer to READ: time in s, counts of the gauge, counts of the encoder."""
 
 TRUTH_ANSWER = struct.Struct("<dddd?qq")
-"""The answer to TRUTH: the fields of `Truth`."""
+"""The answer to TRUTH: the fields of `TrueState`."""
 
 
-class Truth(NamedTuple):
+class TrueState(NamedTuple):
     """True state of the emulated hardware, which no real driver can read.
 
     Attributes:

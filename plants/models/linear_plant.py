@@ -23,7 +23,7 @@ from plants.models.plant_model import UNLIMITED_N
 from plants.models.pole_zero_form import PoleZeroForm, factorise
 from plants.models.sampled_structure import SampledStructure
 from plants.models.start_gains import cautious_gains
-from plants.simulation.plant import Drive, split_dead_time
+from plants.simulation.plant import TrialSetpoint, split_dead_time
 
 if TYPE_CHECKING:  # python-control takes more than a second to import
     from control import StateSpace, TransferFunction
@@ -142,7 +142,7 @@ class LinearPlant(MountedModel):
             ]
         )
 
-    def admissible(self, drive: Drive) -> Drive:
+    def admissible(self, drive: TrialSetpoint) -> TrialSetpoint:
         """A trial at a preload that the plant can be held at."""
         if drive.preload_N != 0.0 and self._rest is None:
             raise PlantError(

@@ -9,7 +9,7 @@ import casadi as ca
 from plants.simulation.equations import Expression
 
 
-class Motion(NamedTuple):
+class MotionStateSpace(NamedTuple):
     """State space of a linear plant from torque to angle, in numbers or symbols."""
 
     A: Expression  # state matrix, 1/s
@@ -24,7 +24,7 @@ class Motion(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True)
-class Drum:
+class DrumStructure:
     """A drum without a cable, torque in and angle out: `J theta'' + b theta' = tau`."""
 
     own: ClassVar[tuple[str, ...]] = (
@@ -37,10 +37,10 @@ class Drum:
     is_drum: ClassVar[bool] = True  # an encoder reads the output as an angle
     can_rest: ClassVar[bool] = True  # at an output other than zero
 
-    def motion(self, p: SimpleNamespace) -> Motion:
+    def motion(self, p: SimpleNamespace) -> MotionStateSpace:
         """The states are angle and velocity."""
         A, B, C, V = ca.SX(2, 2), ca.SX(2, 1), ca.SX(1, 2), ca.SX(1, 2)
         A[0, 1], A[1, 1] = 1.0, -p.viscous_friction_Nms / p.drum_inertia_kg_m2
         B[1] = 1.0 / p.drum_inertia_kg_m2
         C[0], V[1] = 1.0, 1.0
-        return Motion(A, B, C, ca.SX(0.0), V, ca.SX(0.0))
+        return MotionStateSpace(A, B, C, ca.SX(0.0), V, ca.SX(0.0))

@@ -18,7 +18,7 @@ from estune.trial.signals import REEL, Signals
 from plants.effects import Effect
 from plants.effects.plant_scale import PlantScale
 from plants.models.parameters import amend_parameters
-from plants.simulation.plant import Columns, Drive, Plant, split_dead_time
+from plants.simulation.plant import Columns, Plant, TrialSetpoint, split_dead_time
 from plants.simulation.simulated_rig import SimulatedRig
 from plants.simulation.trial_loop import Batch, trial_loop
 
@@ -128,14 +128,14 @@ class PlantModel(Plant, ABC):
         added = [getattr(e, name) for e in self.effects for name in e.parameters()]
         return np.array([*own, self.delay_samples, *added])
 
-    def admissible(self, drive: Drive) -> Drive:
+    def admissible(self, drive: TrialSetpoint) -> TrialSetpoint:
         """The drive of a trial as the plant can take it; raises PlantError where it cannot."""
         return drive
 
     def respond(
         self,
         coefficients: FloatArray,
-        drive: Drive,
+        drive: TrialSetpoint,
         noise_N: FloatArray | None,
         bound_N: float,
     ) -> Columns:

@@ -19,7 +19,7 @@ import numpy as np
 from estune.core.quantities import FloatArray
 from estune.errors import PlantError
 from estune.trial import LinearModel
-from plants.models.linear_structures import Drum, Motion
+from plants.models.linear_structures import DrumStructure, MotionStateSpace
 from plants.simulation.equations import Expression
 
 if TYPE_CHECKING:  # python-control takes more than a second to import
@@ -63,7 +63,7 @@ class PoleZeroForm:
         """Names of the gain, poles and zeros, and of the rate by which time is scaled, rad/s."""
         return ("gain", *_names(self.poles, ""), *_names(self.zeros, "zero_"), "rate_rad_s")
 
-    def motion(self, p: SimpleNamespace) -> Motion:
+    def motion(self, p: SimpleNamespace) -> MotionStateSpace:
         """The plant in the observer's form from torque to angle, with added viscous friction."""
         rate = p.rate_rad_s
         gain = p.gain * p.torque_unit / p.angle_unit
@@ -84,7 +84,7 @@ class PoleZeroForm:
         V = C @ A if self.excess >= 2 else None
         if V is not None:
             A = A - p.viscous_friction_Nms * (B @ V)
-        return Motion(A, B, C, E, V, self._restoring(gain))
+        return MotionStateSpace(A, B, C, E, V, self._restoring(gain))
 
     def numeric(self, values: dict[str, float]) -> tuple[FloatArray, FloatArray, FloatArray]:
         """A, B and C of `motion` for numbers, shapes (n, n), (n,) and (n,)."""
@@ -119,7 +119,7 @@ class PoleZeroForm:
                 yield [1.0, 2.0 * getattr(p, next(names)) / w, 1.0 / w**2]
 
 
-LinearBase = PoleZeroForm | Drum
+LinearBase = PoleZeroForm | DrumStructure
 """Kind of linear plant."""
 
 

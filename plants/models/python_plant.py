@@ -22,7 +22,7 @@ from plants.models.plant_model import UNLIMITED_N
 from plants.models.start_gains import identified_gains
 from plants.models.state_shape import StateShape
 from plants.models.symbolic_plant import TracedStructure, unavailable
-from plants.simulation.plant import Columns, Drive, split_dead_time
+from plants.simulation.plant import Columns, TrialSetpoint, split_dead_time
 
 Step = Callable[[Any, float, float], tuple[Any, float]]
 """(state, effort in N, time step in s) -> (next state, measurement in N at its end)."""
@@ -112,7 +112,7 @@ class PythonPlant(MountedModel):
     def respond(
         self,
         coefficients: FloatArray,
-        drive: Drive,
+        drive: TrialSetpoint,
         noise_N: FloatArray | None,
         bound_N: float,
     ) -> Columns:
@@ -132,7 +132,7 @@ class PythonPlant(MountedModel):
     def _trial(
         self,
         coefficients: pidf.Coefficients,
-        drive: Drive,
+        drive: TrialSetpoint,
         noise: FloatArray,
         bound_N: float,
         columns: Columns,

@@ -18,7 +18,7 @@ from estune.errors import UnsafeStart
 from estune.loop_model.fitting import fit_loop
 from estune.loop_model.identification import LoopRecord
 from estune.loop_model.model import robustness
-from plants.simulation.plant import Drive, Plant, drive_of
+from plants.simulation.plant import Plant, TrialSetpoint, drive_of
 
 MOVED = 0.1
 """Move of the measurement, as a share of the suggested step, that is enough to identify by."""
@@ -126,7 +126,7 @@ def _doublet(plant: Plant, rest_effort_N: float) -> LoopRecord:
     raise _unknown(f"an effort of {EFFORT_SHARE:.0%} of the controller's range does not move it")
 
 
-def _open_loop(plant: Plant, drive: Drive, effort_N: FloatArray) -> FloatArray:
+def _open_loop(plant: Plant, drive: TrialSetpoint, effort_N: FloatArray) -> FloatArray:
     """The measurement for an effort, without noise; NaN where it left the finite range."""
     row = np.array([pidf.coefficients(plant.controller, Gains(1.0, 0.0, 0.0, 0.0))], dtype=float)
     columns = plant.respond(

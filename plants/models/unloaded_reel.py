@@ -11,7 +11,7 @@ from estune.trial import LinearModel, RigDescription, RigLimits
 from estune.trial.profiles import StepProfile
 from plants.effects.plant_scale import PlantScale
 from plants.models.effect_applicability import unavailable
-from plants.models.linear_structures import Drum
+from plants.models.linear_structures import DrumStructure
 from plants.models.linear_with_effects import LinearEffectStructure
 from plants.models.path_structure import squarings_for
 from plants.models.plant_model import (
@@ -20,11 +20,11 @@ from plants.models.plant_model import (
     check_field_names,
     check_fields,
 )
-from plants.simulation.plant import SOFTWARE, Drive
+from plants.simulation.plant import SOFTWARE, TrialSetpoint
 
 _MAY_BE_ZERO = ("viscous_friction_Nms", "dead_time_s", "derivative_filter_s")
 
-_NUMBERS = (*Drum.own, *LinearEffectStructure.COMMON)
+_NUMBERS = (*DrumStructure.own, *LinearEffectStructure.COMMON)
 
 STEP_SHARE = 0.1
 """Size of the suggested step relative to the force at the maximum current."""
@@ -72,7 +72,7 @@ class UnloadedReel(PlantModel):
     def __post_init__(self) -> None:
         check_fields(self, self.title, _MAY_BE_ZERO)
         for effect in self.effects:
-            reason = unavailable(Drum(), type(effect))
+            reason = unavailable(DrumStructure(), type(effect))
             if reason:
                 raise PlantError(f"{effect.name} cannot be added to the {self.title}: {reason}")
 
@@ -148,13 +148,13 @@ class UnloadedReel(PlantModel):
         p = self.amended_numbers
         fastest = p.viscous_friction_Nms / p.drum_inertia_kg_m2
         return LinearEffectStructure(
-            base=Drum(),
+            base=DrumStructure(),
             effects=self.kinds,
             fractional=True,
             squarings=squarings_for(max(fastest, 1e-9), self.sampling_Hz),
         )
 
-    def admissible(self, drive: Drive) -> Drive:
+    def admissible(self, drive: TrialSetpoint) -> TrialSetpoint:
         """An open-loop trial from rest at an angle of zero."""
         if not drive.open_loop:
             raise PlantError(

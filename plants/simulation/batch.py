@@ -15,7 +15,7 @@ from estune.core.quantities import FloatArray
 from estune.errors import InvalidInput
 from estune.trial.profiles import AnyProfile, StepProfile, load_step
 from plants.simulation.noise import NoiseSource
-from plants.simulation.plant import Drive, Plant, drive_of
+from plants.simulation.plant import Plant, TrialSetpoint, drive_of
 
 CHUNK = 128
 """Trials per task of a thread: few waits for the interpreter's lock, and little memory."""
@@ -87,7 +87,7 @@ def simulate(
 
 
 def simulate_drive(
-    plant: Plant, gains: Gains, drive: Drive, noise_N: FloatArray | None, bound_N: float
+    plant: Plant, gains: Gains, drive: TrialSetpoint, noise_N: FloatArray | None, bound_N: float
 ) -> Response:
     """Runs one trial of any drive; see `simulate`."""
     row = np.array([pidf.coefficients(plant.controller, gains)])

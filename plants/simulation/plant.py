@@ -18,7 +18,7 @@ from estune.trial.profiles import AnyProfile, LoadStepProfile, StepProfile
 SOFTWARE = f"estune {version('estune')}"
 
 
-class Drive(NamedTuple):
+class TrialSetpoint(NamedTuple):
     """Setpoint and mode of a trial."""
 
     time_s: FloatArray  # time at each sample, shape (samples,)
@@ -29,7 +29,7 @@ class Drive(NamedTuple):
 
 
 @lru_cache(maxsize=16)
-def drive_of(profile: AnyProfile, sampling_Hz: float) -> Drive:
+def drive_of(profile: AnyProfile, sampling_Hz: float) -> TrialSetpoint:
     """The drive of a profile at a sampling rate; shared and read-only.
 
     Raises:
@@ -46,7 +46,7 @@ def drive_of(profile: AnyProfile, sampling_Hz: float) -> Drive:
     time, setpoint = np.arange(samples) / sampling_Hz, profile.setpoint(sampling_Hz)
     time.flags.writeable = setpoint.flags.writeable = False
     load = profile.load(sampling_Hz) if isinstance(profile, LoadStepProfile) else None
-    return Drive(time, setpoint, profile.preload_N, profile.loop == "open", load)
+    return TrialSetpoint(time, setpoint, profile.preload_N, profile.loop == "open", load)
 
 
 class Columns(NamedTuple):
@@ -99,7 +99,7 @@ class Plant(Protocol):
     def respond(
         self,
         coefficients: FloatArray,
-        drive: Drive,
+        drive: TrialSetpoint,
         noise_N: FloatArray | None,
         bound_N: float,
     ) -> Columns:

@@ -45,14 +45,14 @@ class Batch(NamedTuple):
 
 
 @lru_cache(maxsize=64)
-def trial_loop(structure: Structure) -> "CompiledLoop | VirtualLoop":
+def trial_loop(structure: Structure) -> "CompiledLoop | CasadiLoop":
     """Trial loop of a structure, compiled if there is a compiler."""
     functions = loop_functions(structure.equations())
     try:
         return CompiledLoop(functions)
     except PlantError as error:
         c_compiler.notice(str(error))
-        return VirtualLoop(functions)
+        return CasadiLoop(functions)
 
 
 class Functions(NamedTuple):
@@ -184,7 +184,7 @@ def _source(functions: Functions) -> str:
     return c_source(generated, sizes, Path(__file__).with_suffix(".c"))
 
 
-class VirtualLoop:
+class CasadiLoop:
     """The trial in CasADi's virtual machine, sample by sample through its buffers."""
 
     def __init__(self, functions: Functions) -> None:

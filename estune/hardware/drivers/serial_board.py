@@ -40,7 +40,7 @@ LOST_MAX = 2
 POWERED_WITHIN_s = 1.0
 
 
-class Answer(NamedTuple):
+class BoardAnswer(NamedTuple):
     """One answer of the board, without its first byte."""
 
     status: int
@@ -62,14 +62,14 @@ class AnswerStream:
     def __init__(self) -> None:
         self._bytes = b""
 
-    def feed(self, data: bytes) -> list[Answer]:
+    def feed(self, data: bytes) -> list[BoardAnswer]:
         """The valid answers that these bytes complete."""
         self._bytes += data
         found, size = [], ANSWER.size + CHECKSUM.size
         while len(self._bytes) >= size:
             packet = self._bytes[: ANSWER.size]
             if packet[0] == ANSWER_BEGINS and sealed(packet) == self._bytes[:size]:
-                found.append(Answer(*ANSWER.unpack(packet)[1:]))
+                found.append(BoardAnswer(*ANSWER.unpack(packet)[1:]))
                 self._bytes = self._bytes[size:]
             else:
                 self._bytes = self._bytes[1:]
@@ -180,7 +180,7 @@ class SerialBoard:
         self._sequence = (self._sequence + 1) & 0xFFFF
         self._port.write(sealed(REQUEST.pack(REQUEST_BEGINS, verb, self._sequence, number)))
 
-    def _exchange(self) -> Answer:
+    def _exchange(self) -> BoardAnswer:
         """The answer to a request for a reading; any other is old, and discarded."""
         for _ in range(ATTEMPTS):
             self._say(READ)

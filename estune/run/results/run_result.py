@@ -42,7 +42,7 @@ OVERSHOOT_ALLOWED = 0.02
 and scatter add up to 0.9 % to that of a record."""
 
 
-class Row(NamedTuple):
+class ResultRow(NamedTuple):
     """Row of the before/after table; `tuned` is empty without an improvement."""
 
     label: str
@@ -181,13 +181,13 @@ class RunResult(OptimizeResult):  # type: ignore[misc]  # scipy ships no type in
             change = "keep the initial gains"
         return f"{self.ending.upper()}: {self.rig.name}, {len(self.entries)} trials, {change}"
 
-    def rows(self) -> tuple[Row, ...]:
+    def rows(self) -> tuple[ResultRow, ...]:
         """The before/after table as text; the last column is empty without an improvement."""
         start = self.start.cells()
         tuned = self.tuned.cells() if self.tuned else dict.fromkeys(start, "")
-        shown = [Row(label, start[label], tuned.get(label, "-")) for label in start]
+        shown = [ResultRow(label, start[label], tuned.get(label, "-")) for label in start]
         robust = robustness_cells(self.claim.margins)
-        shown += [Row(label, *(("-", x) if self.tuned else (x, ""))) for label, x in robust]
+        shown += [ResultRow(label, *(("-", x) if self.tuned else (x, ""))) for label, x in robust]
         return tuple(shown)
 
     def remarks(self) -> tuple[str, ...]:

@@ -36,7 +36,7 @@ _LACK_OF_FIT_P = 0.05
 """p value of the lack-of-fit test below which a remark warns of it."""
 
 
-class Band(NamedTuple):
+class GainBand(NamedTuple):
     """A gain by the law at some lengths; arrays of their shape.
 
     Attributes:
@@ -106,7 +106,7 @@ class GainLaw:
         *,
         level: float = CONFIDENCE,
         extrapolate: bool = False,
-    ) -> Band:
+    ) -> GainBand:
         """One gain over lengths, with its confidence and prediction bands.
 
         Args:
@@ -141,7 +141,7 @@ class GainLaw:
         new = variance + float(np.median(fit.deviations)) ** 2
         t, value = interval_factor(level, fit.degrees), rows @ fit.coefficients
         width, new_width = t * np.sqrt(variance), t * np.sqrt(new)
-        return Band(
+        return GainBand(
             value, value - width, value + width, value - new_width, value + new_width, outside
         )
 

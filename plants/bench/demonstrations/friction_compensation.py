@@ -17,7 +17,7 @@ from estune.core.pidf import step as pidf_step
 from estune.core.quantities import FloatArray, check_not_negative
 from estune.errors import InvalidInput
 from estune.reel.friction import StribeckFriction
-from estune.reel.velocity import Motion, MotionState, Windows
+from estune.reel.velocity import DrumMotion, MotionState, Windows
 from estune.reel.velocity import step as estimate
 from plants.bench.demonstrations.platform import TENSION_GAINS, Platform
 from plants.models.reel import Reel
@@ -25,7 +25,7 @@ from plants.models.reel import Reel
 ENCODER_COUNTS = 2048.0
 """Of the paper's encoder, per turn."""
 
-Compensation = Callable[[Motion], float]
+Compensation = Callable[[DrumMotion], float]
 """Feed-forward torque at a sample, N m, from the motion estimated at that sample."""
 
 Signal = Any
@@ -57,7 +57,7 @@ class FeedForward:
                 "drum by itself, choose one from 0 to below 1"
             )
 
-    def friction_Nm(self, motion: Motion) -> Signal:
+    def friction_Nm(self, motion: DrumMotion) -> Signal:
         """Friction compensation, N m, along the motion: (10) within its two limits.
 
         Args:
@@ -71,7 +71,7 @@ class FeedForward:
         torque = self.fraction * self.friction.size_Nm(velocity) * smooth_sign
         return torque if torque.ndim else float(torque)
 
-    def inertia_Nm(self, motion: Motion) -> Signal:
+    def inertia_Nm(self, motion: DrumMotion) -> Signal:
         """Inertia compensation T_m = J_m alpha_m, N m; zero below the noise floor."""
         return self.inertia_kgm2 * motion.acceleration_rad_s2
 

@@ -7,11 +7,11 @@ print(fit.resonance_Hz, fit.damping, fit.dead_time_s)
 """
 
 from plants.bench.identify.dependence import Condition, Dependence
-from plants.bench.identify.distortion import Distortion
+from plants.bench.identify.distortion import HarmonicDistortion
 from plants.bench.identify.estimate import Estimate
 from plants.bench.identify.excitation import (
     Band,
-    Excitation,
+    BroadbandExcitation,
     Segment,
     chirp,
     multisine,
@@ -27,12 +27,12 @@ from plants.bench.identify.second_order import SecondOrderFit, fit_second_order
 
 __all__ = [
     "Band",
+    "BroadbandExcitation",
     "Condition",
     "Dependence",
-    "Distortion",
     "Estimate",
-    "Excitation",
     "FrequencyResponse",
+    "HarmonicDistortion",
     "SecondOrderFit",
     "Segment",
     "chirp",

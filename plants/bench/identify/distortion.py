@@ -12,7 +12,7 @@ DISTORTION_P_VALUE = 1e-3
 """Significance level of distortion, which widens the confidence band."""
 
 
-class Distortion(NamedTuple):
+class HarmonicDistortion(NamedTuple):
     """Output of a nonlinear plant on unexcited lines."""
 
     frequency_Hz: FloatArray  # frequencies of the lines, ascending, shape (lines,)
@@ -29,7 +29,7 @@ class Distortion(NamedTuple):
 
 def measure_distortion(
     parts: list[SegmentSpectra], kind: str, line_Hz: float
-) -> Distortion | None:
+) -> HarmonicDistortion | None:
     """Distortion on the unexcited even or odd lines."""
     from scipy.stats import f  # noqa: PLC0415  slow to import
 
@@ -49,7 +49,7 @@ def measure_distortion(
     else:
         chance = 0.0 if power > rounding else 1.0
     order = np.argsort(np.concatenate(free), kind="stable")
-    return Distortion(
+    return HarmonicDistortion(
         np.concatenate(free)[order] * line_Hz,
         np.abs(mean)[order],
         np.sqrt(noise)[order],

@@ -47,7 +47,7 @@ class Segment:
 
 
 @dataclass(frozen=True, eq=False)
-class Excitation:
+class BroadbandExcitation:
     """A signal to be added to the preload, with its excited and unexcited lines.
 
     Made by `multisine`, `chirp` and `stepped_sine`.
@@ -140,7 +140,7 @@ def multisine(
     slope: float = 0.0,
     corner_Hz: float = 0.0,
     seed: int = 0,
-) -> Excitation:
+) -> BroadbandExcitation:
     """A sum of sines on odd lines, its phases chosen for a low crest factor.
 
     One random line out of every four odd ones is left unexcited, but neither the lowest nor the
@@ -176,10 +176,10 @@ def multisine(
     even = lines[lines % 2 == 0]
     period = peak_N * _low_crest(samples, excited, amplitude)
     segment = Segment(period, band.settling_periods, band.periods, excited, even, left_out)
-    return Excitation("multisine", sampling_Hz, (segment,))
+    return BroadbandExcitation("multisine", sampling_Hz, (segment,))
 
 
-def chirp(sampling_Hz: float, band: Band, peak_N: float) -> Excitation:
+def chirp(sampling_Hz: float, band: Band, peak_N: float) -> BroadbandExcitation:
     """A linear sweep through the band, repeated with opposite sign for odd lines only.
 
     Its crest factor is near sqrt(2), below a multisine's, but its spectrum cannot be shaped, and
@@ -222,10 +222,12 @@ def chirp(sampling_Hz: float, band: Band, peak_N: float) -> Excitation:
         lines[lines % 2 == 0],
         np.empty(0, np.int64),
     )
-    return Excitation("chirp", sampling_Hz, (segment,))
+    return BroadbandExcitation("chirp", sampling_Hz, (segment,))
 
 
-def stepped_sine(sampling_Hz: float, band: Band, peak_N: float, points: int = 20) -> Excitation:
+def stepped_sine(
+    sampling_Hz: float, band: Band, peak_N: float, points: int = 20
+) -> BroadbandExcitation:
     """Successive sines, evenly spaced in log frequency; their harmonics show distortion.
 
     One line at a time has the full amplitude: the lowest noise per line, and the longest record.
@@ -255,7 +257,7 @@ def stepped_sine(sampling_Hz: float, band: Band, peak_N: float, points: int = 20
                 harmonics[1::2],
             )
         )
-    return Excitation("custom", sampling_Hz, tuple(segments))
+    return BroadbandExcitation("custom", sampling_Hz, tuple(segments))
 
 
 def _low_crest(samples: int, lines: Lines, amplitude: FloatArray) -> FloatArray:

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from estune.core.quantities import FloatArray
 from estune.errors import InvalidInput
 from estune.trial import SATURATED, Outcome, TrialRecord
-from plants.bench.identify.distortion import Distortion, measure_distortion
-from plants.bench.identify.excitation import Excitation
+from plants.bench.identify.distortion import HarmonicDistortion, measure_distortion
+from plants.bench.identify.excitation import BroadbandExcitation
 from plants.bench.identify.spectra import ComplexArray, SegmentSpectra, check_settled, running_mean
 
 FOREIGN_INPUT = 0.05
@@ -36,8 +36,8 @@ class FrequencyResponse:
     coherence: FloatArray
     periods: int  # periods evaluated
     degrees: FloatArray  # degrees of freedom of the variance, for each line
-    even: Distortion | None  # even distortion, or None without unexcited even lines
-    odd: Distortion | None  # odd distortion, or None
+    even: HarmonicDistortion | None  # even distortion, or None without unexcited even lines
+    odd: HarmonicDistortion | None  # odd distortion, or None
 
     def __repr__(self) -> str:
         low, high = self.frequency_Hz[[0, -1]]
@@ -63,7 +63,7 @@ class FrequencyResponse:
         return middle - half, middle + half
 
 
-def response_of_record(record: TrialRecord, excitation: Excitation) -> FrequencyResponse:
+def response_of_record(record: TrialRecord, excitation: BroadbandExcitation) -> FrequencyResponse:
     """Response from motor current to tension of an open-loop record, N/A.
 
     Args:
@@ -95,7 +95,7 @@ def response_of_record(record: TrialRecord, excitation: Excitation) -> Frequency
 
 
 def frequency_response(
-    excitation: Excitation, input_signal: FloatArray, output_N: FloatArray
+    excitation: BroadbandExcitation, input_signal: FloatArray, output_N: FloatArray
 ) -> FrequencyResponse:
     """The frequency response from an input to an output.
 
@@ -157,7 +157,7 @@ def check_probability(probability: float) -> None:
 
 
 def _checked(
-    excitation: Excitation, input_signal: FloatArray, output_N: FloatArray
+    excitation: BroadbandExcitation, input_signal: FloatArray, output_N: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """The signals, cut to the excitation's length, after all checks."""
     u, y = (np.asarray(signal, dtype=np.float64) for signal in (input_signal, output_N))

@@ -7,14 +7,16 @@ import numpy as np
 
 from estune.errors import InvalidInput, PlantError
 from estune.trial import Outcome, TrialRecord
-from plants.bench.identify.excitation import Excitation
+from plants.bench.identify.excitation import BroadbandExcitation
 from plants.models.reel import SAFE_GAINS, Reel
 from plants.simulation.batch import simulate_drive
 from plants.simulation.noise import NoiseSource
-from plants.simulation.plant import SOFTWARE, Drive
+from plants.simulation.plant import SOFTWARE, TrialSetpoint
 
 
-def open_loop_record(reel: Reel, excitation: Excitation, seed: int | None = 0) -> TrialRecord:
+def open_loop_record(
+    reel: Reel, excitation: BroadbandExcitation, seed: int | None = 0
+) -> TrialRecord:
     """Open-loop record of an excitation added to a reel's preload, starting at rest.
 
     The command is the current: setpoint x drum radius / torque constant. The record names the
@@ -39,7 +41,7 @@ def open_loop_record(reel: Reel, excitation: Excitation, seed: int | None = 0) -
     noise = None
     if seed is not None and reel.noise_rms_N > 0.0:
         noise = NoiseSource(seed).draw(0, setpoint.size, reel.noise_rms_N)
-    drive = Drive(time, setpoint, reel.tension_N, open_loop=True)
+    drive = TrialSetpoint(time, setpoint, reel.tension_N, open_loop=True)
     response = simulate_drive(reel, SAFE_GAINS, drive, noise, math.inf)
     if response.diverged_at is not None:
         raise PlantError(

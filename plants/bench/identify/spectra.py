@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from estune.core.quantities import FloatArray
 from estune.errors import InvalidInput
-from plants.bench.identify.excitation import Excitation, Segment
+from plants.bench.identify.excitation import BroadbandExcitation, Segment
 
 ComplexArray = NDArray[np.complex128]
 
@@ -69,7 +69,7 @@ def running_mean(values: FloatArray) -> tuple[FloatArray, FloatArray]:
     return np.convolve(values, window, "same") / lines, lines
 
 
-def check_settled(excitation: Excitation, parts: list[SegmentSpectra]) -> None:
+def check_settled(excitation: BroadbandExcitation, parts: list[SegmentSpectra]) -> None:
     """Checks that the first period differs from the others no more than by noise."""
     from scipy.stats import f  # noqa: PLC0415  slow to import
 

@@ -14,7 +14,7 @@ print(result.friction_coefficient, result.resolved, result.transparency().verdic
 """
 
 from plants.bench.two_reels.bench import SimulatedBench
-from plants.bench.two_reels.bench_parts import Drive, Eyelet, Gauge, ReelModel
+from plants.bench.two_reels.bench_parts import BenchDrive, BenchGauge, Eyelet, ReelModel
 from plants.bench.two_reels.evaluation import TwoReelResult, evaluate
 from plants.bench.two_reels.friction_ratio import attenuation
 from plants.bench.two_reels.geometry import eyelet_angle_rad
@@ -27,12 +27,12 @@ from plants.bench.two_reels.rig import Bench, BenchReading, BenchRecord, BenchRe
 __all__ = [
     "WEBER_LIMIT",
     "Bench",
+    "BenchDrive",
+    "BenchGauge",
     "BenchReading",
     "BenchRecord",
     "BenchReel",
-    "Drive",
     "Eyelet",
-    "Gauge",
     "HysteresisLoop",
     "HysteresisTest",
     "ReelComparison",

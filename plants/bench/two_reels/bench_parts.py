@@ -39,7 +39,7 @@ class Eyelet:
 
 
 @dataclass(frozen=True, slots=True)
-class Gauge:
+class BenchGauge:
     """A strain gauge: `reading = zero + sensitivity (T + curvature T^2)` with its disturbances."""
 
     zero: float = 0.0  # reading without tension, in its own unit
@@ -57,7 +57,7 @@ class Gauge:
 
 
 @dataclass(frozen=True, slots=True)
-class Drive:
+class BenchDrive:
     """Dynamics of a reel's controllers."""
 
     force_lag_s: float = 0.1  # time constant of the tension controller
@@ -75,8 +75,8 @@ class ReelModel:
     """One reel of the bench."""
 
     eyelet: Eyelet = field(default_factory=Eyelet)  # friction at its eyelet
-    gauge: Gauge = field(default_factory=Gauge)  # its strain gauge
-    drive: Drive = field(default_factory=Drive)  # its controllers
+    gauge: BenchGauge = field(default_factory=BenchGauge)  # its strain gauge
+    drive: BenchDrive = field(default_factory=BenchDrive)  # its controllers
     drum_radius_m: float = 0.025  # radius of the drum, m
     counts: int = 8192  # encoder counts per turn
     # Stiffness between drum and eyelet, structure, gauge and cable, N/m.

@@ -29,7 +29,7 @@ from plants.diagnosis.improvement.experiment_runner import (
     default_folder,
 )
 from plants.diagnosis.improvement.result import Improvement, ImprovementRound
-from plants.diagnosis.improvement.tuning import Tuned, TuneOptions, tune_with_model
+from plants.diagnosis.improvement.tuning import ImprovementOptions, Tuned, tune_with_model
 from plants.diagnosis.progress import Progress, silent
 from plants.diagnosis.report.diagnosis import Diagnosis
 from plants.diagnosis.search.constants import CONSTANTS
@@ -54,7 +54,7 @@ def improve(
     columns: ColumnMap = AS_NAMED,
     effects: Sequence[type[Effect] | str] | None = None,
     rounds: int = ROUNDS_MAX,
-    tuning: TuneOptions | None = None,
+    tuning: ImprovementOptions | None = None,
     rig: str | None = None,
     say: Say = lambda _: None,
     progress: Progress = silent,
@@ -102,7 +102,7 @@ def improve(
             done = _diagnose_rounds(lab, given, effects, rounds, progress)
             tuned = Tuned(_selected_model(done[-1]))
             if about.step.loop == "closed":
-                tuned = tune_with_model(lab, given, tuned.model, tuning or TuneOptions())
+                tuned = tune_with_model(lab, given, tuned.model, tuning or ImprovementOptions())
         except KeyboardInterrupt:
             again = f"the same call with folder={str(where)!r}"
             raise Stopped(the_rig.abort(), where, again) from None

@@ -27,7 +27,7 @@ CERTAIN = 2.0
 """Standard errors of a measured cost by which another is beyond doubt."""
 
 
-class TuneOptions(NamedTuple):
+class ImprovementOptions(NamedTuple):
     """Settings of the tuning on the model and then on the rig.
 
     Attributes:
@@ -61,7 +61,7 @@ class Tuned(NamedTuple):
 
 
 def tune_with_model(
-    lab: ExperimentRunner, given: Any, improved: Any, options: TuneOptions
+    lab: ExperimentRunner, given: Any, improved: Any, options: ImprovementOptions
 ) -> Tuned:
     """Tunes on the improved model, then on the rig from there, and compares the costs."""
     about = lab.about
@@ -105,7 +105,9 @@ def is_worse(own: Costs) -> bool:
     return not off <= abs(own.given - own.measured) + CERTAIN * own.error
 
 
-def _tuned_on(model: Any, lab: ExperimentRunner, cost: StepCost, options: TuneOptions) -> Gains:
+def _tuned_on(
+    model: Any, lab: ExperimentRunner, cost: StepCost, options: ImprovementOptions
+) -> Gains:
     """The gains tuned on a model; the rig's own where it cannot be tuned from them."""
     lab.say("tuning on the model")
     try:
@@ -160,7 +162,7 @@ def way(start: Gains, goal: Gains) -> Iterator[Gains]:
 
 
 def _on_rig(
-    lab: ExperimentRunner, start: Gains, cost: StepCost, options: TuneOptions
+    lab: ExperimentRunner, start: Gains, cost: StepCost, options: ImprovementOptions
 ) -> TuneResult:
     """The rig's own tuning; from its own gains where those of the model are not safe on it."""
     for number, gains in enumerate((start, lab.about.gains)):

@@ -21,7 +21,7 @@ from plants.diagnosis.models.diagnosed_model import (
 )
 from plants.effects import Effect, Role
 from plants.models.effect_applicability import unavailable
-from plants.models.linear_structures import Drum
+from plants.models.linear_structures import DrumStructure
 from plants.models.linear_with_effects import LinearEffectStructure
 from plants.models.unloaded_reel import UnloadedReel
 
@@ -59,13 +59,15 @@ class DiagnosedDrum(DiagnosedModel):
 
     def unavailable(self, effect: type[Effect]) -> str | None:
         """Effects of cable, eyelet and gauge have no place."""
-        return unavailable(Drum(), effect)
+        return unavailable(DrumStructure(), effect)
 
     def structure(self, effects: tuple[type[Effect], ...]) -> LinearEffectStructure:
         """The drum with these effects."""
         p = self.model
         n = self.squarings(MOST_RATE * max(p.viscous_friction_Nms, 1e-9) / p.drum_inertia_kg_m2)
-        return LinearEffectStructure(Drum(), effects, fractional=True, squarings=n, rounded=False)
+        return LinearEffectStructure(
+            DrumStructure(), effects, fractional=True, squarings=n, rounded=False
+        )
 
     def turned(self, measurement: MeasuredRecord) -> FloatArray:
         """The angle read."""

@@ -15,11 +15,11 @@ Step = Callable[[float, float], float]
 """(effort, time step) -> measurement after it."""
 
 
-class Unusable(Exception):
+class UnusableFmu(Exception):
     """The file is no FMU that can be used; the message says why."""
 
 
-class Unit:
+class FmuUnit:
     """One instance of a unit, reset for each trial: some crash after a thousand instantiations."""
 
     def __init__(self, file: str, input_: str, output: str, folder: str) -> None:
@@ -29,11 +29,11 @@ class Unit:
 
         about = read_model_description(file)
         if about.coSimulation is None:
-            raise Unusable("it is for model exchange only; export it for co-simulation")
+            raise UnusableFmu("it is for model exchange only; export it for co-simulation")
         self.version, self.tool = about.fmiVersion, about.generationTool or "an unknown tool"
         kinds = {"2.0": (FMU2Slave, "linux64"), "3.0": (FMU3Slave, "x86_64-linux")}
         if self.version not in kinds:
-            raise Unusable(f"it is of FMI {self.version}; export it as FMI 2 or 3")
+            raise UnusableFmu(f"it is of FMI {self.version}; export it as FMI 2 or 3")
         kind, platform = kinds[self.version]
         _check_platform(file, f"binaries/{platform}/")
         self._input, self._output = (_variable(about, name) for name in (input_, output))
@@ -63,7 +63,7 @@ class Unit:
             self._unit.setFloat64([self._input], [effort])
             _, terminated, _, _ = self._unit.doStep(self._time_s, dt_s)
             if terminated:
-                raise Unusable(f"it ended the simulation at {self._time_s:g} s")
+                raise UnusableFmu(f"it ended the simulation at {self._time_s:g} s")
         self._time_s += dt_s
         return self._get()
 
@@ -86,7 +86,7 @@ def _check_platform(file: str, folder: str) -> None:
         names = archive.namelist()
     if not any(name.startswith(folder) and name.endswith(".so") for name in names):
         had = sorted({name.split("/")[1] for name in names if name.startswith("binaries/")})
-        raise Unusable(
+        raise UnusableFmu(
             f"it has no library for this machine in {folder} (it has {', '.join(had) or 'none'}); "
             "export it for 64-bit Linux"
         )
@@ -96,7 +96,7 @@ def _variable(about: Any, name: str) -> int:
     known = {variable.name: variable.valueReference for variable in about.modelVariables}
     if name not in known:
         listed = ", ".join(list(known)[:12])
-        raise Unusable(f"it has no variable {name}; it has {listed}")
+        raise UnusableFmu(f"it has no variable {name}; it has {listed}")
     return int(known[name])
 
 
@@ -122,14 +122,14 @@ def main(descriptor: int) -> int:
     file, input_, output = pipe.recv()
     folder = tempfile.mkdtemp(prefix="estune-fmu-")
     try:
-        unit = Unit(file, input_, output, folder)
+        unit = FmuUnit(file, input_, output, folder)
         pipe.send(FmuFacts(unit.version, unit.tool, unit.extra_step, unit.initial))
         serve(pipe, unit.step)
     except ModuleNotFoundError as error:
         pipe.send(f"FMUs need {error.name}; install it with: pip install 'estune[fmu]'")
     except Exception as error:  # noqa: BLE001  a damaged file can fail anywhere
         why = " ".join(str(error).split()) or type(error).__name__
-        pipe.send(why if isinstance(error, Unusable) else f"no FMU that can be loaded: {why}")
+        pipe.send(why if isinstance(error, UnusableFmu) else f"no FMU that can be loaded: {why}")
     finally:
         shutil.rmtree(folder, ignore_errors=True)
     return 0

@@ -1,0 +1,43 @@
+"""One name means one thing: public classes that share a name are listed with the reason."""
+
+import ast
+from collections import defaultdict
+from pathlib import Path
+
+ROOT = Path(__file__).parents[1]
+
+SHARED = {
+    "Begin": "event of the rig protocol; command to the real-time loop, its counterpart",
+    "End": "as Begin",
+    "Interval": "of a predicted margin; of an effect's parameter: both are low, value, high",
+    "Prediction": "of a step response by the identified loop; of records by a plant's model",
+    "Searched": "a finished search for effects; a finished search for gains, in an experiment",
+    "Stage": "a positioning stage, a plant; a step of the diagnosis",
+    "Status": "a message of the rig protocol; a coloured line of a page",
+    "StepTable": "the [step] table of a rig's file; that of a run's file, with other keys",
+    "StribeckFriction": "law (10): what a controller compensates; what a model has",
+    "Table": "on a page; in a terminal",
+}
+"""Names of several public classes, and why each is kept."""
+
+
+def class_names():
+    """Files of each public class, by its name."""
+    files = defaultdict(list)
+    for top in ("estune", "plants", "experiments"):
+        for path in sorted((ROOT / top).rglob("*.py")):
+            for node in ast.parse(path.read_text("utf-8")).body:
+                if isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
+                    files[node.name].append(str(path.relative_to(ROOT)))
+    return files
+
+
+def test_each_public_class_name_is_one_class_or_has_a_reason():
+    shared = {name: files for name, files in class_names().items() if len(files) > 1}
+    assert set(shared) <= set(SHARED), {n: shared[n] for n in set(shared) - set(SHARED)}
+
+
+if __name__ == "__main__":
+    for name, files in class_names().items():
+        if len(files) > 1:
+            print(name, *files)
