@@ -16,7 +16,8 @@ Each message is one line: what is wrong, where, and what to do about it. The num
 code of the command line. A failed trial is not an exception but data: `estune.trial.Outcome`. A
 tuning without a significant improvement is a result as well, with exit code 7, and one whose
 better gains are not robust, with 8; a diagnosis with a reservation ends with 9, one of data with
-faults to be corrected first with 10.
+faults to be corrected first with 10; a tuning whose limits the records do not show ends with 11,
+one that breaks a limit with 12.
 """
 
 from typing import ClassVar

@@ -10,7 +10,6 @@ import pytest
 import estune
 import plants
 from estune.core.gains import Gains
-from estune.errors import InvalidInput
 from estune.loop_model.optimum import RobustnessLimits
 from estune.run.loop import Stopped
 from estune.trial import TrialRequest
@@ -74,11 +73,6 @@ def test_start_that_breaks_a_limit_is_not_kept_for_being_as_cheap():
     assert result.success
     assert "keep the limits" in result.message
     assert true_sensitivity(plants.reference_reel(0.8), result.gains) <= 1.65
-
-
-def test_limits_are_refused_with_a_tuner_that_keeps_none():
-    with pytest.raises(InvalidInput, match="use model_based"):
-        tune(plants.reference_reel(), tuner="otis", limits=RobustnessLimits(max_overshoot=0.1))
 
 
 def test_interrupted_search_resumes_with_the_proposals_of_an_uninterrupted_one(tmp_path, tuned):

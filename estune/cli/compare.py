@@ -65,7 +65,7 @@ def compare(
         search: The search of each tuner.
         step: The step trial.
         cost: The cost of a trial.
-        limits: Limits of the tuner model_based.
+        limits: Limits by which all results are judged, and which model_based keeps.
     """
     credentials = security_from(security)
     where = folder or comparison.free_folder()

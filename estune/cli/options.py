@@ -18,10 +18,11 @@ class Options:
     """Options of one group, each None where it is not given.
 
     Attributes:
-        written: Names of the numbers that are written as text: in per cent, or "none".
+        written: The numbers that are written as text, in per cent or "none": by name the largest
+            that may be written without a per cent sign, None for any.
     """
 
-    written: ClassVar[frozenset[str]] = frozenset()
+    written: ClassVar[Mapping[str, float | None]] = {}
 
     @property
     def given(self) -> dict[str, Any]:
@@ -32,7 +33,7 @@ class Options:
         """
         values = {name: value for name, value in vars(self).items() if value is not None}
         return {
-            name: share_from(_option(name), value)
+            name: share_from(_option(name), value, self.written[name])
             if name in self.written and value != "none"
             else value
             for name, value in values.items()
@@ -63,7 +64,7 @@ def options_of(
         ]
         made: Any = make_dataclass(kind.__name__, fields, bases=(kind,), frozen=True, kw_only=True)
         made.__doc__, made.__module__ = kind.__doc__, kind.__module__
-        made.written = frozenset(m.name for m in group.members if _is_written(m))
+        made.written = {m.name: m.setting.bare_most for m in group.members if _is_written(m)}
         heading = Group(group.title, sort_key=place)
         derived: type[_Options] = Parameter(name="*", group=heading)(made)
         return derived
@@ -106,7 +107,7 @@ class CostOptions(Options):
 
 @options_of(LIMITS, 3)
 class LimitOptions(Options):
-    """Limits that the tuned gains keep."""
+    """Limits by which the tuned gains are judged, and which model_based keeps."""
 
     @property
     def limits(self) -> RobustnessLimits | None:

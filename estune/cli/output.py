@@ -35,7 +35,7 @@ def console() -> Console:
 def show_result(result: "TuneResult") -> None:
     """Prints how a run ended, its before/after table and its warnings."""
     out = console()
-    style = "bold green" if result.success else "bold yellow"
+    style = "bold green" if result.ending.good else "bold yellow"
     out.print(Text(result.heading(), style=style), soft_wrap=True)
     table = Table(box=None, pad_edge=False, padding=(0, 3, 0, 0))
     table.add_column("", style="dim")

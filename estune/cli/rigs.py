@@ -1,5 +1,6 @@
 """Commands on served rigs: `estune discover`, `apply`, `estop` and `clear`."""
 
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -12,6 +13,7 @@ from estune.core.gains import GAIN_NAMES, Gains
 from estune.errors import InvalidInput, RigError
 from estune.remote import messages, zenoh
 from estune.remote.security import Security
+from estune.run.limit_verdict import LimitState
 from estune.run.robustness import claim_from
 from estune.run.targets import open_target
 from estune.support.quantity_text import with_unit
@@ -50,6 +52,7 @@ def apply(
     /,
     *,
     start: Flag = False,
+    yes: Flag = False,
     backoff: str = "0%",
     rig: str | None = None,
     security: Path | None = None,
@@ -61,6 +64,7 @@ def apply(
         run: The run: its name, or its folder.
         target: Address of the rig, such as tcp/127.0.0.1:7447.
         start: Restore the gains that the run began from.
+        yes: Apply gains that break a limit of the run without a prompt.
         backoff: Share by which P, I and D are lowered, such as 25%, for margin beside the optimum.
         rig: Name of the rig; the rig of the run by default.
         security: Credentials file, if the rig requires authentication.
@@ -75,6 +79,8 @@ def apply(
             f"{result.verdict.message}: the run has no tuned gains yet; finish it with: estune "
             f"resume {result.folder}, or restore the gains it began from with --start"
         )
+    if not (start or yes):
+        _confirm_limits(result)
     gains = result.start_gains if start else backed_off(result.gains, share)
     with open_target(target, rig, security_from(security)) as the_rig:
         before = the_rig.describe()
@@ -92,6 +98,8 @@ def apply(
             f"{after.name} runs {after.gains}, not the requested gains: {gains}; check the rig"
         )
     print(f"{after.name} confirms that these gains are live")
+    if not start and result.limits is not None and result.limits.reason:
+        print(f"{result.ending}: {result.limits.reason}")
     if share:
         print(_backed_off_sentence(result, gains, share))
     if not start and not result.success:
@@ -139,6 +147,24 @@ def clear(endpoint: str, /, *, rig: str | None = None, security: Path | None = N
     with zenoh.connect(endpoint, rig=rig, security=security_from(security)) as the_rig:
         the_rig.clear()
         print(f"{the_rig.name} is cleared: {the_rig.status().mode.sentence}")
+
+
+def _confirm_limits(result: "TuneResult") -> None:
+    """Asks before gains go live that break a limit of their run.
+
+    Raises:
+        InvalidInput: they do, and the answer is no or nobody can be asked.
+    """
+    if result.limits is None or result.limits.state is not LimitState.BROKEN:
+        return
+    if sys.stdin.isatty():
+        answer = input(f"{result.limits.reason}; apply these gains all the same? yes or no: ")
+        if answer.strip().lower() in ("y", "yes"):
+            return
+    raise InvalidInput(
+        f"{result.limits.reason}: nothing was applied; tune with --tuner model_based, which keeps "
+        "the limits, or apply them all the same with --yes"
+    )
 
 
 def _backed_off_sentence(result: "TuneResult", gains: Gains, share: float) -> str:

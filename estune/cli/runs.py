@@ -196,6 +196,10 @@ def result_facts(result: "TuneResult", *, trials: bool = False) -> dict[str, Any
     """The JSON form of a result."""
     names = ("ending", "success", "message", "folder", "gains", "start_gains", "improvement")
     shown = {name: output.plain(getattr(result, name)) for name in (*names, "unsafe", "findings")}
+    shown["limits"] = {
+        "asked": output.plain(result.plan.limits),
+        **({} if result.limits is None else output.plain(result.limits)),
+    }
     shown |= {"declined": result.verdict.declined, "search_end": result.session.search_end}
     for name in ("start", "tuned"):
         performance = output.plain(getattr(result, name))

@@ -32,7 +32,6 @@ from estune.cli.values import (
 )
 from estune.core.gains import GAIN_NAMES
 from estune.errors import InvalidInput
-from estune.run.ending import RunEnding
 from estune.run.journal import Journal
 from estune.run.planning import known_start, suited_step
 from estune.run.start import KnownStart
@@ -73,8 +72,9 @@ def tune(
 ) -> int:
     """Tune a rig by step trials.
 
-    Exits with code 0 if the improvement is statistically significant, with 7 if it is not, and
-    with 8 if the better gains are not robust.
+    Exits with code 0 if the improvement is statistically significant and the limits are shown to
+    be kept, with 11 if they are not shown, with 12 if one is broken, with 7 without a significant
+    improvement, and with 8 if the better gains are not robust.
 
     Args:
         target: The rig: an endpoint such as tcp/127.0.0.1:7447, a model file such as reel.toml,
@@ -101,7 +101,7 @@ def tune(
         search: The search.
         step: The step trial.
         cost: The cost of a trial.
-        limits: Limits that the tuned gains keep.
+        limits: Limits by which the tuned gains are judged, and which model_based keeps.
     """
     check_folder_exists("--report", report)
     credentials = security_from(security)
@@ -201,8 +201,7 @@ def finish(
         facts["report"] = result.report(report)
     elif result.folder is not None:
         facts["report"] = f"estune report {result.folder}"
-    found = result.ending is RunEnding.TUNED
-    if (found or result.plan.start_source) and is_endpoint(target):
+    if (result.ending.is_tuned or result.plan.start_source) and is_endpoint(target):
         facts["make live"] = command_line("apply", result.folder, target, security=security)
     facts["trials"] = f"estune export {result.folder} --csv"
     output.show_next({**facts, **(more or {})})

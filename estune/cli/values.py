@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
+from estune.core.setting import share
 from estune.errors import InvalidInput
 from estune.tuners import TUNERS, tuner_class
 
@@ -91,14 +92,17 @@ def numbers_from(texts: Iterable[str]) -> dict[str, float]:
     return {name: _number(name, value) for name, value in map(_split, texts)}
 
 
-def share_from(name: str, text: str) -> float:
+def share_from(name: str, text: str, bare_most: float | None = None) -> float:
     """A share written as a number or in per cent: 0.01 or 1%.
 
     Raises:
-        InvalidInput: it is neither.
+        InvalidInput: it is neither, or a number above `bare_most` without a per cent sign.
     """
-    bare = text.removesuffix("%").strip()
-    return _number(name, bare) * (1.0 if bare == text.strip() else 0.01)
+    _number(name, text.strip().removesuffix("%"))
+    try:
+        return share(text, bare_most)
+    except ValueError as error:
+        raise InvalidInput(f"{name}: {error}") from None
 
 
 def ranges_from(texts: Iterable[str]) -> dict[str, tuple[float, float]]:

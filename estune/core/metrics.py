@@ -24,6 +24,11 @@ or one sample in a hundred would decide. The limit is 5 % of the step, the wides
 use, so that a loop that oscillates before the step does not count as settled."""
 
 
+SMOOTHED, PEAK_DEGREE, FEWEST_OF_PEAK = 5, 4, 8
+"""Samples of a mean, degree of the polynomial through a peak and the fewest samples it needs. With
+noise of 0.4 % of the step it is at most 0.2 % too high on average, the largest sample 0.7 %."""
+
+
 class StepMetrics(NamedTuple):
     """Metrics of one step response; NaN where undefined.
 
@@ -32,8 +37,8 @@ class StepMetrics(NamedTuple):
         settling_time_s: From the step until the response stays in the band, s; NaN if it leaves
             it in the last tenth of the samples. Noise before the step widens the band, to 5 % at
             most.
-        overshoot: Largest sample past the final value, noise included, as a fraction of the step;
-            zero if none is.
+        overshoot: Peak past the final value without its noise, as a fraction of the step; zero
+            if there is none.
         steady_state_error: Final value less the mean over the last tenth of the samples after the
             step, in the unit of the measurement.
     """
@@ -88,7 +93,7 @@ def step_metrics(
         return StepMetrics(
             rise_time_s=_rise_time(t, z),
             settling_time_s=_settling_time(t, z, max(band, noise_band)) - step_time_s,
-            overshoot=max(0.0, float(z.max()) - 1.0),
+            overshoot=max(0.0, _peak(z, _deviation(before)) - 1.0),
             steady_state_error=float(final - tail.sum() / len(tail)),
         )
 
@@ -132,6 +137,32 @@ def load_metrics(
     t, z = time_s[load:], shares[load:]
     recovered_s = _settling_time(t, z, max(band, noise_band)) - float(t[0])
     return LoadMetrics(float(np.abs(measurement[load:] - final).max()), recovered_s)
+
+
+def _peak(z: FloatArray, noise: float) -> float:
+    """Largest value of a response without its noise, whose standard deviation is given.
+
+    A polynomial through the samples of the upper half of the peak; the largest sample where these
+    are few, and where the noise explains the peak the largest mean of `SMOOTHED` samples.
+    """
+    largest = float(z.max())
+    if len(z) < SMOOTHED or largest <= 1.0 or noise == 0.0:
+        return largest
+    sums = np.concatenate([[0.0], np.cumsum(z)])
+    means = (sums[SMOOTHED:] - sums[:-SMOOTHED]) / SMOOTHED
+    at, top = int(means.argmax()), float(means.max())
+    if largest - 1.0 < NOISE_SIGMAS * noise:
+        return top
+    low = means <= 1.0 + 0.5 * (top - 1.0)
+    after = int(low[at:].argmax()) if low[at:].any() else len(low) - at
+    before = int(low[at::-1].argmax()) if low[: at + 1].any() else at + 1
+    peak = z[max(at - before + 1, 0) + SMOOTHED // 2 : at + after + SMOOTHED // 2]
+    if len(peak) < FEWEST_OF_PEAK:
+        return largest
+    place = np.linspace(-1.0, 1.0, len(peak))
+    powers = np.vander(place, PEAK_DEGREE + 1)
+    basis, _ = np.linalg.qr(powers)
+    return float((basis @ (basis.T @ peak)).max())
 
 
 def _deviation(values: FloatArray) -> float:

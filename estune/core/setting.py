@@ -93,9 +93,10 @@ class Setting:
         otherwise: What holds where it is not given, if that is not the default of the field.
         share: Whether it is a share, which may be written in per cent.
         none: What the word "none" means where it may be written; empty where it may not.
+        bare_most: Largest share that may be written without a per cent sign; None is any.
     """
 
-    __slots__ = ("bounds", "help", "none", "otherwise", "share", "unit")
+    __slots__ = ("bare_most", "bounds", "help", "none", "otherwise", "share", "unit")
 
     def __init__(
         self,
@@ -105,6 +106,7 @@ class Setting:
         otherwise: str = "",
         share: bool = False,
         none: str = "",
+        bare_most: float | None = None,
         above: float | None = None,
         least: float | None = None,
         below: float | None = None,
@@ -117,6 +119,7 @@ class Setting:
         self.otherwise = otherwise
         self.share = share
         self.none = none
+        self.bare_most = bare_most
         self.bounds = Bounds(above, least, below, most, not_zero, infinite)
 
 
@@ -283,15 +286,25 @@ def keywords(
     return decorate
 
 
-def share(value: float | str) -> float:
+def share(value: float | str, bare_most: float | None = None) -> float:
     """A share, given as a number or as text in per cent.
 
+    Args:
+        value: The number or text.
+        bare_most: Largest number that is taken without a per cent sign.
+
     Raises:
-        ValueError: it is neither.
+        ValueError: it is neither, or a number that is likely to be meant in per cent.
     """
     if isinstance(value, str) and value.strip().endswith("%"):
         return 0.01 * float(value.strip().removesuffix("%"))
-    return float(value)
+    number = float(value)
+    if bare_most is not None and number > bare_most:
+        raise ValueError(
+            f'{number:g} is {number:.0%}; did you mean {number:g}%? Write "{number:g}%", or '
+            f'"{100.0 * number:g}%"'
+        )
+    return number
 
 
 def _with_section(doc: str, title: str, meanings: Mapping[str, str]) -> str:

@@ -5,7 +5,7 @@ import math
 from typing import NamedTuple
 
 from estune import api
-from estune.core.comparison import compare_costs
+from estune.core.comparison import Change, compare_costs
 from estune.core.control_chart import ChartState
 from estune.core.gains import Gains
 from estune.daemon.config import RigTable, plan_settings
@@ -13,6 +13,7 @@ from estune.daemon.store import RUNS, DaemonStore, now
 from estune.errors import EstuneError, RigError
 from estune.run import loop
 from estune.run.journal import FILE_NAME, Journal
+from estune.run.limit_verdict import LimitState
 from estune.run.loop import TuningRun
 from estune.run.planning import (
     description_from_json,
@@ -22,7 +23,7 @@ from estune.run.planning import (
     plan_to_json,
 )
 from estune.run.results.summary import summarise
-from estune.run.robustness import verdict_on
+from estune.run.robustness import Verdict, verdict_on
 from estune.trial import RigDescription
 
 _log = logging.getLogger(__name__)
@@ -112,18 +113,27 @@ class TuningRuns:
             return RunDecision(None, summarise(session).message, start_chart, None)
         change = compare_costs(start, best, settings.confidence)
         start_chart = chart(start, best)
-        verdict = verdict_on(run, change)
+        better, sentence = self._judged(verdict_on(run, change), change)
+        if not better:
+            return RunDecision(None, sentence, start_chart, None)
+        return RunDecision(repeats.gains[1], sentence, start_chart, chart(best, start))
+
+    def _judged(self, verdict: Verdict, change: Change) -> tuple[bool, str]:
+        """Whether confirmed gains may be used, and why or why not."""
+        limits = verdict.limits
         if verdict.fault:
-            return RunDecision(
-                None, f"not robust: {verdict.fault}; cost {change}", start_chart, None
-            )
+            return False, f"not robust: {verdict.fault}; cost {change}"
+        if limits.state is LimitState.BROKEN:
+            return False, f"{limits.reason}; cost {change}"
         if verdict.broken:
-            sentence = f"within the limits; the initial gains have {verdict.broken}: cost {change}"
-            return RunDecision(repeats.gains[1], sentence, start_chart, chart(best, start))
-        if change.high < -settings.improvement_min:
-            sentence = f"better than the initial gains: cost {change}"
-            return RunDecision(repeats.gains[1], sentence, start_chart, chart(best, start))
-        return RunDecision(None, f"no significant improvement: cost {change}", start_chart, None)
+            return (
+                True,
+                f"within the limits; the initial gains have {verdict.broken}: cost {change}",
+            )
+        if not change.high < -self._settings.tuning.improvement_min:
+            return False, f"no significant improvement: cost {change}"
+        said = f"better than the initial gains: cost {change}"
+        return True, f"{said}; limits not shown: {limits.reason}" if limits.reason else said
 
     def _start(self, rig: RigDescription) -> TuningRun:
         count = int(self._store.fact("runs") or 0) + 1

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from typing import Annotated, NamedTuple
 
 import numpy as np
@@ -44,6 +44,7 @@ class RobustnessLimits:
             "Largest overshoot, as a share of the step",
             share=True,
             none=_NONE,
+            bare_most=0.3,  # 1 is more likely 1 % than an overshoot of the size of the step
             above=0.0,
             most=1.0,
         ),
@@ -55,16 +56,6 @@ class RobustnessLimits:
 
     def __post_init__(self) -> None:
         check_settings(self)
-
-    @property
-    def asked(self) -> bool:
-        """Whether there is a limit other than the usual ones."""
-        usual = RobustnessLimits()
-        return any(
-            limit not in (None, getattr(usual, field.name))
-            for field in fields(self)
-            for limit in [getattr(self, field.name)]
-        )
 
     def excess(self, p: Prediction) -> FloatArray:
         """By how much a prediction exceeds each limit, shape (3,).

@@ -79,11 +79,6 @@ def make_plan(
     if isinstance(made, RecordUsingTuner):
         made = made.for_trial(trial, limits)
         limits = made.limits
-    elif limits is not None and limits.asked:
-        raise InvalidInput(
-            f"tuner {made.name} keeps no limits of sensitivity, overshoot or phase margin; use "
-            "model_based, or leave the limits out"
-        )
     plan = Plan(
         run=run,
         tuner=made,

@@ -17,6 +17,7 @@ from estune.loop_model.identification import LoopFit, LoopRecord
 from estune.loop_model.limit_price import LimitPrice, price_of
 from estune.loop_model.optimum import RobustnessLimits
 from estune.loop_model.prediction import PredictedMargins
+from estune.run.limit_verdict import LimitVerdict, limit_verdict
 from estune.run.loop import TuningRun
 from estune.run.plan import Plan
 from estune.run.planning import step_trial
@@ -126,11 +127,13 @@ class Verdict(NamedTuple):
         broken: Limits that the initial gains break and the confirmed ones keep, in words; empty
             where there are none.
         loop: The identified loop; None where nothing was judged.
+        limits: Whether the confirmed gains keep the limits.
     """
 
     fault: str = ""
     broken: str = ""
     loop: IdentifiedLoop | None = None
+    limits: LimitVerdict = LimitVerdict()
 
 
 def verdict_on(run: TuningRun, change: Change | None) -> Verdict:
@@ -151,7 +154,8 @@ def verdict_on(run: TuningRun, change: Change | None) -> Verdict:
         broken = plan.limits.broken_by(start.margins) if start.margins else ""
     if not (change.is_decrease or broken):
         return Verdict(loop=loop)
-    return Verdict(not_robust(run.recent_records, plan, claimed, gains, rig), broken, loop)
+    fault = not_robust(run.recent_records, plan, claimed, gains, rig)
+    return Verdict(fault, broken, loop, limit_verdict(plan, claimed, gains, run.recent_records))
 
 
 def not_robust(

@@ -251,9 +251,9 @@ def _after_search(session: Session, observation: Observation) -> dict[str, Any]:
         end = f"the search ended after {censored} consecutive unsafe or declined trials"
     elif convergence is not None and changed["consecutive_settled"] >= plan.settled_trials:
         end = (
-            f"the search ended after {changed['search_trials']} of {plan.trials} trials: the "
-            f"remaining improvement is at most {convergence.remaining_improvement:.1%}, below the "
-            f"tolerance of {100.0 * plan.tolerance:.3g}%"
+            "the search ended: the remaining improvement is at most "
+            f"{convergence.remaining_improvement:.1%}, below the tolerance of "
+            f"{100.0 * plan.tolerance:.3g}%"
         )
     elif changed["search_trials"] >= plan.trials:
         end = f"the search used its {plan.trials} trial{'s' if plan.trials > 1 else ''}"

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import MISSING
+from functools import partial
 from typing import Annotated, Any, Literal, TypeVar
 
 from pydantic import AfterValidator, BeforeValidator, Field, create_model
@@ -70,12 +71,14 @@ def _checked(member: Declared) -> Any:
         if bounds.not_zero:
             kind = Annotated[kind, AfterValidator(_not_zero)]
     if member.setting.share:
-        kind = Annotated[kind, BeforeValidator(_from_per_cent)]
+        from_share = partial(_share, bare_most=member.setting.bare_most)
+        kind = Annotated[kind, BeforeValidator(from_share)]
     return kind | Literal["none"] if member.setting.none else kind
 
 
-def _from_per_cent(value: Any) -> Any:
-    return share(value) if isinstance(value, str) and value.endswith("%") else value
+def _share(value: Any, *, bare_most: float | None) -> Any:
+    is_number = isinstance(value, int | float) or (isinstance(value, str) and value.endswith("%"))
+    return share(value, bare_most) if is_number else value
 
 
 def _not_zero(value: float) -> float:

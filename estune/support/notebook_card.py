@@ -14,7 +14,7 @@ Rows = Iterable[Sequence[str]]
 def card(
     heading: str,
     *,
-    good: bool,
+    good: bool | None,
     tables: Iterable[Rows] = (),
     sentences: Iterable[str] = (),
     figure: "Figure | None" = None,
@@ -22,22 +22,25 @@ def card(
     """A result as HTML that is legible on light and dark pages.
 
     Args:
-        heading: The result in one line, marked green or red.
-        good: Whether it is green.
+        heading: The result in one line, marked green, red or orange.
+        good: Green if true, red if false, orange if None.
         tables: Tables below it.
         sentences: Sentences below the tables.
         figure: A figure at the end, on white.
     """
-    from estune.support.plot_style import GREEN, VERMILION, to_svg  # noqa: PLC0415  slow to import
+    from estune.support import plot_style  # noqa: PLC0415  slow to import
 
-    colour = GREEN if good else VERMILION
+    colours = {True: plot_style.GREEN, False: plot_style.VERMILION, None: plot_style.ORANGE}
+    colour = colours[good]
     parts = [
         f'<p style="border-left:4px solid {colour};padding-left:8px"><b>{escape(heading)}</b></p>',
         *map(_table, tables),
         *(f"<p>{escape(sentence)}</p>" for sentence in sentences),
     ]
     if figure is not None:
-        parts.append(f'<div style="background:#fff;width:fit-content">{to_svg(figure)}</div>')
+        parts.append(
+            f'<div style="background:#fff;width:fit-content">{plot_style.to_svg(figure)}</div>'
+        )
     return f"<div>{''.join(parts)}</div>"
 
 

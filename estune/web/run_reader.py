@@ -269,14 +269,21 @@ class RunReader(Reader):
         try:
             result = api.load(self._folder)
         except EstuneError as error:  # its trials can be shown all the same
-            shown = {"heading": str(error), "good": False, "rows": [], "remarks": []}
+            shown = {
+                "heading": str(error),
+                "good": False,
+                "tuned": False,
+                "rows": [],
+                "remarks": [],
+            }
             self.board.put("result", shown)
             return
         self.board.put(
             "result",
             {
                 "heading": result.heading(),
-                "good": result.success,
+                "good": result.ending.good,
+                "tuned": result.success,
                 "rows": [list(row) for row in result.rows()],
                 "remarks": list(result.remarks()),
             },

@@ -9,8 +9,7 @@ import numpy as np
 
 from estune.core.cost import StepCost
 from estune.core.gains import GAIN_NAMES
-from estune.loop_model.optimum import SENSITIVITY_MAX
-from estune.run.ending import RunEnding
+from estune.loop_model.optimum import SENSITIVITY_MAX, RobustnessLimits
 from estune.run.results import figures
 from estune.run.results.frequency_figures import (
     Loop,
@@ -45,10 +44,9 @@ _FAR = 1e4
 
 def page(result: RunResult) -> Page:
     """The page of a tuning, finished or not."""
-    good = {RunEnding.TUNED: True, RunEnding.UNSAFE_START: False}.get(result.ending)
     return Page(
         f"Tuning of {result.rig.name}",
-        Status(_recommendation(result), good=good),
+        Status(_recommendation(result), good=result.ending.good),
         (
             *(() if result.success else (Paragraph(result.remarks()[0], style="lead"),)),
             _before_and_after(result),
@@ -68,7 +66,10 @@ def _recommendation(result: RunResult) -> str:
     gains = result.rig.gains_text(result.gains)
     if result.success:
         cost = f"{result.verdict.start_cost:.3g} to {result.verdict.cost:.3g}"
-        return f"Use {gains}: the cost falls from {cost}, {result.improvement}."
+        fall = f"the cost falls from {cost}, {result.improvement}"
+        if result.limits is None or not result.limits.reason:
+            return f"Use {gains}: {fall}."
+        return f"{result.ending.capitalize()}: {result.limits.reason}. With {gains} {fall}."
     return f"{result.ending.capitalize()}: keep {gains}."
 
 
@@ -227,7 +228,8 @@ def _settings(result: RunResult) -> dict[str, str]:
         f"{time_text(step.duration_s)}",
         "cost": ", ".join(_cost(plan.cost)),
         "unsafe above": f"η = {result.session.eta_max:.3g}",
-        "trials": f"{len(result.entries)} of at most {plan.max_trials}; {plan.repeats} repeats",
+        "trials": result.trials_text,
+        "limits": _limits_asked(plan.limits),
         "ends below": f"{plan.tolerance:.3g} remaining improvement",
         "tuner": _tuner(plan.tuner),
         "rig": ", ".join(
@@ -242,6 +244,19 @@ def _settings(result: RunResult) -> dict[str, str]:
     }
     first = result.first_record
     return rows if first is None else {**rows, "began": first.started_at}
+
+
+def _limits_asked(limits: RobustnessLimits | None) -> str:
+    """The limits by which the gains are judged."""
+    if limits is None:
+        return "none"
+    shown = (
+        (limits.max_sensitivity, "Ms up to {:g}"),
+        (limits.max_overshoot, "overshoot up to {:.3%}"),
+        (limits.min_phase_margin_deg, "phase margin from {:g}°"),
+    )
+    texts = [form.format(value) for value, form in shown if value is not None]
+    return ", ".join(texts).replace(".000%", " %") or "none"
 
 
 def _cost(cost: StepCost) -> Iterator[str]:

@@ -84,7 +84,7 @@ class TuneResult(RunResult):
         where = (f"run: {self.folder}",) if self.folder else ()
         return card(
             self.heading(),
-            good=self.success,
+            good=self.ending.good,
             tables=[rows],
             sentences=(*self.remarks(), *where),
             figure=self.figure(),
@@ -108,7 +108,7 @@ def from_tuning(tuning: TuningRun) -> TuneResult:
         ending = RunEnding.STOPPED
     else:
         worse = RunEnding.NOT_ROBUST if verdict.fault else RunEnding.NO_IMPROVEMENT
-        ending = RunEnding.TUNED if summary.improved else worse
+        ending = verdict.limits.ending if summary.improved else worse
     result = TuneResult(
         x=np.array(summary.gains.as_tuple()),
         fun=summary.cost,
@@ -121,6 +121,7 @@ def from_tuning(tuning: TuningRun) -> TuneResult:
         gains=summary.gains,
         start_gains=plan.start,
         verdict=summary,
+        limits=verdict.limits if summary.improved else None,
         entries=tuple(tuning.entries),
         folder=tuning.journal.folder if tuning.journal else None,
         plan=plan,

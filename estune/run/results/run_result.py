@@ -2,7 +2,9 @@
 
 import itertools
 import math
+from collections import Counter
 from collections.abc import Iterator
+from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
@@ -16,6 +18,7 @@ from estune.errors import JournalError
 from estune.loop_model.claim import MISFIT_MAX, Claim, unexplained
 from estune.run.ending import RunEnding
 from estune.run.journal import Journal, JournalEntry
+from estune.run.limit_verdict import LimitVerdict, measured_overshoot
 from estune.run.plan import Plan
 from estune.run.results import result_warnings
 from estune.run.results.summary import Performance, RunSummary
@@ -26,7 +29,7 @@ from estune.run.robustness import (
     limit_price,
     robustness_cells,
 )
-from estune.run.session import Session, is_safe
+from estune.run.session import Phase, Session, is_safe
 from estune.run.start import left_out
 from estune.run.trial_quality import quality_remarks
 from estune.trial import Outcome, RigDescription, TrialRecord
@@ -35,11 +38,6 @@ from estune.trial.scoring import constraint_margin
 if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.axes import Axes
-
-
-OVERSHOOT_ALLOWED = 0.02
-"""Overshoot beyond its limit that is not told, as a share of the step. On the emulated reel noise
-and scatter add up to 0.9 % to that of a record."""
 
 
 class ResultRow(NamedTuple):
@@ -59,12 +57,14 @@ class RunResult(OptimizeResult):  # type: ignore[misc]  # scipy ships no type in
         nit: Number of search trials.
         nfev: Number of all trials, void ones too.
         success: Whether the improvement is statistically significant.
-        status: 0 tuned, 1 no significant improvement, 2 stopped, 3 unsafe start, 4 not robust.
+        status: 0 tuned, 1 no significant improvement, 2 stopped, 3 unsafe start, 4 not robust, 5
+            tuned but limits not shown, 6 tuned but a limit is broken.
         message: How the run ended, in a sentence.
         ending: How the run ended.
         gains: The gains to use; the initial ones without a significant improvement.
         start_gains: Initial gains.
         verdict: Summary of the run.
+        limits: Whether the tuned gains keep the limits of the run; None without tuned gains.
         entries: Every completed trial, void ones too.
         folder: The run on disk, or None.
         plan: Plan of the run.
@@ -89,6 +89,7 @@ class RunResult(OptimizeResult):  # type: ignore[misc]  # scipy ships no type in
     gains: Gains
     start_gains: Gains
     verdict: RunSummary
+    limits: LimitVerdict | None
     entries: tuple[JournalEntry, ...]
     folder: Path | None
     plan: Plan
@@ -115,9 +116,10 @@ class RunResult(OptimizeResult):  # type: ignore[misc]  # scipy ships no type in
         """Performance of the start gains."""
         summary = self.verdict
         cost = summary.start_cost, summary.start_cost_error
-        return Performance.on(
+        performance = Performance.on(
             self.rig, self.plan.step, self.start_gains, cost, record=self.first_record
         )
+        return self._with_mean_overshoot(performance)
 
     @cached_property
     def tuned(self) -> Performance | None:
@@ -125,11 +127,19 @@ class RunResult(OptimizeResult):  # type: ignore[misc]  # scipy ships no type in
         if not self.success:
             return None
         summary = self.verdict
-        return Performance.on(
+        performance = Performance.on(
             *(self.rig, self.plan.step, self.gains, (summary.cost, summary.cost_error)),
             record=self.tuned_record,
             intervals=summary.intervals,
         )
+        return self._with_mean_overshoot(performance)
+
+    def _with_mean_overshoot(self, performance: Performance) -> Performance:
+        """The performance with the overshoot of all records with its gains, as limits judge it."""
+        mean = measured_overshoot(self.plan, performance.gains, self.recent_records)
+        if mean is None or performance.metrics is None:
+            return performance
+        return replace(performance, metrics=performance.metrics._replace(overshoot=mean.value))
 
     @cached_property
     def findings(self) -> tuple[result_warnings.ResultWarning, ...]:
@@ -166,20 +176,32 @@ class RunResult(OptimizeResult):  # type: ignore[misc]  # scipy ships no type in
 
     @property
     def _limited(self) -> bool:
-        """Whether the search kept a limit of the sensitivity where it could."""
+        """Whether a limit of the sensitivity judges the result."""
         limits = self.plan.limits
-        return self.plan.uses_records and limits is not None and bool(limits.max_sensitivity)
+        return limits is not None and bool(limits.max_sensitivity)
+
+    @property
+    def trials_text(self) -> str:
+        """The number of trials, and how many of each phase and void ones it is made of."""
+        void = sum(1 for e in self.entries if e.outcome is None or e.outcome.is_void)
+        counts = Counter(e.phase for e in self.entries if e.outcome and not e.outcome.is_void)
+        repeats = counts[Phase.CHOOSE] + counts[Phase.CONFIRM]
+        parts = [(counts[Phase.BASELINE], "initial"), (counts[Phase.SEARCH], "search")]
+        parts += [(repeats, "repeats"), (void, "void")]
+        listed = ", ".join(f"{count} {what}" for count, what in parts if count)
+        total = len(self.entries)
+        return f"{total} trial{'' if total == 1 else 's'}{f' ({listed})' if listed else ''}"
 
     def heading(self) -> str:
         """The run in one line, its ending first."""
-        if self.ending is RunEnding.TUNED:
+        if self.ending.is_tuned:
             start, cost = self.verdict.start_cost, self.verdict.cost
             change = f"cost {start:.3g} → {cost:.3g}, {self.improvement}, {_robustness(self)}"
         elif self.improvement is not None:
             change = f"cost {self.improvement}, keep the initial gains"
         else:
             change = "keep the initial gains"
-        return f"{self.ending.upper()}: {self.rig.name}, {len(self.entries)} trials, {change}"
+        return f"{self.ending.upper()}: {self.rig.name}, {self.trials_text}, {change}"
 
     def rows(self) -> tuple[ResultRow, ...]:
         """The before/after table as text; the last column is empty without an improvement."""
@@ -289,34 +311,24 @@ def _start_remarks(result: RunResult) -> Iterator[str]:
 
 
 def _robustness(result: RunResult) -> str:
-    """The claims about the tuned gains, in a few words."""
-    margins = result.claim.margins
-    if margins is None:
-        return "no margins claimed"
-    return f"Ms {margins.sensitivity.value:.2f}"
+    """The claims about the tuned gains in a few words, and what stands against their limits."""
+    margins, limits = result.claim.margins, result.limits
+    if limits is not None and limits.reason:
+        return limits.reason
+    return "no margins claimed" if margins is None else f"Ms {margins.sensitivity.value:.2f}"
 
 
 def _robustness_remarks(result: RunResult) -> tuple[str, ...]:
     """Properties that the records do not show, and the cost of the limits."""
-    loop, limits, tuned = result.identified, result.plan.limits, result.tuned
+    loop, tuned = result.identified, result.tuned
     remarks = [*loop.remarks]
     reason = result.claim.reason
     if result.ending is RunEnding.NOT_ROBUST:  # few trials were near the initial gains
         beyond = loop.fit is not None and loop.fit.misfit > MISFIT_MAX
         reason = unexplained(loop.fit.misfit) if loop.fit and beyond else ""
-    if reason:
+    told = result.limits is not None and reason in result.limits.reason
+    if reason and not told:
         remarks.append(f"no sensitivity is claimed from the records: {reason}")
-    kept = None if limits is None else limits.max_overshoot
-    measured = math.nan
-    if result.claim.margins is not None:
-        measured = result.claim.margins.overshoot.value
-    elif tuned is not None and tuned.metrics is not None:
-        measured = tuned.metrics.overshoot
-    if tuned is not None and kept is not None and measured > kept + OVERSHOOT_ALLOWED:
-        whose = (
-            "" if result.plan.uses_records else f", which {result.plan.tuner.name} does not keep"
-        )
-        remarks.append(f"the overshoot of {measured:.1%} exceeds the limit of {kept:.1%}{whose}")
     price = limit_price(loop, result.claim, result.plan, result.rig, result.gains)
     if tuned is not None and price is not None:
         remarks.append(price.sentence)

@@ -11,6 +11,7 @@ from estune import api
 from estune.core.gains import GAIN_NAMES
 from estune.errors import InvalidInput
 from estune.loop_model.optimum import RobustnessLimits
+from estune.run.ending import RunEnding
 from estune.run.journal import FILE_NAME
 from estune.run.loop import ProgressListener
 from estune.run.plan import TOLERANCE, TRIALS
@@ -29,7 +30,7 @@ COMPARISONS = "comparisons"
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Comparison:
-    """Results by tuner, in the order in which they were run."""
+    """Results by tuner, the best that may be used first."""
 
     results: Mapping[str, TuneResult]
     folder: Path
@@ -52,6 +53,7 @@ class Comparison:
             name: {
                 **_row(name, result),
                 "message": result.message,
+                "limits": "" if result.limits is None else result.limits.reason,
                 "costs": searched(result)["cost"].tolist(),
                 "best_costs": searched(result)["best_cost"].tolist(),
             }
@@ -80,7 +82,7 @@ def compare(
         tuners: Names of tuners.
         trials: Greatest number of search trials of each.
         tolerance: As in `estune.tune`; zero makes each use all its trials.
-        limits: Limits of sensitivity and overshoot, for tuners that keep them.
+        limits: Limits of sensitivity and overshoot, by which all results are judged.
         folder: Folder of the comparison, in which a run that was interrupted continues;
             `comparisons/TIME` by default.
         watch: As in `estune.tune`.
@@ -99,19 +101,26 @@ def compare(
     """
     if len(tuners) < 2 or len(set(tuners)) < len(tuners):
         raise InvalidInput(f"tuners are {', '.join(tuners)}; name at least two, each once")
-    kinds = {name: tuner_class(name) for name in tuners}
+    for name in tuners:
+        tuner_class(name)
     where = Path(folder) if folder else free_folder()
     results: dict[str, TuneResult] = {}
-    for name, kind in kinds.items():
+    for name in tuners:
         run = name.replace(":", "-").replace(".", "-")
         if (where / run / FILE_NAME).is_file():
             again = {key: how[key] for key in ("security", "patience_s", "ask") if key in how}
             results[name] = api.resume(where / run, target, watch=watch, **again)
             continue
-        kept = limits if hasattr(kind, "for_trial") else None
-        chosen = {"trials": trials, "tolerance": tolerance, "limits": kept, **how}
+        chosen = {"trials": trials, "tolerance": tolerance, "limits": limits, **how}
         results[name] = api.tune(target, tuner=name, run=run, folder=where, watch=watch, **chosen)
-    return Comparison(results, where)
+    return Comparison(dict(sorted(results.items(), key=lambda item: _rank(item[1]))), where)
+
+
+def _rank(result: TuneResult) -> tuple[int, float]:
+    """Place of a result: by what may be used, then by the cost."""
+    usable = (RunEnding.TUNED, RunEnding.LIMITS_NOT_SHOWN, RunEnding.LIMIT_BROKEN)
+    place = usable.index(result.ending) if result.ending in usable else len(usable)
+    return place, result.fun if math.isfinite(result.fun) else math.inf
 
 
 def free_folder() -> Path:

@@ -60,9 +60,10 @@ def page(comparison: Comparison) -> Page:
         f"Each tuner began at {rig.gains_text(first.start_gains)} and had at most "
         f"{first.plan.trials} search trials of a step from {rig.step_text(step)}, with the same "
         f"cost for a settling time of {time_text(cost.settling_time_s)}. The tuners ran one after "
-        "the other. The cost is from repeats after the search, interleaved with the start. Only "
-        "model_based keeps limits of sensitivity and overshoot, which cost some of the "
-        "improvement; Ms is given where the records allow it to be claimed."
+        "the other. The cost is from repeats after the search, interleaved with the start. "
+        "Results within the limits of sensitivity and overshoot come first, then those whose "
+        "limits are not shown, then those that break one, each by cost; only model_based keeps "
+        "limits while it searches. Ms is given where the records allow it to be claimed."
     )
     rows, heads = [_cells(row) for row in table_rows(results)], columns(rig)
     return Page(
@@ -79,15 +80,16 @@ def page(comparison: Comparison) -> Page:
 
 
 def _headline(results: Mapping[str, TuneResult]) -> str:
-    """The tuner of the lowest cost, and that of the fewest trials to within 5 % of it."""
-    best = min(results, key=lambda name: results[name].fun)
-    least = results[best].fun
+    """The best result that may be used, and the tuner that came near its cost first."""
+    best = next(iter(results))
+    ending, least = results[best].ending, results[best].fun
     needed = {}
     for name, result in results.items():
         near = (searched(result)["best_cost"] <= WITHIN * least).to_numpy()
         if near.any():
             needed[name] = int(near.argmax()) + 1
-    told = f"{best} reached the lowest confirmed cost, {least:.3g}"
+    within = " within the limits" if ending is RunEnding.TUNED else f" ({ending})"
+    told = f"{best} reached the lowest confirmed cost{within}, {least:.3g}"
     if not needed:
         return told
     soonest = min(needed, key=lambda name: needed[name])
@@ -113,7 +115,7 @@ def _row(name: str, result: TuneResult) -> tuple[str, ...]:
 
 
 def _cells(row: tuple[str, ...]) -> tuple[Cell, ...]:
-    return (*row[:-1], Status(row[-1], good=True if row[-1] == RunEnding.TUNED else None))
+    return (*row[:-1], Status(row[-1], good=RunEnding(row[-1]).good))
 
 
 def cost_figure(results: Mapping[str, TuneResult]) -> Figure:

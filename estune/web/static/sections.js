@@ -172,11 +172,11 @@ export class Sections {
   }
 
   drawResult() {
-    const { heading, good, rows, remarks } = this.values.result;
+    const { heading, good, tuned, rows, remarks } = this.values.result;
     $("decision").hidden = false;
     $("heading").textContent = heading;
-    $("heading").className = `lead ${good ? "yes" : ""}`;
-    const heads = ["", "initial gains", ...(good ? ["tuned gains"] : [])];
+    $("heading").className = `lead ${good ? "yes" : good === false ? "no" : ""}`;
+    const heads = ["", "initial gains", ...(tuned ? ["tuned gains"] : [])];
     const line = (tag, cells) => {
       const tr = document.createElement("tr");
       tr.append(...cells.map((text, n) => {

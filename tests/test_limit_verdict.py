@@ -1,0 +1,102 @@
+"""The limits of a run judge its result, whichever tuner found it."""
+
+import math
+
+import pytest
+
+import estune
+import plants
+from estune.api import tune
+from estune.cli import app
+from estune.core.gains import Gains
+from estune.errors import InvalidInput
+from estune.loop_model.claim import Claim
+from estune.loop_model.optimum import RobustnessLimits
+from estune.loop_model.prediction import Interval, PredictedMargins
+from estune.run.ending import RunEnding
+from estune.run.limit_verdict import LimitState, limit_verdict
+from estune.run.toml_tables import SearchTable
+from tests.support_runs import ArithmeticRig
+
+
+@pytest.fixture(scope="module")
+def free(tmp_path_factory):
+    """Tuned by a search that keeps no limit: the optimum of the cost overshoots by 15 %."""
+    gains = Gains(0.9, 30.0, 0.015, 0.004)
+    folder = tmp_path_factory.mktemp("runs")
+    return tune(
+        plants.reference_reel(0.8),
+        tuner="safe_bayesian",
+        start=gains,
+        trials=30,
+        folder=folder,
+        run="free",
+        watch=None,
+    )
+
+
+def test_gains_that_break_a_limit_are_not_called_tuned(free):
+    assert free.ending is RunEnding.LIMIT_BROKEN
+    assert free.success
+    assert free.ending.exit_code == 12
+    assert free.heading().startswith("TUNED, BUT A LIMIT IS BROKEN")
+    assert "overshoot" in free.heading()
+    assert "#d55e00" in free._repr_html_()[:200]
+
+
+def test_apply_asks_before_gains_that_break_a_limit(free):
+    with pytest.raises(InvalidInput, match="--yes"):
+        app(["apply", str(free.folder), "plants:reference_reel"])
+
+
+def test_comparison_puts_first_what_may_be_used(tmp_path):
+    made = estune.compare(
+        plants.reference_reel(0.8),
+        ["safe_bayesian", "model_based"],
+        start=Gains(0.9, 30.0, 0.015, 0.004),
+        trials=30,
+        folder=tmp_path,
+        watch=None,
+    )
+    costs = {name: result.fun for name, result in made.results.items()}
+    assert list(made.results) == ["model_based", "safe_bayesian"]
+    assert costs["model_based"] > costs["safe_bayesian"]
+
+
+def plan(limits):
+    return tune(ArithmeticRig(), trials=1, limits=limits, journal=False, watch=None).plan
+
+
+def claimed(Ms):
+    return Claim(PredictedMargins(*[Interval(math.nan, 0.0, math.inf)] * 2, Ms, Ms), "", 0.0)
+
+
+@pytest.mark.parametrize(
+    ("Ms", "state"),
+    [
+        (Interval(1.6, 1.58, 1.63), LimitState.KEPT),
+        (Interval(1.6, 1.3, 1.9), LimitState.NOT_SHOWN),
+        (Interval(2.0, 1.9, 2.1), LimitState.BROKEN),
+        (Interval(1.6, math.nan, math.nan), LimitState.NOT_SHOWN),
+    ],
+)
+def test_whole_interval_decides(Ms, state):
+    limits = RobustnessLimits(max_sensitivity=1.6, max_overshoot=None)
+    assert limit_verdict(plan(limits), claimed(Ms), ArithmeticRig.best, ()).state is state
+
+
+def test_nothing_claimed_is_not_shown_and_says_why():
+    unknown = Claim(None, "the records do not excite it", math.nan)
+    verdict = limit_verdict(plan(RobustnessLimits()), unknown, ArithmeticRig.best, ())
+    assert verdict.ending is RunEnding.LIMITS_NOT_SHOWN
+    assert "the records do not excite it" in verdict.reason
+    none = plan(RobustnessLimits(None, None, None))
+    assert limit_verdict(none, unknown, ArithmeticRig.best, ()).ending is RunEnding.TUNED
+
+
+def test_overshoot_without_a_per_cent_sign_is_questioned():
+    with pytest.raises(InvalidInput, match="did you mean 1%"):
+        app(["tune", "plants:reference_reel", "--max-overshoot", "1"])
+    assert SearchTable(max_overshoot="8 %").limits.max_overshoot == pytest.approx(0.08)
+    with pytest.raises(ValueError, match="did you mean 5%"):
+        SearchTable(max_overshoot=5.0)
