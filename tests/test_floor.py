@@ -49,6 +49,18 @@ def test_gauge_noise_of_a_reel_is_estimated(how, records):
     assert floor.angle_rad == pytest.approx(STEP_RAD / 12**0.5, rel=0.1)
 
 
+def test_what_disturbs_a_drive_between_repeats_is_no_noise_of_its_encoder():
+    rng = np.random.default_rng(3)
+    records = []
+    for m in (measure(SWEEP, 1), measure(SWEEP, 2)):
+        pushed = np.convolve(rng.normal(0.0, 1.0, m.samples), np.hanning(60), "same")
+        wandered = 2.0 * STEP_RAD * pushed
+        read = np.round((m.angle_rad + wandered) / STEP_RAD) * STEP_RAD
+        records.append(replace(m, angle_rad=read))
+    assert np.std(records[0].angle_rad - records[1].angle_rad) > 2.0 * STEP_RAD
+    assert noise_floor(records).angle_rad < 2.0 * STEP_RAD / 12**0.5
+
+
 def test_noise_is_estimated_from_constant_setpoints():
     rng = np.random.default_rng(5)
     n = 2000

@@ -112,6 +112,40 @@ def test_base_parameter_that_moved_far_is_stated():
     assert "base_parameter_moved" in kinds(plants.explain(DRIVE, list(records(inertia=7e-3))))
 
 
+def test_number_that_is_known_is_stated_first_where_it_moved_beyond_that():
+    known = replace(DRIVE, uncertainty=(("drum_inertia_kg_m2", 0.05),))
+    found = plants.explain(known, list(records(inertia=2.6e-3)), effects=[])
+    assert kinds(found)[0] == "base_parameter_moved"
+    assert found.sentence.startswith("drum_inertia_kg_m2 moved to 1.3 times")
+    loosely = replace(DRIVE, uncertainty=(("drum_inertia_kg_m2", 0.3),))
+    assert kinds(plants.explain(loosely, list(records(inertia=2.6e-3)), effects=[])) == []
+
+
+def test_known_inertia_does_not_stand_in_for_friction():
+    rough, effects = list(records(dry=0.02)), ["bent_viscous_friction"]
+    loose, known = (
+        plants.explain(
+            replace(DRIVE, uncertainty=(("drum_inertia_kg_m2", sd),)), rough, effects=effects
+        )
+        for sd in (100.0, 0.1)
+    )
+    (far,), (near,) = (
+        [c.base.value / c.given for c in d.calibrations if c.name == "drum_inertia_kg_m2"]
+        for d in (loose, known)
+    )
+    assert abs(np.log(near)) < 0.5 * abs(np.log(far))
+
+
+def test_nothing_missing_is_not_said_beside_a_free_run_that_is_far_off():
+    found = plants.explain(DRIVE, [replace(m, angle_rad=_coarse(m)) for m in records(dry=0.01)])
+    assert found.verdict != "none"
+
+
+def _coarse(m):
+    """The angle read in steps of half a degree, in which a short prediction shows nothing."""
+    return np.round(m.angle_rad / 0.01) * 0.01
+
+
 def test_records_of_the_wrong_sign_are_refused():
     flipped = [replace(m, angle_rad=-m.angle_rad) for m in records()]
     with pytest.raises(InvalidInput, match="its sign seems to be reversed"):

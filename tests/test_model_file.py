@@ -290,6 +290,20 @@ def test_unreadable_or_unwritable_model_file_is_reported(tmp_path):
         plants.save_model({}, tmp_path / "reel.toml")
 
 
+def test_what_is_known_of_numbers_is_a_table_of_its_own():
+    text = "[servo]\ninertia_kg_m2 = 1e-3\nviscous_friction_Nms = 1e-3\n\n"
+    servo = model_file.from_toml(text + "[uncertainty]\ninertia_kg_m2 = 0.05\n")
+    assert servo.uncertainty == (("drum_inertia_kg_m2", 0.05),)
+    assert model_file.from_toml(model_file.to_toml(servo)) == servo
+    for line, told in (
+        ("sampling_Hz = 0.1", "there is no such key"),
+        ("inertia_kg_m2 = 0", "above 0"),
+        ('inertia_kg_m2 = "5 %"', "must be a number"),
+    ):
+        with pytest.raises(InvalidInput, match=told):
+            model_file.from_toml(f"{text}[uncertainty]\n{line}\n")
+
+
 def test_user_effect_is_saved_by_module_and_attribute(tmp_path, monkeypatch):
     (tmp_path / "hose.py").write_text(
         "from dataclasses import dataclass\n"
@@ -320,5 +334,5 @@ def test_user_effect_is_saved_by_module_and_attribute(tmp_path, monkeypatch):
 
 def test_model_file_has_every_field_of_a_reel():
     table = tomllib.loads(model_file.to_toml(plants.reference_reel()))["reel"]
-    assert set(table) == {f.name for f in fields(Reel)} - {"effects"}
+    assert set(table) == {f.name for f in fields(Reel)} - {"effects", "uncertainty"}
     assert {kind.table for kind in KINDS} >= {"reel", "linear_plant"}

@@ -142,6 +142,17 @@ def test_rounded_or_jittered_time_stamps_are_accepted(tmp_path, record):
     assert (finding.source, finding.level) == ("scattered.csv", "warning")
 
 
+def test_stamps_of_a_poor_clock_are_one_record(tmp_path, record):
+    jitter = np.random.default_rng(0).normal(0.0, 0.3, record.time_s.size) / RATE
+    write(tmp_path, record, "jittered", time_s=np.sort(record.time_s + jitter))
+    write(tmp_path, record, "shared", time_s=np.round(record.time_s, 2))
+    found = read_measurements(tmp_path)
+    assert len(found.measurements) == 2
+    for m in found.measurements:
+        assert m.samples == pytest.approx(record.time_s.size, abs=3)
+        assert m.sampling_Hz == pytest.approx(RATE, rel=1e-3)
+
+
 def test_record_with_a_gap_becomes_two_records(tmp_path, record):
     later = np.where(np.arange(record.time_s.size) >= 200, 3.0 / RATE, 0.0)
     write(tmp_path, record, time_s=record.time_s + later)

@@ -12,7 +12,12 @@ from estune.recordings.column_names import MEASURED
 from estune.recordings.issue import DataIssue, Unusable
 
 GAP = 1.5
-"""Interval, relative to the usual one, above which a sample is missing."""
+"""Interval of an even clock, relative to the usual one, above which a sample is missing."""
+SCATTER_QUANTILE = 0.95
+"""Quantile of the intervals' deviations that an uneven clock is known by: what is no further
+beyond `GAP` than twice that is its jitter."""
+BRIDGED = 3.0
+"""Interval, relative to the usual one, that resampling bridges: two samples are interpolated."""
 OFF_GRID = 0.5
 """Greatest deviation of a time stamp from the even grid, in samples, of rows taken as they are."""
 JITTER = 0.1
@@ -60,6 +65,8 @@ def evened(columns: Columns, time_s: FloatArray, stated_Hz: float | None) -> Eve
         Unusable: stamps are out of order, or contradict the stated rate.
     """
     rounding_s = _rounding(time_s)
+    if _is_counted(time_s, rounding_s):
+        return _counted(columns, time_s, stated_Hz)
     _check_order(time_s)
     gaps = _gaps(time_s, rounding_s)
     bounds = [0, *gaps.tolist(), time_s.size]
@@ -101,7 +108,7 @@ def resampled(columns: Columns, clocks: Columns, stated_Hz: float | None) -> Eve
     for stamps in clocks.values():
         _check_order(stamps)
     steps = np.diff(clocks[lead])
-    usual_s = float(steps[steps <= GAP * np.median(steps) + 2.0 * _rounding(clocks[lead])].mean())
+    usual_s = float(steps[steps <= _longest_s(clocks[lead], _rounding(clocks[lead]))].mean())
     if stated_Hz is not None and abs(stated_Hz * usual_s - 1.0) > JITTER:
         raise Unusable(_contradiction(stated_Hz, 1.0 / usual_s), COLUMN)
     rate = stated_Hz or 1.0 / usual_s
@@ -159,16 +166,49 @@ def _gap_issues(time_s: FloatArray, gaps: NDArray[np.intp]) -> list[DataIssue]:
 
 def _gaps(time_s: FloatArray, rounding_s: float) -> NDArray[np.intp]:
     """Rows before which samples are missing."""
+    return np.flatnonzero(np.diff(time_s) > _longest_s(time_s, rounding_s)) + 1
+
+
+def _longest_s(time_s: FloatArray, rounding_s: float) -> float:
+    """Longest interval in which no sample is missing, s."""
     steps = np.diff(time_s)
-    return np.flatnonzero(steps > GAP * float(np.median(steps)) + 2.0 * rounding_s) + 1
+    usual_s = float(np.median(steps))
+    scatter_s = float(np.quantile(np.abs(steps - usual_s), SCATTER_QUANTILE))
+    scatter_s = min(scatter_s, 0.5 * (BRIDGED - GAP) * usual_s)
+    return GAP * usual_s + 2.0 * max(rounding_s, scatter_s)
 
 
 def _within(grid: FloatArray, stamps: FloatArray) -> BoolArray:
     """Whether each instant lies between two stamps without a gap."""
     steps = np.diff(stamps)
-    longest_s = GAP * float(np.median(steps)) + 2.0 * _rounding(stamps)
+    longest_s = BRIDGED * float(np.median(steps)) + 2.0 * _rounding(stamps)
     after = np.clip(np.searchsorted(stamps, grid), 1, stamps.size - 1)
     return np.asarray((steps[after - 1] <= longest_s) | (stamps[after] == grid))
+
+
+def _is_counted(time_s: FloatArray, rounding_s: float) -> bool:
+    """Whether stamps are rounded so far that rows share them, as an even clock's would."""
+    steps = np.diff(time_s)
+    repeated = bool((steps == 0.0).any()) and not (steps < 0.0).any()
+    if not repeated or not time_s[-1] > time_s[0]:
+        return False
+    rate = _rate(time_s)
+    return rounding_s > 0.0 and _off_grid(time_s, rate) <= 2.0 * rounding_s * rate + SAME_INSTANT
+
+
+def _counted(columns: Columns, time_s: FloatArray, stated_Hz: float | None) -> Evened:
+    """Rows of an even clock whose stamps are rounded to several samples."""
+    found_Hz = _rate(time_s)
+    if stated_Hz is not None and abs(stated_Hz / found_Hz - 1.0) > JITTER:
+        raise Unusable(_contradiction(stated_Hz, found_Hz), COLUMN)
+    rate = found_Hz if stated_Hz is None else stated_Hz
+    k = np.arange(time_s.size) - (time_s.size - 1) / 2.0
+    sentence = (
+        f"the time stamps are rounded to {2.0 * _rounding(time_s):.3g} s, which several rows "
+        f"share; the rows are taken as evenly spaced, {found_Hz:.6g} a second"
+    )
+    part = {COLUMN: time_s.mean() + k / rate, **columns}
+    return Evened(rate, (part,), (DataIssue("warning", sentence, COLUMN),))
 
 
 def _runs(mask: BoolArray) -> list[slice]:

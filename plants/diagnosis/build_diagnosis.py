@@ -13,7 +13,13 @@ from plants.diagnosis.data.measured_record import OUTPUTS
 from plants.diagnosis.data.noise_floor import NoiseFloor
 from plants.diagnosis.declared_effects import declared_effects
 from plants.diagnosis.experiments.next_experiment import Evidence, next_experiment
-from plants.diagnosis.hold_out import floor_of, free_run_rms, held_errors, hold_out
+from plants.diagnosis.hold_out import (
+    floor_of,
+    free_run_rms,
+    held_errors,
+    hold_out,
+    moved_rms,
+)
 from plants.diagnosis.models.diagnosed_model import DiagnosedModel
 from plants.diagnosis.report.diagnosis import Diagnosis
 from plants.diagnosis.report.plant_units import in_own_units, located_in_own_units
@@ -43,7 +49,7 @@ from plants.diagnosis.search.model_fitter import CandidateFit, ModelFitter
 from plants.diagnosis.search.search import SearchResult
 from plants.diagnosis.search.validation import held_out, segments
 from plants.effects import Effect, MainsInterference, Quantisation
-from plants.effects.plant_scale import PlantScale, written_unit
+from plants.effects.plant_scale import PlantScale, si, written_unit
 
 STEP_KNOWN = 2e-3
 """Relative uncertainty of a step found among readings."""
@@ -128,6 +134,7 @@ def build_diagnosis(inputs: DiagnosisInputs) -> Diagnosis:
     """The verdict with all its evidence."""
     stages, judged = _validated(inputs)
     before, after = stages[0], stages[-1]
+    judged = _not_nothing(inputs, judged, before)
     first = intervals(before.fitter, before.fit, before.fit)
     last = intervals(after.fitter, after.fit, before.fit) if after is not before else first
     steps = [one.step for one in stages]
@@ -146,9 +153,7 @@ def build_diagnosis(inputs: DiagnosisInputs) -> Diagnosis:
     values |= {f"{e.name}.{n}": getattr(e, n) for e in added for n in e.parameters()}
     listed = candidates(inputs.done.found, judged)
     scale = PlantScale.of(plant.model)
-    limits = limitations(
-        inputs.done.fitter.measurements, inputs.findings, inputs.done.found.base, scale
-    )
+    limits = limitations(inputs.done.fitter.measurements, inputs.findings, after.fit, scale)
     said = verdict_sentence(verdict, judged, named, steps, unit)
     held = None if inputs.held is None else hold_out(inputs.held, before.fit, after.fit)
     return Diagnosis(
@@ -211,6 +216,29 @@ def _validated(inputs: DiagnosisInputs) -> tuple[list[Stage], Conclusion]:
         )
         return stages[: len(stages) - len(fits) + 1], unknown
     return stages, judged
+
+
+def _not_nothing(inputs: DiagnosisInputs, judged: Conclusion, base: Stage) -> Conclusion:
+    """Unknown where short predictions are within the noise, but something else is far off."""
+    if judged.verdict != "none":
+        return judged
+    contradictions = []
+    worst = max(inputs.done.where.blocks, key=lambda block: block.ratio, default=None)
+    if worst is not None and worst.ratio**2 > CONSTANTS.incomplete:
+        contradictions.append(f"the {worst.title} is at {worst.ratio:.2g} times its noise")
+    apart, moved = free_run_rms(base.fitter, base.fit), moved_rms(base.fitter)
+    if apart > CONSTANTS.free_run * moved:
+        unit = written_unit(base.fitter.model.output, base.fitter.model.model)
+        contradictions.append(
+            f"a free run is {si(apart, unit)} off, of a motion of {si(moved, unit)}"
+        )
+    if not contradictions:
+        return judged
+    reason = (
+        "Short predictions are within the noise floor, which may be too high, but "
+        f"{' and '.join(contradictions)}."
+    )
+    return judged._replace(verdict="unknown", reason=reason)
 
 
 def _stage(fitter: ModelFitter, one: CandidateFit, added: str | None) -> Stage:

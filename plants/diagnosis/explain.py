@@ -49,7 +49,6 @@ from plants.effects import (
 Records = Path | str | Sequence[MeasuredRecord] | Sequence[TrialRecord]
 LINE_ROUNDS = 2
 """Searches for mains interference; the second is without the line found first."""
-BASE_ROUNDS = 40
 SAME, OTHER = 0.995, 0.9
 """Ratio of powers left above which two variants of a model are the same; below the second, the
 one that leaves more is none."""
@@ -216,7 +215,7 @@ def _variants(
     stages = []
     for plant in diagnosed(model, measurements).alternatives():
         fitter = ModelFitter(plant, measurements, noise)
-        stages.append(FittedModel(fitter, fitter.fit((), fitter.base.start, BASE_ROUNDS)))
+        stages.append(FittedModel(fitter, fitter.base_fit()))
     if len(stages) == 1:
         return (stages[0],)
     left = [stage.fit.J for stage in stages]

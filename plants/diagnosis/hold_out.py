@@ -60,6 +60,14 @@ def free_run_rms(fitter: ModelFitter, one: CandidateFit) -> float:
     return float(np.sqrt(np.nanmean(np.concatenate(errors) ** 2))) if errors else float("nan")
 
 
+def moved_rms(fitter: ModelFitter) -> float:
+    """Motion of the main channel about its mean in each record, rms."""
+    name = main_channel(fitter.measurements, fitter.model.output)
+    columns = (m.channel(name) for m in fitter.measurements)
+    moved = [column - column.mean() for column in columns if column is not None]
+    return float(np.sqrt(np.mean(np.concatenate(moved) ** 2)))
+
+
 def main_channel(measurements: Sequence[MeasuredRecord], unit: str) -> str:
     """The channel whose error is reported, by the unit of prediction errors."""
     channels = {name for m in measurements for name in m.outputs}

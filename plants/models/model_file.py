@@ -11,6 +11,10 @@ attenuation = 0.93
 inner_share = 0.2
 ```
 
+A table `[uncertainty]` states how well numbers of the model are known, by their keys: relative
+standard deviations, `inertia_kg_m2 = 0.05`. A diagnosis moves a number that is known well only for
+what nothing else explains.
+
 Keys that a file leaves out have the values of `plants.reference_reel`; a saved file is complete.
 The name of an effect is its slug, or module:attribute for an effect of the user's. All mistakes in
 a file are reported at once, one per line.
@@ -20,6 +24,7 @@ import difflib
 import re
 import tomllib
 from collections.abc import Callable, Iterable, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -29,6 +34,9 @@ from estune.support.whole_file import replace_file
 from plants.effects import Effect, find
 from plants.models import model_tables
 from plants.models.model_tables import KINDS, ModelKind, Reader
+
+_BESIDE = ("effects", "uncertainty")
+"""Tables beside that of the model."""
 
 _MOVED = {
     f"plants.discrepancy.models.calibration:{name}": f"plants.diagnosis.models.calibration:{name}"
@@ -98,8 +106,11 @@ def to_toml(model: Any, note: str = "", plant: str = "") -> str:
                 'save_model(..., plant="module:attribute")'
             )
         values = {"plant": plant, **values}
+    known = {_key_of(kind, name): share for name, share in model.uncertainty}
     lines = [f"# {line}".rstrip() for line in note.splitlines()]
     lines += [""] * bool(lines) + [f"[{kind.table}]", *model_tables.toml_lines(values)]
+    if known:
+        lines += ["", "[uncertainty]", *model_tables.toml_lines(known)]
     for effect in getattr(model, "effects", ()):
         values = {name: getattr(effect, name) for name in effect.parameters()}
         named = {"name": reference_of(type(effect)), **values}
@@ -147,6 +158,7 @@ def from_toml(
     model: Any = None
     if kind is not None:
         model = _model(kind, {**tables[kind.table], **(settings or {})}, problems)
+        model = _with_uncertainty(kind, model, tables.get("uncertainty", {}), problems)
     for number, effect in _effects(tables.get("effects", []), problems):
         if model is None:
             continue
@@ -179,9 +191,9 @@ def _kind(tables: Mapping[str, Any], problems: list[str]) -> ModelKind | None:
     """The kind of the one model table."""
     known = [kind.table for kind in KINDS]
     problems += [
-        f"[{name}]: there is no such table{_near(name, [*known, 'effects'])}"
+        f"[{name}]: there is no such table{_near(name, [*known, *_BESIDE])}"
         for name in tables
-        if name not in known and name != "effects"
+        if name not in known and name not in _BESIDE
     ]
     given = [kind for kind in KINDS if kind.table in tables]
     if len(given) != 1:
@@ -200,6 +212,28 @@ def _model(kind: ModelKind, values: Mapping[str, Any], problems: list[str]) -> A
     """The model of a table; None where its values are invalid."""
     place = f"[{kind.table}]"
     return _make(kind.make, _read_values(values, kind.keys, place, problems), place, problems)
+
+
+def _key_of(kind: ModelKind, name: str) -> str:
+    """Key of a model's own field in its table."""
+    keys: Mapping[str, str] = getattr(kind.type, "FIELDS", {})
+    return next((key for key, of in keys.items() if of == name), name)
+
+
+def _with_uncertainty(kind: ModelKind, model: Any, table: Any, problems: list[str]) -> Any:
+    """The model with the standard deviations of a table."""
+    if not isinstance(table, dict):
+        problems.append("uncertainty: this is a value, not a table; write [uncertainty]")
+        return model
+    keys = {_key_of(kind, name): name for name in kind.type.uncertain}
+    if table and not keys:
+        problems.append(f"[uncertainty]: nothing of a [{kind.table}] is known beforehand")
+        return model
+    readers = dict.fromkeys(keys, model_tables.read_share)
+    shares = _read_values(table, readers, "[uncertainty]", problems)
+    if model is None or not shares:
+        return model
+    return replace(model, uncertainty=tuple((keys[key], share) for key, share in shares.items()))
 
 
 def _effects(tables: Any, problems: list[str]) -> list[tuple[int, Effect]]:

@@ -48,6 +48,18 @@ def read_number(value: Any) -> float:
     return float(value)
 
 
+def read_share(value: Any) -> float:
+    """A relative standard deviation.
+
+    Raises:
+        InvalidInput: the value is something else, or not above zero.
+    """
+    share = read_number(value)
+    if not 0.0 < share < math.inf:
+        raise InvalidInput(f"this is {share:g}; it must be a relative deviation above 0, as 0.05")
+    return share
+
+
 def toml_lines(values: Mapping[str, Any]) -> Iterator[str]:
     """Lines of TOML."""
     for name, value in values.items():

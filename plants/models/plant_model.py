@@ -32,6 +32,11 @@ class PlantModel(Plant, ABC):
 
     # The effects added, in the order in which the signal meets them.
     effects: tuple[Effect, ...] = ()
+    # Relative standard deviations of own numbers, by field: how well their owner knows them.
+    uncertainty: tuple[tuple[str, float], ...] = ()
+
+    uncertain: ClassVar[tuple[str, ...]] = ()
+    """Fields of which `uncertainty` may speak: those that a diagnosis fits."""
 
     rig_name: ClassVar[str] = "simulated-reel"
     """Name of its rig where no other is given."""
@@ -177,8 +182,8 @@ class PlantModel(Plant, ABC):
 
 
 def own_fields(kind: type[Any]) -> list[Field[Any]]:
-    """The fields of a plant model but its effects."""
-    return [f for f in fields(kind) if f.name != "effects"]
+    """The fields of a plant model that are numbers of its own."""
+    return [f for f in fields(kind) if f.name not in ("effects", "uncertainty")]
 
 
 def check_fields(plant: PlantModel, what: str, may_be_zero: tuple[str, ...]) -> None:

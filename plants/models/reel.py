@@ -85,6 +85,13 @@ class Reel(PlantModel):
     tension_max_N: float = 40.0
 
     diagnosed_by = "plants.diagnosis.models.reel:DiagnosedReel"
+    uncertain = (
+        "drum_inertia_kg_m2",
+        "viscous_friction_Nms",
+        "viscous_friction_per_length_Ns",
+        "cable_EA_N",
+        "structure_stiffness_N_m",
+    )
 
     def __post_init__(self) -> None:
         check_fields(self, "reel", _MAY_BE_ZERO)

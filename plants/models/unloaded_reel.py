@@ -66,6 +66,7 @@ class UnloadedReel(PlantModel):
     derivative_filter_s: float = 0.002
 
     title: ClassVar[str] = "unloaded reel"
+    uncertain = ("drum_inertia_kg_m2", "viscous_friction_Nms")
     noise_rms_N: ClassVar[float] = 0.0
     diagnosed_by = "plants.diagnosis.models.unloaded:DiagnosedDrum"
 

@@ -134,6 +134,8 @@ def _issues(
 
 
 def _too_short(m: MeasuredRecord, b: BaseNumbers) -> Iterator[DataIssue]:
+    if b.is_free:  # it has no mode, and when its friction stops it is what a fit is to find
+        return
     natural = b.natural_rad_s
     if natural > 0.0 and m.duration_s < math.pi / natural:
         yield DataIssue(

@@ -26,8 +26,9 @@ WIDTH = 0.01
 def mistaken_units(m: MeasuredRecord, b: BaseNumbers, rate_Hz: float) -> Iterator[DataIssue]:
     """Columns that seem to be in another unit, or of the other sign: refused where that is clear.
 
-    A reel's tension follows the angle by k R and the command by about one; a drum's
-    acceleration follows the command by R/J. Judged by factors of twenty and more.
+    A reel's tension follows the angle by k R and the command by about one; of a free drum the
+    command accelerates the inertia and works against friction. Judged by factors of twenty and
+    more.
     """
     if b.linear is not None:
         return
@@ -47,10 +48,29 @@ def mistaken_units(m: MeasuredRecord, b: BaseNumbers, rate_Hz: float) -> Iterato
     elif m.angle_rad is not None and b.stiffness_N_m is None:
         torque = smoother.sampled(m.angle_rad, 0.0, b.viscous_friction_Nms, b.drum_inertia_kg_m2)
         by_angle = _slope(torque, b.drum_radius_m * u)
+        if by_angle is not None and by_angle < 0.0:
+            by_angle = by_angle if _brakes(m.angle_rad, u, smoother) else None
     elif m.angle_rad is not None:
         by_angle = _slope(smoother.sampled(m.angle_rad, b.tension_per_angle_N_rad), u)
     reversed_ = list(_reversed(m, by_angle, by_effort))
     yield from reversed_ or _issues(m, by_angle, by_effort)
+
+
+def _brakes(angle_rad: FloatArray, effort: FloatArray, smoother: Smoother) -> bool:
+    """Whether an effort explains the motion of a free drum by an inertia and friction below zero.
+
+    A load that drives the motor, a cogging torque or a record that begins in motion may make one
+    of them negative, but not both.
+    """
+    velocity = smoother.sampled(angle_rad, 0.0, 1.0)
+    terms = np.column_stack(
+        [smoother.sampled(angle_rad, 0.0, 0.0, 1.0), velocity, np.sign(velocity)]
+    )
+    known = np.isfinite(terms).all(axis=1) & np.isfinite(effort)
+    columns = np.column_stack([terms[known], np.ones(known.sum())])
+    a, b, dry, _ = np.linalg.lstsq(columns, effort[known], rcond=None)[0]
+    v = velocity[known]
+    return bool(a < 0.0 and np.mean(b * v**2 + dry * np.abs(v)) < 0.0)
 
 
 def _reversed(

@@ -1,7 +1,8 @@
 """Noise floor: noise of each channel, steps of encoder and gauge, and an allowance.
 
-The noise is estimated from the best source: repeated trials, a periodic setpoint, stretches of
-constant setpoint, or the upper spectrum of a moving plant.
+The noise is what a sensor adds. Repeated trials, a periodic setpoint and stretches of constant
+setpoint show it with all that disturbs the plant and with the jitter of its clock; the upper
+spectrum, where the plant does not follow, bounds it from above.
 """
 
 import math
@@ -19,6 +20,12 @@ from plants.diagnosis.data.periods import SAME, holds, periods_of
 
 ALLOWANCE = 0.004
 """Allowance for numerics and model form, as a share of a signal's rms."""
+
+UPPER_MOST = 1.2
+"""Greatest noise relative to that of the upper spectrum: repeats of a free drive differ by a
+random walk (13.5 mrad beside a step of 0.63 mrad), periods of a jittered timer by its jitter
+(0.085 to 0.122 N where the gauge has 0.040 N); four fifths of a gauge's power are white on the
+machines of the experiments, whose noise is 1.1 times that of their upper spectrum."""
 
 SOURCES = ("repeats", "periods", "quiet stretches", "upper spectrum", "steps")
 """Sources of a noise estimate, the best first; `steps` is rounding alone."""
@@ -96,6 +103,8 @@ def _noise(m: MeasuredRecord, column: FloatArray, repeated: float | None) -> Noi
     """The noise of one channel of one record."""
     lsb = step_of(column)
     rms, how = (repeated, SOURCES[0]) if repeated is not None else _alone(m, column)
+    if m.samples >= FEWEST and rms > (most := UPPER_MOST * upper_rms(column)):
+        rms, how = most, SOURCES[3]
     rounding = lsb / math.sqrt(12.0)
     return Noise(rms, lsb, how) if rms > rounding else Noise(rounding, lsb, SOURCES[4])
 

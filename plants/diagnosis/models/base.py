@@ -97,6 +97,11 @@ class BaseNumbers:
         return (self.stiffness_N_m or math.nan) * self.drum_radius_m
 
     @property
+    def is_free(self) -> bool:
+        """Whether it is an inertia with friction alone, which nothing holds."""
+        return self.linear is None and self.stiffness_N_m is None
+
+    @property
     def slowest_s(self) -> float:
         """Time constant of the slowest mode that dies away, s; 0 where none does."""
         rates = -np.asarray(self._poles().real)

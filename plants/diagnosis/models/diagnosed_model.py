@@ -13,6 +13,7 @@ from estune.core.quantities import FloatArray
 from estune.errors import InvalidInput, PlantError
 from plants.diagnosis.data.measured_record import MeasuredRecord
 from plants.diagnosis.models.calibration import Calibration
+from plants.diagnosis.models.priors import stated
 from plants.diagnosis.models.signal_scales import signal_scale
 from plants.effects import Effect, Parameter, RecordScale
 from plants.models.linear_plant import LinearPlant
@@ -47,6 +48,8 @@ class Free:
         scale: Scale of the search.
         owner: `base`, `record 3`, or the slug of an effect.
         neutral: The value at which the effect does nothing, or None.
+        prior: Standard deviation of what the model states of it, of its logarithm where the scale
+            is `log`; None where the records alone decide.
     """
 
     name: str
@@ -57,6 +60,7 @@ class Free:
     scale: Literal["log", "linear"]
     owner: str
     neutral: float | None = None
+    prior: float | None = None
 
 
 class Slot(NamedTuple):
@@ -221,7 +225,9 @@ class DiagnosedModel(ABC):
     @cached_property
     def base(self) -> list[Slot]:
         """The base-model parameters with their initial values."""
-        return [*self._calibrations(), *self.sensors(), *self._current_sensor()]
+        listed = [*self._calibrations(), *self.sensors(), *self._current_sensor()]
+        known = stated(self.model)
+        return [s._replace(free=_informed(s.free, known.get(s.free.name))) for s in listed]
 
     def slots(self, added: Sequence[type[Effect]]) -> list[Slot]:
         """All free parameters: of the base model, the records and the effects."""
@@ -312,6 +318,13 @@ class DiagnosedModel(ABC):
             owner=slug,
             neutral=p.neutral,
         )
+
+
+def _informed(free: Free, deviation: float | None) -> Free:
+    """A parameter with a relative standard deviation of what the model states of it."""
+    if deviation is None or not free.start:
+        return free
+    return replace(free, prior=deviation * (1.0 if free.scale == "log" else abs(free.start)))
 
 
 def positive(name: str, unit: str, value: float, owner: str = BASE) -> Free:

@@ -6,7 +6,13 @@ from collections.abc import Sequence
 import numpy as np
 
 from estune.core.quantities import FloatArray
+from plants.diagnosis.data.noise import step_of
 from plants.effects import RecordScale
+
+RESOLVED = 20.0
+"""Steps of the encoder, rms, in a travel that a velocity is taken from."""
+SLOWEST = 0.02
+"""Share of the moving samples that are slower than the least speed at which records dwell."""
 
 
 def signal_scale(
@@ -35,15 +41,37 @@ def signal_scale(
         angle_rms_rad=_rms([angle - angle.mean() for angle in angles if angle.size]),
         velocity_rms_rad_s=_rms(velocities),
         velocity_max_rad_s=_max(velocities),
+        velocity_min_rad_s=_least(velocities),
         current_max_A=_max(currents),
         current_rate_A_s=max(steps, default=0.0),
     )
 
 
+def travels(angle: FloatArray) -> tuple[FloatArray, int]:
+    """Travels over the shortest span in which they are well above the encoder's step.
+
+    Returns:
+        The travels from each sample on, rad, and the span, samples.
+    """
+    step, span = step_of(angle), 1
+    while True:
+        moved = angle[span:] - angle[:-span]
+        if 2 * span >= angle.size or _rms([moved]) >= RESOLVED * step:
+            return moved, span
+        span *= 2
+
+
 def _velocity(angle: FloatArray, rate_Hz: float) -> FloatArray:
-    """The velocity, over eight samples so that an encoder's steps do not make it."""
-    span = min(8, angle.size - 1)
-    return np.asarray((angle[span:] - angle[:-span]) * (rate_Hz / span))
+    """The velocity, over spans so long that an encoder's steps do not make it."""
+    moved, span = travels(angle)
+    return np.asarray(moved * (rate_Hz / span))
+
+
+def _least(parts: Sequence[FloatArray]) -> float:
+    """Speed that the slowest share of the moving samples stays below."""
+    speeds = np.abs(np.concatenate(parts)) if parts else np.empty(0)
+    moving = speeds[speeds > 0.0]
+    return float(np.quantile(moving, SLOWEST)) if moving.size else 0.0
 
 
 def _rms(parts: Sequence[FloatArray]) -> float:

@@ -31,6 +31,10 @@ class Constants(NamedTuple):
     to 1 (the drive 0.95), a wrong one explained 0.41 on thirds left out."""
     incomplete: float = 9.0
     """Power left from which on something more is missing: three noise floors."""
+    free_run: float = 0.3
+    """Error of a free run, relative to the rms motion about its mean, from which on something is
+    missing whatever short predictions say: at most 0.02 on nine sound machines; a motor bench
+    whose noise was overestimated ran 142 rad off."""
     tied: float = 0.3
     """Probability of another family, of the two, from which on the records leave it open."""
     effective: float = 60.0

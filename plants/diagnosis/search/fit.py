@@ -1,4 +1,13 @@
-"""Bounded least squares of whitened residuals."""
+"""Bounded least squares of whitened residuals, with what is known of values beforehand.
+
+    T = J + (max(J - 1, 0) + J/n) sum ln(1 + z^2),    z = (x - x_0)/s
+
+J is the mean square of the residuals, z the distance of a value from the model's in its prior
+standard deviations, n the number of independent samples in a record. A value that is known costs
+as much as it is moved only while the model leaves an error: where it leaves none, the records
+decide, but for what n samples weigh. The logarithm is that of Cauchy's distribution, for what is
+stated is now and then plainly wrong: a value far off is not held back more than one at z = 1.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -9,6 +18,7 @@ from numpy.typing import NDArray
 
 from estune.core.quantities import FloatArray
 from plants.diagnosis.prediction.prediction import Predictor
+from plants.diagnosis.search.constants import CONSTANTS
 
 Numbers = NDArray[np.int64]
 
@@ -55,6 +65,60 @@ class WhitenedFit:
         """J: mean square of the whitened residuals; 1 is the floor."""
         return _cost(self.residuals) / max(self.residuals.size, 1)
 
+    @property
+    def penalised(self) -> float:
+        """T: the mean square with what the moves of known values cost."""
+        prior = Prior.of(self.predictor, self.moved)
+        cost = prior.cost(self.values[self.moved])
+        return self.mean_square + prior_weight(self.mean_square) * cost
+
+
+def prior_weight(mean_square: float) -> float:
+    """Weight of the distances from what is known, relative to a mean square of residuals."""
+    return max(mean_square - 1.0, 0.0) + mean_square / CONSTANTS.effective
+
+
+class Prior(NamedTuple):
+    """What is known of the values that move, in the coordinates of the search.
+
+    Attributes:
+        centre: Their logarithms or values in the model as given, shape (moves,).
+        precision: Inverse standard deviations, 0 where nothing is known.
+        log: Which of them move by their logarithm.
+    """
+
+    centre: FloatArray
+    precision: FloatArray
+    log: NDArray[np.bool_]
+
+    @classmethod
+    def of(cls, predictor: Predictor, moves: Numbers) -> "Prior":
+        """The priors of some values of a predictor."""
+        free = [predictor.free[n] for n in moves]
+        log = np.array([f.scale == "log" for f in free], bool)
+        start = np.array([f.start for f in free])
+        precision = np.array([0.0 if f.prior is None else 1.0 / f.prior for f in free])
+        return cls(_coordinate(start, log), precision, log)
+
+    def distances(self, values: FloatArray) -> FloatArray:
+        """Distances z of the values that move, shape (moves,)."""
+        z: FloatArray = (_coordinate(values, self.log) - self.centre) * self.precision
+        return z
+
+    def cost(self, values: FloatArray) -> float:
+        """The sum of ln(1 + z^2)."""
+        return float(np.log1p(self.distances(values) ** 2).sum())
+
+    def equations(self, values: FloatArray, weight: float) -> FloatArray:
+        """Slope and residual of a least-squares term with the cost's gradient, (2, moves)."""
+        z = self.distances(values)
+        rows: FloatArray = np.sqrt(weight / (1.0 + z**2)) * np.array([self.precision, z])
+        return rows
+
+
+def _coordinate(values: FloatArray, log: NDArray[np.bool_]) -> FloatArray:
+    return np.where(log, np.log(np.where(log, np.maximum(values, 1e-300), 1.0)), values)
+
 
 def fit(
     predictor: Predictor,
@@ -64,6 +128,7 @@ def fit(
     rounds: int = 15,
     *,
     tolerance: float = CONVERGED,
+    informed: bool = True,
 ) -> WhitenedFit:
     """Lowers the sum of squares of some residuals: Levenberg-Marquardt within the bounds.
 
@@ -77,24 +142,32 @@ def fit(
         entries: Numbers of the residuals that count.
         rounds: Most rounds.
         tolerance: Share of the sum of squares that the last round lowers it by at most.
+        informed: Whether what is known of values counts.
     """
-    scale = _Scale.of(predictor, moves)
-    at, converged = _Point(np.clip(start, scale.low, scale.high), None), False
+    scale, prior = _Scale.of(predictor, moves), Prior.of(predictor, moves)
+    at, converged, weight = _Point(np.clip(start, scale.low, scale.high), None), False, 0.0
+
+    def cost(point: _Point) -> float:
+        return point.cost + weight * prior.cost(point.values[moves])
 
     def lowest(trials: Sequence[FloatArray], otherwise: _Point) -> _Point:
         found = predictor.residuals(np.array(trials), entries)
-        best = min(map(_Point, trials, found), key=lambda point: point.cost)
-        return best if best.cost < otherwise.cost else otherwise
+        best = min(map(_Point, trials, found), key=cost)
+        return best if cost(best) < cost(otherwise) else otherwise
 
     for _ in range(rounds):
         residuals, jacobian = predictor.linearise(at.values, moves, entries, at.residuals)
         begun = _Point(at.values, residuals)
-        slope = _Slope.of(jacobian.T * scale.inner(at.values)[:, None], residuals, scale)
+        mean_square = begun.cost / max(residuals.size, 1)
+        weight = residuals.size * prior_weight(mean_square) if informed else 0.0
+        known = prior.equations(at.values[moves], weight)
+        columns = jacobian.T * scale.inner(at.values)[:, None]
+        slope = _Slope.of(columns, residuals, scale, known)
         at = lowest([slope.step(begun.values, d) for d in DAMPINGS], begun)
-        converged = begun.cost - at.cost < tolerance * begun.cost
+        converged = cost(begun) - cost(at) < tolerance * cost(begun)
         if converged:
             break
-        if at.cost > VALLEY * begun.cost:
+        if cost(at) > VALLEY * cost(begun):
             at = lowest([scale.beyond(begun.values, at.values, n) for n in STRIDES], at)
     if at.residuals is None:
         at = _Point(at.values, predictor.residuals(at.values[None, :], entries)[0])
@@ -197,11 +270,22 @@ class _Slope(NamedTuple):
     directions: FloatArray
 
     @classmethod
-    def of(cls, columns: FloatArray, residuals: FloatArray, scale: _Scale) -> "_Slope":
-        normal = columns @ columns.T
+    def of(
+        cls, columns: FloatArray, residuals: FloatArray, scale: _Scale, known: FloatArray
+    ) -> "_Slope":
+        """The equations, with a residual of each value's own that is known, and its derivative.
+
+        Args:
+            columns: Derivative of the residuals by what is searched, shape (moves, entries).
+            residuals: Shape (entries,).
+            scale: How the values move.
+            known: Derivatives and residuals of what is known, shape (2, moves).
+        """
+        normal = columns @ columns.T + np.diag(known[0] ** 2)
         size = _lengths(np.diag(normal))
         scaled = normal / size / size[:, None]
-        return cls(scale, size, scaled, -(columns @ residuals) / size, *np.linalg.eigh(scaled))
+        pull = -(columns @ residuals + known[0] * known[1]) / size
+        return cls(scale, size, scaled, pull, *np.linalg.eigh(scaled))
 
     def step(self, values: FloatArray, damping: float) -> FloatArray:
         """The values after a damped step, no further than the bounds.

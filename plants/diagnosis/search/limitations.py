@@ -8,26 +8,31 @@ import numpy as np
 from estune.recordings.issue import DataIssue
 from plants.diagnosis.data.measured_record import MeasuredRecord
 from plants.diagnosis.data.noise import step_of, upper_rms
+from plants.diagnosis.models.diagnosed_model import Free
+from plants.diagnosis.models.signal_scales import travels
 from plants.diagnosis.result import Limitation
 from plants.diagnosis.search.model_fitter import CandidateFit
 from plants.effects.plant_scale import PlantScale
 
-ONE_WAY, SLOW, MOVED, EDGE = 0.02, 0.01, 2.0, 1e-3
+ONE_WAY, SLOW, EDGE = 0.02, 0.01, 1e-3
 """Share of the travel against the main direction; share of the samples below a tenth of the rms
-velocity; factor by which a base number moves; distance from a bound, relative."""
+velocity; distance from a bound, relative."""
+BEYOND = 2.0
+"""Standard deviations of what is known of a number beyond which it has moved."""
+USUAL_sd, GUESSED_sd = 0.35, 0.8
+"""Standard deviation of the logarithm of a number of which nothing is stated, and of a friction,
+which is often no more than a guess: twice that is a factor of two, and of five."""
 NOISES, PUSHES = 5.0, 0.01
 """Noises below zero at which a tension is; share of such readings from which on it is said."""
-SPAN = 8
-"""Samples over which a velocity is taken, so that an encoder's steps do not make it."""
 
 
 def limitations(
     measurements: Sequence[MeasuredRecord],
     findings: Sequence[DataIssue],
-    base: CandidateFit,
+    last: CandidateFit,
     scale: PlantScale,
 ) -> tuple[Limitation, ...]:
-    """Limits of the records, the gravest first."""
+    """Limits of the records, the gravest first; `last` is the model that is believed."""
     found = []
     refused = len(_refused(findings))
     if refused:
@@ -37,14 +42,15 @@ def limitations(
         found.append(Limitation("records_refused", said, again, by_data=most))
     if scale.has_cable:
         found += _of_tension(measurements)
-    found += [*_of_base(base, scale), *_of_motion(measurements)]
+    found += [*_of_base(last, scale), *_of_motion(measurements)]
     if scale.has_cable and all(m.angle_rad is None for m in measurements):
         said = (
             "no record has an angle: effects of cable and gauge cannot be told from effects of "
             "the drum, nor the drum's inertia but by the stiffness given; record angle_rad"
         )
         found.append(Limitation("no_encoder", "no encoder", said))
-    return tuple(sorted(found, key=lambda one: not one.by_data))
+    first = "base_parameter_moved"
+    return tuple(sorted(found, key=lambda one: (not one.by_data, one.kind != first)))
 
 
 def _refused(findings: Sequence[DataIssue]) -> set[str]:
@@ -76,23 +82,37 @@ def _of_base(base: CandidateFit, scale: PlantScale) -> list[Limitation]:
     found = []
     for f in base.fitted.predictor.free:
         value = base.values[f.name]
-        if f.owner != "base" or f.scale != "log" or not f.start:
+        # An offset is about zero: nothing is stated of it that it could contradict.
+        if f.owner != "base" or not f.start > 0.0 or (f.low < 0.0 and f.scale == "linear"):
             continue
         factor, name = value / f.start, scale.name(f.name)
         moved = f"{name} moved to {factor:.2g} times what was given"
-        if min(value / f.low, f.high / value) < 1.0 + EDGE:
+        if f.scale == "log" and min(value / f.low, f.high / value) < 1.0 + EDGE:
             said = f"{moved}, as far as it may; check the units and signs of the columns"
             label = f"{name} at its bound"
             found.append(Limitation("base_parameter_at_bound", label, said, by_data=True))
-        elif abs(math.log(factor)) > math.log(MOVED):
-            said = f"{moved}; check it, for it may make up for what is missing"
+        elif f.prior is None:
+            usual = USUAL_sd if f.scale == "log" else GUESSED_sd
+            if abs(math.log(max(factor, EDGE))) > BEYOND * usual:
+                said = f"{moved}; check it, for it may make up for what is missing"
+                found.append(Limitation("base_parameter_moved", f"{name} x{factor:.2g}", said))
+        elif (beyond := _distance(f, value)) > BEYOND:
+            known = f"{f.prior / (1.0 if f.scale == 'log' else f.start):.0%}"
+            said = f"{moved}, {beyond:.1f} standard deviations of {known}; check it first"
             found.append(Limitation("base_parameter_moved", f"{name} x{factor:.2g}", said))
     return found
 
 
+def _distance(f: Free, value: float) -> float:
+    """Distance of a value from what is known of it, in standard deviations."""
+    apart = math.log(value / f.start) if f.scale == "log" else value - f.start
+    return abs(apart) / (f.prior or math.inf)
+
+
 def _of_motion(measurements: Sequence[MeasuredRecord]) -> list[Limitation]:
-    angles = [m.angle_rad for m in measurements if m.angle_rad is not None]
-    moved = np.concatenate([np.zeros(1), *(a[SPAN:] - a[:-SPAN] for a in angles if a.size > SPAN)])
+    angles = [(m.angle_rad, m) for m in measurements if m.angle_rad is not None]
+    each = ((*travels(a), m.sampling_Hz) for a, m in angles if a.size > 1)
+    moved = np.concatenate([np.zeros(1), *(moved * (rate / span) for moved, span, rate in each)])
     size = float(np.sqrt(np.mean(moved**2)))
     if size == 0.0:
         return []

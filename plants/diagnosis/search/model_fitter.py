@@ -14,6 +14,7 @@ from plants.diagnosis.data.noise_floor import NoiseFloor
 from plants.diagnosis.models.base import BaseNumbers
 from plants.diagnosis.models.diagnosed_model import DiagnosedModel, Free
 from plants.diagnosis.prediction.prediction import Prediction, Predictor
+from plants.diagnosis.search.constants import CONSTANTS
 from plants.diagnosis.search.fit import FINAL, WhitenedFit, fit
 from plants.effects import Effect, Port, RecordScale, Role
 
@@ -21,6 +22,8 @@ SHIFTS = np.array([0.0, *(sign * 3.0**n for n in range(6) for sign in (-1, 1))])
 """Shifts of a record's own value, in floors of change, among which the best is begun with."""
 TURNS = np.arange(8) / 8.0
 """Shares of a period by which a record's wave is turned, among which the best is begun with."""
+BASE_ROUNDS = 40
+"""Most rounds of the fit without effects."""
 LONGEST = 60
 """Most rounds of a fit that is reported."""
 BOUND = 1e-6
@@ -127,6 +130,20 @@ class ModelFitter:
     def given(self) -> CandidateFit:
         """The model as given, with only the values of single records fitted."""
         return self.fit((), self.base.start, owners=frozenset())
+
+    def base_fit(self) -> CandidateFit:
+        """The model without effects, from its own numbers and from those that fit best.
+
+        The second begins with the fit in which what is known of the numbers does not count: a
+        number that is given far wrong is then left for good where that takes the error off.
+        """
+        near = self.fit((), self.base.start, BASE_ROUNDS)
+        if CONSTANTS.floor >= near.J or all(f.prior is None for f in self.base.free):
+            return near
+        moves = self.moves(self.base)
+        begun = fit(self.base, near.fitted.values, moves, self.entries, informed=False)
+        far = self.fit((), begun.values, BASE_ROUNDS)
+        return min((near, far), key=lambda one: one.fitted.penalised)
 
     def moves(self, predictor: Predictor, owners: frozenset[str] | None = None) -> Numbers:
         """Numbers of the values that move: those of single records, and of some owners or names.
@@ -286,7 +303,7 @@ class ModelFitter:
             for m, pull in zip(self.measurements, given, strict=True)
             if m.tension_N is not None and math.isfinite(pull)
         ]
-        return RecordScale(
+        return self.model.sizes._replace(
             sample_s=1.0 / min(m.sampling_Hz for m in self.measurements),
             angle_noise_rad=angle_rad,
             tension_noise_N=tension_N,

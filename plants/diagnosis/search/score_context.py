@@ -6,6 +6,7 @@ import numpy as np
 from scipy.optimize import nnls
 
 from estune.core.quantities import FloatArray
+from plants.diagnosis.search.fit import Prior, prior_weight
 from plants.diagnosis.search.model_fitter import CandidateFit, ModelFitter, Numbers
 from plants.effects import RecordScale
 
@@ -43,11 +44,17 @@ class ScoreContext(NamedTuple):
         entries, residual = fitted.entries[some], fitted.residuals[some]
         moves = fitter.moves(fitted.predictor)
         slope = fitted.predictor.linearise(fitted.values, moves, entries, residual)[1].T
-        basis = _orthonormal(slope)
+        # What is known of base parameters is a residual of its own, which no effect changes.
+        values, prior = fitted.values[moves], Prior.of(fitted.predictor, moves)
+        known, apart = prior.equations(values, residual.size * prior_weight(one.J))
+        inner = np.where(prior.log, values, 1.0)
+        basis = _orthonormal(np.hstack([slope, np.diag(known / inner)]))
+        whole = np.concatenate([residual, apart])
+        undone = whole - (basis @ whole) @ basis
         return cls(
             one=one,
-            residual=residual - (basis @ residual) @ basis,
-            basis=basis,
+            residual=undone[: residual.size],
+            basis=basis[:, : residual.size],
             entries=entries,
             lowest_Hz=1.0 / max(m.duration_s for m in fitter.measurements),
             highest_Hz=0.45 * min(m.sampling_Hz for m in fitter.measurements),

@@ -17,7 +17,7 @@ import numpy as np
 from estune.core.quantities import FloatArray
 from plants.diagnosis.prediction.prediction import Predictor
 from plants.diagnosis.search.score_context import ScoreContext
-from plants.effects import Effect, Role
+from plants.effects import Effect, RecordScale, Role
 
 DECADES = np.arange(-3.0, 4.0)
 """Sizes tried, in powers of ten of the usual one, between which one is found that moves the
@@ -28,10 +28,12 @@ way when it acts strongly."""
 LEVELS, GRID, FREQUENCIES = 14, 7, 40
 """Values tried of a limit, of a shape, and of a frequency: those some 10 % apart, so that a
 resonance damped as frames are is seen from the next one."""
-ROWS, MODES = 20, 100
+ROWS, MODES = 50, 100
 """Most combinations of shapes, and those where one is a frequency."""
 WIDE = 15.0
-"""Range of shapes about the usual value, as a factor."""
+"""Range of shapes about the usual value, as a factor, where the records show no range."""
+APART_BY, MOST_VALUES = 3.0, 13
+"""Factor between speeds or travels that are tried, and most of them."""
 APART = 0.3
 """Logarithm of the ratio from which on two frequencies are worth a start each."""
 FURTHEST = 30.0
@@ -294,7 +296,27 @@ class _Probe:
             return [*suggested, *np.geomspace(low, max(high, low), FREQUENCIES).tolist()]
         if suggested:
             return suggested
+        shown = shown_range(p.unit, self.seen.records)
+        if shown is not None:
+            low, high = (min(max(edge, p.low), p.high) for edge in shown)
+            values = 1 + math.ceil(math.log(max(high / low, 1.0)) / math.log(APART_BY))
+            return [float(v) for v in np.geomspace(low, high, min(values, MOST_VALUES))]
         if p.low > 0.0 and usual > 0.0:
             low, high = max(p.low, usual / WIDE), min(p.high, usual * WIDE)
             return [float(v) for v in np.geomspace(low, high, GRID)]
         return [float(v) for v in np.linspace(p.low, p.high, GRID)]
+
+
+def shown_range(unit: str, records: RecordScale) -> tuple[float, float] | None:
+    """Range of a speed or a travel within which records show a law's shape; None for others.
+
+    A law that bends below what the encoder resolves, or above what is reached, is not told from
+    one that does not bend at all.
+    """
+    if unit == "rad":
+        low, high = records.angle_noise_rad, records.angle_rms_rad
+    elif unit == "rad/s":
+        low, high = records.velocity_min_rad_s, records.velocity_max_rad_s
+    else:
+        return None
+    return (low, high) if 0.0 < low < high < math.inf else None
