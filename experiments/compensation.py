@@ -1,5 +1,9 @@
 """What does each compensation of the hardware loop gain, at rest, in slow and in fast motion?
 
+Command: `python -m experiments.compensation`.
+Target: friction: error at most 1.2 times that without it at rest, 0.8 times in slow, 0.9 times in
+fast motion.
+
 The loop, its controller and the emulated reel run in virtual time. The drum has the dry friction
 (10) of the paper's demonstration; the cable is heavy, so that its weight can be seen. For each
 compensation the reel is tuned with it on.

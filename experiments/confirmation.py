@@ -1,4 +1,8 @@
-"""Coverage and false claims of complete tuning runs.
+"""Does the interval of the improvement hold the true one, and what is claimed without a gain?
+
+Command: `python -m experiments.confirmation`.
+Target: coverage of 93 to 97 %, at most 5 % false claims, excess cost at the stop of 1 % in the
+median and 5 % at worst.
 
 Each run searches, stops by itself, and confirms by repeats; its summary is compared with
 noise-free costs. On one problem it starts from weak gains, from optimal gains, on a rig whose cost

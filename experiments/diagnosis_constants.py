@@ -1,4 +1,7 @@
-"""Operating curves of the numbers that decide a diagnosis.
+"""How do verdicts and intervals of a diagnosis change with each number that decides it?
+
+Command: `python -m experiments.diagnosis_constants`.
+Target: none; a table and a figure for each number.
 
 Each number of `plants.diagnosis.search.constants` is changed alone. Verdicts are worked out again
 from the fits that `experiments.hidden_effects` stored (`--rows`); without such a file cases of the

@@ -1,4 +1,7 @@
-"""How does a diagnosis grow with the number of records: CPU seconds, memory, growth exponents.
+"""What does a diagnosis of 10 to 80 records of 10 000 samples cost, and how does that grow?
+
+Command: `python -m experiments.diagnosis_scale`.
+Target: 60 s of CPU time and 1 GB for the most records, and the right verdict for all.
 
 Records are closed-loop trials of the reference reel with dry friction, 10 000 samples each, at
 gains of 0.7 to 1.1 times its own, with steps, triangles and chirps in turn. Each size is diagnosed

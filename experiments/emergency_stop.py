@@ -1,5 +1,8 @@
 """How soon does an emergency stop reach a rig on a machine with more work than cores?
 
+Command: `python -m experiments.emergency_stop`.
+Target: 10 ms to the rig where both processes run in real time.
+
 Stops are sent to a served rig from another process, without other work and with many busy
 processes. Two times are counted from the call: until the rig's own `estop` is called, and until
 the reply. Three schedules: both processes ordinary, the rig's server in real time, and both.

@@ -1,5 +1,9 @@
 """Does the diagnosis identify the friction of a measured drive, however its record is cut?
 
+Command: `python -m experiments.emps --data FOLDER`.
+Target: friction named in every case, numbers within 2 to 10 % of inverse dynamics, 3.5 N on the
+record held out.
+
 EMPS (Janot, Gautier & Brunot 2019) is a carriage on a ball screw in a closed position loop: two
 records of 25 s at 1 kHz. The model given has mass and viscous friction. One record is diagnosed
 whole, in pieces and resampled, and once with the friction already in the model; the other record,

@@ -1,4 +1,10 @@
-"""Rates of right names for effects hidden in machines that share no code with the models here.
+"""Does `explain` name an effect hidden in machines that share no code with it, and only such?
+
+Command: `python -m experiments.hidden_effects --cases 380 --seed0 70200`.
+Target: 95 % named exactly, 98 % by family, at most 3 % false alarms and 5 % wrong names.
+
+Command: `python -m experiments.hidden_effects --cases 380 --seed0 70200`.
+Target: 95 % named exactly, 98 % by family, at most 3 % false alarms and 5 % wrong names.
 
 Cases come from `experiments.hidden_machines`. Each is diagnosed from its records alone; then the
 answer is compared with what was hidden. Counted are cases whose prediction error is at least 1.5

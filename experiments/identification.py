@@ -1,4 +1,8 @@
-"""Accuracy of a reel's identification from ten seconds of noisy data, and interval coverage.
+"""Are the parameters of a reel identified from noisy records, and do the intervals hold?
+
+Command: `python -m experiments.identification`.
+Target: worst errors of 0.5 % (resonance), 5 % (damping), 10 % (dead time); coverage of 95 % within
+chance.
 
 The reference reel is excited in open loop about its preload by a multisine of ten seconds, two of
 them to settle, at four lengths and four tensions, each with many seeds. Estimates are compared

@@ -1,5 +1,8 @@
 """How well does the real-time loop keep its time, and how soon is a reel safe?
 
+Command: `python -m experiments.jitter`.
+Target: current off 100 ms after the lease of a killed or frozen supervisor has ended.
+
 The loop holds the emulated reel at 632 Hz, first on an otherwise idle machine, then with every
 other core busy. Two times of each sample are counted from its instant: to its beginning, and to
 the current command, within which the guard acts. Then the rig is stopped by hand, and the program

@@ -1,5 +1,8 @@
 """What does tuning the reels change for a platform moved by a tension distribution over the link?
 
+Command: `python -m experiments.platform_tracking`.
+Target: half the position error, at 90 % of the rate asked for.
+
 Four simulated reels hold a platform in a vertical plane, in a process of its own, each served over
 Zenoh. This process is their source: it finds the pose from the drums' angles, computes the wrench
 that keeps the platform on a circle, distributes it over the cables, and sends the tensions. The

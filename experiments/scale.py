@@ -1,4 +1,7 @@
-"""How does the service grow: seconds, bytes and their growth exponents at each size.
+"""What do a daemon of 10 to 200 rigs, a long run and a large sweep cost, and how does that grow?
+
+Command: `python -m experiments.scale --rigs 10 25 50 100 200 --trials --cells`.
+Target: no lease lost; limits of time and memory for a fleet, a journal and a sweep.
 
 A daemon tunes and holds fleets of rigs (`experiments.fleet`). Journals hold real runs of a tuner
 on recorded trials of the reference reel, 632 samples each, with other noise in every trial. Sweeps

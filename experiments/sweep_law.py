@@ -1,5 +1,8 @@
 """Is the law of I over cable length right, are its intervals honest, and is its schedule good?
 
+Command: `python -m experiments.sweep_law`.
+Target: slope and coverage within limits, scheduled gains about as good as gains tuned there.
+
 The reference reel is tuned at seven lengths, a hundred times each with different noise, by
 `estune.sweep` with the tuner that goes by the cost alone. A tuning minimises the expected cost: a
 trial's cost is that of the gauge signal, and the gauge's noise, through P and D, moves the motor,

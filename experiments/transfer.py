@@ -1,5 +1,9 @@
 """How soon is a new reel tuned from the law of five others, and from its own linear model?
 
+Command: `python -m experiments.transfer`.
+Target: the first trial within 5 % of the optimum in 95 % of cases, at most 6 search trials, none
+unsafe.
+
 Five reels of 0.5 to 1.4 m whose inertias differ by up to 20 % are tuned from their safe gains.
 Four new ones, of other lengths and inertias, are then tuned from the law of the first five, from
 the optimum of their own linear model, and from their safe gains. The excess of a trial is that of

@@ -1,4 +1,8 @@
-"""What does a tuning change? Step response and control effort before and after, in one figure."""
+"""What does a tuning change in the step response and the control effort?
+
+Command: `python -m experiments.tuned_response`.
+Target: none; a figure.
+"""
 
 import sys
 

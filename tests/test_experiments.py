@@ -1,5 +1,6 @@
 """Every experiment runs in its quick form and prints figures and targets in the stated form."""
 
+import ast
 import re
 from pathlib import Path
 
@@ -10,7 +11,6 @@ from tests.support_experiments import run_experiment
 
 ROOT = Path(__file__).parents[1]
 TIMED = {
-    "benchmark_link",
     "benchmark_trials",
     "diagnosis_scale",
     "emergency_stop",
@@ -18,7 +18,6 @@ TIMED = {
     "live_page",
     "platform_tracking",
     "scale",
-    "sweep_speed",
 }
 """Experiments whose targets are times or ratios of times, which a busy machine may miss."""
 
@@ -35,7 +34,6 @@ SAMPLED = {
 """Experiments whose targets are shares or means of hundreds of cases: too many to be quick."""
 
 NIGHTLY = {
-    "benchmark_link",
     "benchmark_trials",
     "diagnosis_constants",
     "diagnosis_scale",
@@ -46,29 +44,45 @@ NIGHTLY = {
     "platform_tracking",
     "sample_efficiency",
     "scale",
-    "soak",
     "sweep_law",
-    "sweep_speed",
-    "two_reels",
 }
 """Experiments of a minute, or whose targets are times; their subjects have tests of their own."""
 
 
-def experiments() -> list[str]:
-    """Names of the modules and packages that can be run and print results."""
+FORM = re.compile(
+    r"[^\n]+\?\n\n"
+    r"Command: `python -m experiments\.(\w+)[^`]*`\.\n"
+    r"Target: [^\n]+(\n[^\n]+)*\.(\n\n.+)?",
+    re.DOTALL,
+)
+"""First lines of an experiment: its question, its command, its target."""
+
+
+def experiments() -> dict[str, str]:
+    """Docstrings of the modules and packages that can be run and print results, by name."""
     folder = ROOT / "experiments"
     mains = [*folder.glob("*.py"), *folder.glob("*/__main__.py")]
-    return sorted(
-        file.parent.name if file.stem == "__main__" else file.stem
-        for file in mains
-        if re.search(r"def main\(.*print_results\(", file.read_text(), re.DOTALL)
-    )
+    return {
+        file.parent.name if file.stem == "__main__" else file.stem: ast.get_docstring(
+            ast.parse(text)
+        )
+        for file in sorted(mains)
+        if re.search(r"def main\(.*print_results\(", text := file.read_text(), re.DOTALL)
+    }
 
 
-def test_page_of_experiments_names_each_experiment_once_and_no_other():
+@pytest.mark.parametrize("name", experiments())
+def test_experiment_opens_with_its_question_command_and_target(name):
+    form = FORM.fullmatch(experiments()[name])
+    assert form, f"{name} does not open with a question, `Command: ...` and `Target: ...`"
+    assert form[1] == name
+
+
+def test_page_of_experiments_has_the_question_of_each():
     page = (ROOT / "docs" / "reference" / "experiments.md").read_text("utf-8")
-    named = re.findall(r"^\| `python -m experiments\.(\w+)", page, re.MULTILINE)
-    assert sorted(named) == experiments()
+    rows = re.findall(r"^\| `python -m experiments\.(\w+)` \| (.+) \|$", page, re.MULTILINE)
+    assert dict(rows) == {name: text.partition("\n")[0] for name, text in experiments().items()}
+    assert len(rows) == len(dict(rows))
 
 
 @pytest.mark.slow

@@ -6,6 +6,7 @@ import re
 import shlex
 from dataclasses import replace
 
+import control
 import numpy as np
 import pandas as pd
 import pytest
@@ -19,7 +20,6 @@ from estune.run.trial_file import TrialFile, read_trial
 from estune.support.html_page import prose, render
 from estune.trial import GUARD, LATE, Outcome, RigLimits, TrialRequest
 from estune.trial.profiles import StepProfile, TriangleProfile
-from experiments.improved_models import PLANT_20_N_A
 from plants.diagnosis.data.measured_record import MeasuredRecord
 from plants.diagnosis.data.noise_floor import noise_floor
 from plants.diagnosis.data.records import read_measurements
@@ -38,6 +38,19 @@ from tests.serve_rig import served
 
 REEL = plants.reference_reel()
 GAINS = REEL.describe("rig", None).gains
+PLANT_20_N_A = plants.linear_plant(
+    control.tf([1440.0], [1.0, 40.0, 1600.0]),
+    0.004,
+    400.0,
+    noise_rms_N=0.02,
+    newtons_per_ampere=20.0,
+    output_min_N=-120.0,
+    output_max_N=120.0,
+    limits=RigLimits(0.0, 40.0, 60.0),
+    profile=StepProfile(15.0, 10.0, 0.2, 1.5),
+    settling_time_s=0.2,
+)
+"""A plant that takes 20 N for an ampere; its rig is known by its linear model."""
 SHORT = ImprovementOptions(model_trials=40, rig_trials=6, watch=None)
 FEW = ("coulomb_friction", "eyelet_friction", "dead_time")
 RIGS = {

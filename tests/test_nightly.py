@@ -15,7 +15,6 @@ VALIDATION = {
     "sample_efficiency": ("--seeds", "10", "--jobs", "2"),
     "chaos": ("--faults", "500", "--trials", "1000"),
     "loop_claims": (),
-    "two_reels": (),
     "identification": (),
     "confirmation": (),
 }

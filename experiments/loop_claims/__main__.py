@@ -1,5 +1,9 @@
 """How few trials does the model-based search need, does it keep its limits, do its claims hold?
 
+Command: `python -m experiments.loop_claims`.
+Target: median of 12 trials to the stop, limits kept in 95 %, no claimed Ms exceeded by more than a
+tenth.
+
 Searches run on families of plants within the class of the identified loop (second order with dead
 time, reels), on loops drawn at random (orders one to five), and on reels outside the class
 (friction, backlash, ripple, stiffening). Each is compared with the true optimum within the limits,

@@ -1,4 +1,7 @@
-"""Likelihood of the costs of random PIDF loops under the prior of the safe Bayesian tuner.
+"""How alike are the costs of PIDF loops drawn at random, and how well does the prior predict one?
+
+Command: `python -m experiments.loop_prior`.
+Target: the prior predicts at least as well as an isotropic one fitted to the same loops.
 
 The loops are independent of those of `experiments.sample_efficiency`: plants of first to fifth
 order, with and without dead time and limits of the effort, each with a cost of its own. The first

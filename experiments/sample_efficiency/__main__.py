@@ -1,4 +1,8 @@
-"""Trials and unsafe trials that tuners need under measurement noise.
+"""How many trials, and unsafe trials, do our tuners and other optimisers need on eight families?
+
+Command: `python -m experiments.sample_efficiency`.
+Target: the default tuner: limits of trials and excess on the worst family, no unsafe trial in the
+median.
 
 Every algorithm tunes the same problems from the same weak gains, in logarithms of the gains,
 within the same bounds, and with the same noise on each numbered trial. It is scored by the
