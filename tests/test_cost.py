@@ -11,12 +11,14 @@ from scipy.integrate import quad
 from estune.core.cost import StepCost
 from estune.core.gains import Gains
 from estune.core.metrics import NO_METRICS, step_metrics
+from estune.core.response import StepShape
 from estune.errors import InvalidInput, RigError
 from estune.trial import Outcome, TrialRecord
 from estune.trial.profiles import StepProfile
 from estune.trial.scoring import cost_of, metrics_of
 
 SAMPLING_Hz, SAMPLES, STEP_INDEX = 632.0, 632, 100
+SHAPE = StepShape(STEP_INDEX, 5.0)
 AFTER_STEP_s = (SAMPLES - STEP_INDEX) / SAMPLING_Hz
 
 costs = st.builds(
@@ -37,7 +39,7 @@ def columns(error_of_t, step_N=5.0, preload_N=10.0, sampling_Hz=SAMPLING_Hz, sam
 
 def evaluate(cost, error_of_t, **shape):
     sampling_Hz, step_N = shape.get("sampling_Hz", SAMPLING_Hz), shape.get("step_N", 5.0)
-    return cost.evaluate(sampling_Hz, STEP_INDEX, step_N, *columns(error_of_t, **shape))
+    return cost.evaluate(sampling_Hz, StepShape(STEP_INDEX, step_N), *columns(error_of_t, **shape))
 
 
 def ringing(t):
@@ -131,9 +133,7 @@ def test_move_penalty_adds_the_squared_moves_from_the_step_on():
     effort = np.random.default_rng(3).normal(size=SAMPLES)
     moves = [(effort[k] - effort[k - 1]) / 5.0 for k in range(STEP_INDEX, SAMPLES)]
     plain, priced = (
-        StepCost(0.3, move_weight=w).evaluate(
-            SAMPLING_Hz, STEP_INDEX, 5.0, setpoint, measurement, effort
-        )
+        StepCost(0.3, move_weight=w).evaluate(SAMPLING_Hz, SHAPE, setpoint, measurement, effort)
         for w in (0.0, 0.2)
     )
     assert priced - plain == pytest.approx(0.2 * sum(move**2 for move in moves))
@@ -146,12 +146,9 @@ def test_cost_of_a_batch_is_that_of_its_members(move_weight):
     measurements = measurement + rng.normal(size=(2, 7, SAMPLES))
     efforts = rng.normal(size=(2, 7, SAMPLES))
     cost = StepCost(0.3, move_weight=move_weight)
-    batch = cost.evaluate(SAMPLING_Hz, STEP_INDEX, 5.0, setpoint, measurements, efforts)
+    batch = cost.evaluate(SAMPLING_Hz, SHAPE, setpoint, measurements, efforts)
     one_by_one = [
-        [
-            cost.evaluate(SAMPLING_Hz, STEP_INDEX, 5.0, setpoint, y, u)
-            for y, u in zip(ys, us, strict=True)
-        ]
+        [cost.evaluate(SAMPLING_Hz, SHAPE, setpoint, y, u) for y, u in zip(ys, us, strict=True)]
         for ys, us in zip(measurements, efforts, strict=True)
     ]
     assert np.shape(batch) == (2, 7)
@@ -164,14 +161,14 @@ def test_nan_in_the_response_gives_nan(where):
     setpoint, measurement, effort = columns(ringing)
     measurement[where] = math.nan
     cost = StepCost(0.3)
-    assert math.isnan(cost.evaluate(SAMPLING_Hz, STEP_INDEX, 5.0, setpoint, measurement, effort))
+    assert math.isnan(cost.evaluate(SAMPLING_Hz, SHAPE, setpoint, measurement, effort))
 
 
 def test_response_too_large_to_square_costs_infinity():
     setpoint, measurement, effort = columns(ringing)
     measurement[-1] = 1e200
     cost = StepCost(0.3)
-    assert cost.evaluate(SAMPLING_Hz, STEP_INDEX, 5.0, setpoint, measurement, effort) == math.inf
+    assert cost.evaluate(SAMPLING_Hz, SHAPE, setpoint, measurement, effort) == math.inf
 
 
 def test_settling_time_longer_than_the_record_is_refused():
@@ -203,13 +200,13 @@ def test_unknown_option_is_refused_with_the_choices(option):
 @pytest.mark.parametrize(
     ("changed", "message"),
     [
-        ({"step_N": 0.0}, "step size is 0.0 N"),
-        ({"step_N": math.nan}, "step size is nan N"),
+        ({"step": StepShape(STEP_INDEX, 0.0)}, "step size is 0.0 N"),
+        ({"step": StepShape(STEP_INDEX, math.nan)}, "step size is nan N"),
         ({"sampling_Hz": 0.0}, "sampling rate is 0.0 Hz"),
-        ({"step_index": -1}, "outside the record of 632 samples"),
-        ({"step_index": SAMPLES}, "outside the record of 632 samples"),
-        ({"step_index": SAMPLES - 1}, "the step is at the last sample"),
-        ({"step_index": 0}, "the step at the first sample has no effort before it"),
+        ({"step": StepShape(-1, 5.0)}, "outside the record of 632 samples"),
+        ({"step": StepShape(SAMPLES, 5.0)}, "outside the record of 632 samples"),
+        ({"step": StepShape(SAMPLES - 1, 5.0)}, "the step is at the last sample"),
+        ({"step": StepShape(0, 5.0)}, "the step at the first sample has no effort before it"),
         ({"setpoint_N": np.zeros(5)}, "5, 632 and 632 samples"),
         ({"effort_N": np.zeros(7)}, "632, 632 and 7 samples"),
     ],
@@ -218,8 +215,7 @@ def test_response_that_cannot_be_scored_is_refused(changed, message):
     names = ("setpoint_N", "measurement_N", "effort_N")
     arguments = {
         "sampling_Hz": SAMPLING_Hz,
-        "step_index": STEP_INDEX,
-        "step_N": 5.0,
+        "step": SHAPE,
         **dict(zip(names, columns(ringing), strict=True)),
         **changed,
     }
@@ -252,7 +248,7 @@ def test_record_is_scored_by_tension_and_effort():
     cost = StepCost(0.3, move_weight=0.2)
     setpoint, measurement, effort = columns(ringing)
     assert cost_of(record(), STEP, cost, newtons_per_ampere=20.0) == pytest.approx(
-        cost.evaluate(SAMPLING_Hz, STEP_INDEX, 5.0, setpoint, measurement, effort)
+        cost.evaluate(SAMPLING_Hz, SHAPE, setpoint, measurement, effort)
     )
     metrics = metrics_of(record(), STEP)
     assert metrics == step_metrics(

@@ -10,7 +10,7 @@ import estune
 import plants
 from estune.core.cost import PRESETS, StepCost, cost_from
 from estune.core.gains import Gains
-from estune.core.response import LoadStep, StepResponse
+from estune.core.response import LoadStep, StepResponse, StepShape
 from estune.errors import InvalidInput
 from estune.loop_model.fitting import fit_loop
 from estune.loop_model.prediction import predict
@@ -24,6 +24,7 @@ from experiments.loop_claims import true_sensitivity
 
 GAINS = Gains(0.3, 4.0, 0.01, 0.02)
 RATE = 500.0
+STEP = StepShape(5, 1.0)
 
 
 def plant(**how):
@@ -46,7 +47,7 @@ def test_criterion_is_one_for_the_first_order_reference(criterion, step_N):
     t = np.arange(1000) / 1000.0
     y = step_N * (1.0 - np.exp(-4.0 * t / 0.3))
     cost = StepCost(0.3, criterion=criterion)
-    eta = cost.evaluate(1000.0, 0, step_N, np.full(1000, step_N), y, y)
+    eta = cost.evaluate(1000.0, StepShape(0, step_N), np.full(1000, step_N), y, y)
     assert eta == pytest.approx(1.0, rel=1e-9)
 
 
@@ -60,9 +61,11 @@ def test_itae_and_ise_agree_with_their_integrals():
     }
     for criterion, value in expected.items():
         cost = StepCost(0.5, criterion=criterion)
-        got = cost.evaluate(200.0, 0, 1.0, error, np.zeros(400), effort)
+        got = cost.evaluate(200.0, StepShape(0, 1.0), error, np.zeros(400), effort)
         assert got == pytest.approx(value, rel=1e-3)
-    priced = replace(cost, effort_weight=0.3).evaluate(200.0, 0, 1.0, error, 0.0 * t, effort)
+    priced = replace(cost, effort_weight=0.3).evaluate(
+        200.0, StepShape(0, 1.0), error, 0.0 * t, effort
+    )
     away = effort - effort[-40:].mean()
     assert priced - got == pytest.approx(0.3 / 0.5 * np.sum(away**2) / 200.0)
 
@@ -70,7 +73,7 @@ def test_itae_and_ise_agree_with_their_integrals():
 def test_load_moves_the_plant_but_not_the_recorded_effort_of_an_open_loop():
     reel = plants.reference_reel()
     step = with_load(reel.profile, reel.rig().describe())
-    load = step.load_step(reel.controller.sampling_Hz)
+    load = step.shape(reel.controller.sampling_Hz).load
     columns = [reel.rig(seed=1).run(TrialRequest("load", 0, reel.rig().describe().gains, profile))
                for profile in (step, replace(step, load_N=2.0 * step.load_N))]  # fmt: skip
     tension = [record.tension_N for record in columns]
@@ -138,15 +141,15 @@ def broken(_: StepResponse) -> float:
 def test_function_cost_that_fails_names_itself_and_its_error():
     cost = cost_from(broken, 0.2)
     with pytest.raises(InvalidInput, match=r"broken failed: ZeroDivisionError: no step"):
-        cost.evaluate(RATE, 5, 1.0, np.ones(200), np.zeros(200), np.zeros(200))
+        cost.evaluate(RATE, STEP, np.ones(200), np.zeros(200), np.zeros(200))
 
 
 def test_batch_of_function_costs_is_that_of_single_trials():
     cost = cost_from(mean_square, 0.2)
     rng = np.random.default_rng(2)
     y, u = rng.standard_normal((2, 3, 200))
-    batch = cost.evaluate(RATE, 5, 1.0, np.ones(200), y, u)
-    single = [cost.evaluate(RATE, 5, 1.0, np.ones(200), *row) for row in zip(y, u, strict=True)]
+    batch = cost.evaluate(RATE, STEP, np.ones(200), y, u)
+    single = [cost.evaluate(RATE, STEP, np.ones(200), *row) for row in zip(y, u, strict=True)]
     assert batch == pytest.approx(single)
 
 
@@ -158,7 +161,7 @@ def test_rejection_is_refused_where_the_rig_or_the_trial_has_no_load():
     with pytest.raises(InvalidInput, match="the rig can make none at all"):
         about.limits.check(loaded)
     with pytest.raises(InvalidInput, match="the trial has no load step"):
-        cost_from("rejection", 0.2).evaluate(RATE, 5, 1.0, *np.zeros((3, 200)))
+        cost_from("rejection", 0.2).evaluate(RATE, STEP, *np.zeros((3, 200)))
     about = plant().rig().describe()
     about.limits.check(loaded)
     with pytest.raises(InvalidInput, match="at most"):
@@ -171,7 +174,7 @@ def test_tables_of_files_give_cost_and_load():
     assert cost == StepCost(0.2, criterion="ise", effort_weight=0.2)
     step = StepTable(load_N=0.4).of(about)
     before = about.step
-    assert step.load_step(RATE) == LoadStep(before.samples(RATE), 0.4)
+    assert step.shape(RATE).load == LoadStep(before.samples(RATE), 0.4)
     assert step.duration_s == pytest.approx(2.0 * before.duration_s - before.step_at_s)
     early = StepTable(load_N=0.4, load_at_s=0.5).of(about)
     assert (early.load_at_s, early.duration_s) == (0.5, before.duration_s)

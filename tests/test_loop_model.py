@@ -62,9 +62,7 @@ def test_fit_begins_at_any_earlier_poles_also_at_one_that_decays_within_a_sample
 def trial_of(plant, effort_N=0.0):
     c, step = plant.controller, plant.profile
     rate = c.sampling_Hz
-    return StepTrial(
-        c, COST, step.preload_N, step.step_N, step.step_index(rate), step.samples(rate), effort_N
-    )
+    return StepTrial(c, COST, step.preload_N, step.shape(rate), step.samples(rate), effort_N)
 
 
 def record_of(plant, gains, number=0, noise_N=NOISE_N):
@@ -78,7 +76,7 @@ def cost_of(plant, gains, cost=COST):
     step, rate = plant.profile, plant.controller.sampling_Hz
     r = plants.simulate(plant, gains)
     columns = (r.setpoint_N, r.tension_N, r.effort_N)
-    return cost.evaluate(rate, step.step_index(rate), step.step_N, *columns)
+    return cost.evaluate(rate, step.shape(rate), *columns)
 
 
 def around(gains, count, spread=0.3, seed=1):

@@ -320,16 +320,14 @@ def test_late_and_saturated_samples_are_flagged():
 def test_running_cost_equals_the_score_and_stops_the_trial():
     loop = VirtualLoop(config())
     cost = StepCost(0.13)
-    index = STEP.step_index(632.0)
+    shape = STEP.shape(632.0)
     weights = np.zeros(STEP.samples(632.0))
-    weights[index:] = cost.weights(632.0, len(weights) - index) / STEP.step_N**2
+    weights[shape.sample :] = cost.weights(632.0, shape, len(weights)) / STEP.step_N**2
     loop.memory.weights[: len(weights)] = weights.data
     loop.ask(GOOD, STEP)
     whole = loop.columns(loop.answer().samples)
     error = whole["setpoint_N"] - whole["tension_N"]
-    eta = cost.evaluate(
-        632.0, index, 10.0, whole["setpoint_N"], whole["tension_N"], whole["current_A"]
-    )
+    eta = cost.evaluate(632.0, shape, whole["setpoint_N"], whole["tension_N"], whole["current_A"])
     running = np.cumsum(weights * error**2)
     assert running[-1] == pytest.approx(eta)
     limit = 0.5 * eta

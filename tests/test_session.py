@@ -262,7 +262,8 @@ def test_plan_survives_json_exactly():
     ],
 )
 def test_plan_refuses_unusable_values(wrong):
-    with pytest.raises(InvalidInput, match=r"at least 1|eta_max|tolerance|does not predict"):
+    words = r"^(trials|repeats|eta_max|tolerance) is|does not predict"
+    with pytest.raises(InvalidInput, match=words):
         plan(**wrong)
 
 

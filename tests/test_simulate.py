@@ -11,6 +11,7 @@ import pytest
 import plants
 from estune.core.cost import StepCost
 from estune.core.gains import Gains
+from estune.core.response import StepShape
 from estune.errors import InvalidInput, PlantError
 from estune.support import c_compiler
 from estune.trial import SATURATED
@@ -170,10 +171,11 @@ def test_batch_costs_equal_those_of_single_trials(plant):
         finished = trial.diverged_at is None
         expected.append(
             cost.evaluate(
-                rate, step.step_index(rate), step.step_N,
-                trial.setpoint_N, trial.tension_N, trial.effort_N,
-            ) if finished else np.nan
-        )  # fmt: skip
+                rate, step.shape(rate), trial.setpoint_N, trial.tension_N, trial.effort_N
+            )
+            if finished
+            else np.nan
+        )
     for workers in (1, 2, None):
         costs = plants.batch_costs(plant, table, step, cost, workers=workers)
         assert costs == pytest.approx(np.array(expected), rel=1e-12, nan_ok=True)
@@ -184,7 +186,9 @@ def test_batch_noise_equals_that_of_the_rig():
     costs = plants.batch_costs(reel, [GAINS.as_tuple()] * 70, step, cost, seed=9)
     noise = NoiseSource(9).draw(66, 632, reel.gauge_noise_N)
     trial = plants.simulate(reel, GAINS, step, noise_N=noise)
-    alone = cost.evaluate(632.0, 126, 10.0, trial.setpoint_N, trial.tension_N, trial.effort_N)
+    alone = cost.evaluate(
+        632.0, StepShape(126, 10.0), trial.setpoint_N, trial.tension_N, trial.effort_N
+    )
     assert costs[66] == pytest.approx(alone, rel=1e-12)
     assert np.ptp(costs) > 0.0
 

@@ -44,8 +44,8 @@ from numpy.typing import ArrayLike
 from estune.core.quantities import FloatArray, check_positive
 from estune.core.response import (
     CostFunction,
-    LoadStep,
     StepResponse,
+    StepShape,
     cost_function,
     evaluate_function,
     reference_of,
@@ -127,26 +127,22 @@ class StepCost:
     def __post_init__(self) -> None:
         check_settings(self)
 
-    def evaluate(  # noqa: PLR0917  the order of the loop: the step, then r, y, u
+    def evaluate(
         self,
         sampling_Hz: float,
-        step_index: int,
-        step_N: float,
+        step: StepShape,
         setpoint_N: ArrayLike,
         measurement_N: ArrayLike,
         effort_N: ArrayLike,
-        load: LoadStep | None = None,
     ) -> float | FloatArray:
         """The cost eta of a sampled step response, or of a batch of them.
 
         Args:
             sampling_Hz: Sampling rate.
-            step_index: Index of the first sample of the stepped setpoint.
-            step_N: Size of the step dT, N; not zero.
+            step: The step, whose size is dT, and the load.
             setpoint_N: Setpoint r before its filter, N, shape (samples,) or (..., samples).
             measurement_N: Measurement y, N, shape (..., samples).
             effort_N: Control effort u, N, shape (..., samples).
-            load: The load step; None without one.
 
         Returns:
             A float, or an array of shape (...). NaN in the response gives NaN; a response too
@@ -157,6 +153,7 @@ class StepCost:
                 zero or outside the record, the columns differ in length, or there is no sample
                 before the step from which to count the first move.
         """
+        step_index, step_N, load = step
         if not (math.isfinite(step_N) and step_N != 0.0):
             raise InvalidInput(f"step size is {step_N} N; it must be finite and not zero")
         measurement = np.asarray(measurement_N)
@@ -177,9 +174,7 @@ class StepCost:
                 "load, or choose another cost"
             )
         if self.function:
-            return self._by_function(
-                sampling_Hz, step_index, step_N, (setpoint, measurement, effort), load
-            )
+            return self._by_function(sampling_Hz, step, (setpoint, measurement, effort))
         end = samples if load is None else load.sample
         # A diverged response overflows to infinity, which is its cost.
         with np.errstate(over="ignore", invalid="ignore"):
@@ -203,12 +198,11 @@ class StepCost:
     def _by_function(
         self,
         sampling_Hz: float,
-        step_index: int,
-        step_N: float,
+        step: StepShape,
         columns: tuple[FloatArray, FloatArray, FloatArray],
-        load: LoadStep | None,
     ) -> float | FloatArray:
         """The cost by the user's function, of each response of a batch."""
+        step_index, step_N, load = step
         rest = [np.asarray(c)[..., : max(step_index, 1)].mean(-1, keepdims=True) for c in columns]
         rest[1] = rest[0]  # the error stays as it is
         moved = np.broadcast_arrays(*(c - r for c, r in zip(columns, rest, strict=True)))
@@ -239,16 +233,16 @@ class StepCost:
             effort_weight=self.effort_weight * gain**2,
         )
 
-    def weights(self, sampling_Hz: float, samples: int) -> FloatArray:
+    def weights(self, sampling_Hz: float, step: StepShape, samples: int) -> FloatArray:
         """Weights w_k, eta = sum(w_k eps_k^2)/dT^2, or of `|eps_k|/dT` for ITAE, from the step.
 
-        Read-only, shape (samples,). None is negative, so the cost of a running trial only grows.
-        They do not contain the move penalty.
+        Read-only, shape (samples - step.sample,). None is negative, so the cost of a running trial
+        only grows. They do not contain the move penalty.
 
         Raises:
-            InvalidInput: the settling time is longer than so many samples.
+            InvalidInput: the settling time is longer than what remains of so many samples.
         """
-        return _normalised_weights(self, sampling_Hz, samples)
+        return _normalised_weights(self, sampling_Hz, samples - step.sample)
 
 
 def default_cost(settling_time_s: float) -> StepCost:

@@ -5,6 +5,8 @@ from collections.abc import Callable
 from functools import lru_cache
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from estune.core.quantities import FloatArray
 from estune.errors import InvalidInput
 
@@ -19,6 +21,33 @@ class LoadStep(NamedTuple):
 
     sample: int
     size_N: float
+
+
+class StepShape(NamedTuple):
+    """The setpoint and the load of a step trial, in samples.
+
+    Attributes:
+        sample: First sample of the step.
+        size_N: Its size; not zero.
+        load: Load step after it, or None.
+    """
+
+    sample: int
+    size_N: float
+    load: LoadStep | None = None
+
+    def setpoint(self, samples: int) -> FloatArray:
+        """The setpoint as a deviation from the preload, N, shape (samples,)."""
+        setpoint = np.zeros(samples)
+        setpoint[self.sample :] = self.size_N
+        return setpoint
+
+    def loads(self, samples: int) -> FloatArray:
+        """The load at each sample, N, shape (samples,)."""
+        loads = np.zeros(samples)
+        if self.load is not None:
+            loads[self.load.sample :] = self.load.size_N
+        return loads
 
 
 class StepResponse(NamedTuple):

@@ -257,9 +257,9 @@ class HardwareRig:
             and step.loop == "closed"
             and self._cost.settling_time_s <= step.duration_s - step.step_at_s
         ):
-            index = step.step_index(rate)
-            weights[index:] = self._cost.weights(rate, len(weights) - index)
-            weights /= step.step_N**2
+            shape = step.shape(rate)
+            weights[shape.sample :] = self._cost.weights(rate, shape, len(weights))
+            weights /= shape.size_N**2
         return weights
 
     def _cost_max(self, request: TrialRequest) -> float:

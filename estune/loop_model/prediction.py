@@ -11,7 +11,7 @@ from estune.core.cost import StepCost
 from estune.core.gains import Gains
 from estune.core.pidf import ControllerSettings
 from estune.core.quantities import FloatArray
-from estune.core.response import LoadStep
+from estune.core.response import StepShape
 from estune.loop_model.identification import LoopFit
 from estune.loop_model.model import ClosedLoop, LoopModel, close_loop, robustness
 from estune.loop_model.sampled_loop import sampled_response
@@ -42,48 +42,38 @@ class StepTrial:
         controller: The fixed part of the controller.
         cost: The settings of (35).
         preload_N: Setpoint before the step.
-        step_N: Size of the step.
-        step_index: First sample of the step.
+        step: The step and the load.
         samples: Samples of the trial.
         effort_N: Effort at rest before the step, by which the controller's limits are judged.
-        load_N: Load step added to the effort on its way to the plant; zero is none.
-        load_index: First sample of it.
     """
 
     controller: ControllerSettings
     cost: StepCost
     preload_N: float
-    step_N: float
-    step_index: int
+    step: StepShape
     samples: int
     effort_N: float = 0.0
-    load_N: float = 0.0
-    load_index: int = 0
 
     @property
-    def load(self) -> LoadStep | None:
-        """The load step; None without one."""
-        return LoadStep(self.load_index, self.load_N) if self.load_N else None
+    def end(self) -> int:
+        """Sample after the last one of the response to the step: the load's, or the end."""
+        return self.samples if self.step.load is None else self.step.load.sample
 
     @cached_property
     def loads_N(self) -> FloatArray:
         """The load at each sample, shape (samples,)."""
-        loads = np.zeros(self.samples)
-        loads[self.load_index :] = self.load_N
-        return loads
+        return self.step.loads(self.samples)
 
     @cached_property
     def setpoint_N(self) -> FloatArray:
         """The setpoint as a deviation from the preload, shape (samples,)."""
-        setpoint = np.zeros(self.samples)
-        setpoint[self.step_index :] = self.step_N
-        return setpoint
+        return self.step.setpoint(self.samples)
 
     @cached_property
     def error_weight(self) -> float:
         """Cost of an error of the step's size in every sample."""
-        after = self.samples - self.step_index
-        return float(self.cost.weights(self.controller.sampling_Hz, after).sum())
+        rate = self.controller.sampling_Hz
+        return float(self.cost.weights(rate, self.step, self.samples).sum())
 
 
 class Prediction(NamedTuple):
@@ -112,8 +102,7 @@ def predict(model: LoopModel, trial: StepTrial, gains: Gains, noise_N: float = 0
         return UNSTABLE
     loop = close_loop(model, gains, trial.controller)
     output, effort = _response(model, loop, trial, gains)
-    end = trial.load_index if trial.load else trial.samples
-    peak = float(np.max(output[trial.step_index : end] / trial.step_N)) - 1.0
+    peak = float(np.max(output[trial.step.sample : trial.end] / trial.step.size_N)) - 1.0
     return Prediction(
         cost=_expected_cost(loop, trial, output, effort, noise_N),
         overshoot=max(peak, 0.0),
@@ -129,7 +118,7 @@ def _response(
     settings = trial.controller
     if not model.friction_N:
         output, effort = loop.step_response(trial.setpoint_N)
-        if trial.load:
+        if trial.step.load:
             loaded = loop.load_response(trial.loads_N)
             output, effort = output + loaded[0], effort + loaded[1]
         total = effort + trial.effort_N
@@ -152,13 +141,11 @@ def _expected_cost(
     def cost(measurement: FloatArray, command: FloatArray) -> float:
         columns = trial.setpoint_N, measurement, command
         rate = trial.controller.sampling_Hz
-        return float(
-            trial.cost.evaluate(rate, trial.step_index, trial.step_N, *columns, load=trial.load)
-        )
+        return float(trial.cost.evaluate(rate, trial.step, *columns))
 
     if noise_N == 0.0:
         return cost(output, effort)
-    if trial.cost.is_quadratic and trial.load is None:
+    if trial.cost.is_quadratic and trial.step.load is None:
         return cost(output, effort) + _noise_cost(loop, trial, noise_N)
     y, u = loop.noise_response(noise_N * _fixed_noise(trial.samples))
     return 0.5 * (cost(output + y, effort + u) + cost(output - y, effort - u))
@@ -172,9 +159,9 @@ def _fixed_noise(samples: int) -> FloatArray:
 
 def _noise_cost(loop: ClosedLoop, trial: StepTrial, noise_N: float) -> float:
     """Expected share of the measurement noise in a quadratic cost."""
-    after = trial.samples - trial.step_index
+    after = trial.samples - trial.step.sample
     error, move = loop.noise_gains(after)
-    return (noise_N / trial.step_N) ** 2 * (
+    return (noise_N / trial.step.size_N) ** 2 * (
         trial.error_weight * error + trial.cost.move_weight * after * move
     )
 

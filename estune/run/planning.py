@@ -9,7 +9,7 @@ from pydantic import TypeAdapter, ValidationError
 
 from estune.core.cost import StepCost, cost_from
 from estune.core.gains import Gains
-from estune.core.response import CostFunction, LoadStep
+from estune.core.response import CostFunction
 from estune.errors import InvalidInput, JournalError
 from estune.loop_model.optimum import RobustnessLimits
 from estune.loop_model.prediction import StepTrial
@@ -17,7 +17,7 @@ from estune.run.plan import Plan
 from estune.run.start import KnownStart, StartRule, check_start, model_start
 from estune.run.trial_quality import check_sampling
 from estune.trial import RigDescription
-from estune.trial.profiles import LoadStepProfile, Profile, StepProfile, load_step
+from estune.trial.profiles import LoadStepProfile, Profile, StepProfile
 from estune.tuners import (
     RecordUsingTuner,
     SearchSpace,
@@ -115,10 +115,15 @@ def with_load(step: StepProfile, description: RigDescription) -> LoadStepProfile
         )
     size_N = math.copysign(min(most_N, 0.5 * abs(step.step_N)), -step.step_N)
     after_s = step.duration_s - step.step_at_s
+    same = {f.name: getattr(step, f.name) for f in dataclasses.fields(StepProfile)}
     return LoadStepProfile(
-        *(step.preload_N, step.step_N, step.step_at_s, step.duration_s + after_s),
-        load_N=size_N,
-        load_at_s=step.duration_s,
+        **same
+        | {
+            "kind": "load_step",
+            "duration_s": step.duration_s + after_s,
+            "load_N": size_N,
+            "load_at_s": step.duration_s,
+        }
     )
 
 
@@ -144,16 +149,12 @@ def known_start(
 def step_trial(description: RigDescription, step: StepProfile, cost: StepCost) -> StepTrial:
     """The step trial as the identified loop predicts it."""
     rate = description.controller.sampling_Hz
-    load = load_step(step, rate) or LoadStep(0, 0.0)
     return StepTrial(
         controller=description.controller,
         cost=cost,
         preload_N=step.preload_N,
-        step_N=step.step_N,
-        step_index=step.step_index(rate),
+        step=step.shape(rate),
         samples=step.samples(rate),
-        load_N=load.size_N,
-        load_index=load.sample,
     )
 
 

@@ -141,7 +141,7 @@ def _optimum(fit: LoopFit, trial: StepTrial, limits: RobustnessLimits, at: Gains
         gains_of=lambda x: Gains(*np.exp(x).tolist()),
         low=centre - EXTENT,
         high=centre + EXTENT,
-        noise_N=NOISE_ASSUMED * abs(trial.step_N),
+        noise_N=NOISE_ASSUMED * abs(trial.step.size_N),
     )
     found = search.minimise([centre], scattered=64)
     if not math.isfinite(found.prediction.cost):
@@ -165,7 +165,7 @@ def _simulated_step(plant: SampledPlant, trial: StepTrial, gains: Gains) -> Loop
         past = [float(effort), *past[:-1]]
         x = _moved(plant, x, past)
         efforts[k], outputs[k] = effort, y
-    return LoopRecord(efforts, outputs, trial.step_N, trial.step_index)
+    return LoopRecord(efforts, outputs, trial.step.size_N, trial.step.sample)
 
 
 def _moved(plant: SampledPlant, x: FloatArray, past: list[float]) -> FloatArray:

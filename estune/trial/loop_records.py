@@ -13,7 +13,7 @@ from estune.core.controller_equation import unlimited_effort
 from estune.core.quantities import FloatArray
 from estune.loop_model.identification import LoopRecord
 from estune.trial.description import RigDescription
-from estune.trial.profiles import LoadStepProfile, StepProfile
+from estune.trial.profiles import StepProfile
 from estune.trial.records import SATURATED, Outcome, TrialRecord
 
 LAGS = (-2, -1, 0, 1, 2)
@@ -54,10 +54,9 @@ def loop_signals(record: TrialRecord, step: StepProfile, rig: RigDescription) ->
             return LoopSignals(None, reason)
         # The first sample's level has its noise, which the derivative makes many times as large.
         effort = effort + float(np.median(logged - effort))
-    index = step.step_index(record.sampling_Hz)
-    if isinstance(step, LoadStepProfile):
-        effort = effort + step.load(record.sampling_Hz)
-    return LoopSignals(LoopRecord(effort, record.tension_N, step.step_N, index))
+    shape = step.shape(record.sampling_Hz)
+    effort = effort + shape.loads(effort.size)
+    return LoopSignals(LoopRecord(effort, record.tension_N, shape.size_N, shape.sample))
 
 
 def recomputed_effort(record: TrialRecord, rig: RigDescription, first_N: float) -> FloatArray:

@@ -15,7 +15,7 @@ from estune.core.metrics import (
 from estune.core.quantities import FloatArray
 from estune.errors import RigError
 from estune.trial.description import RigDescription
-from estune.trial.profiles import StepProfile, load_step
+from estune.trial.profiles import StepProfile
 from estune.trial.records import Outcome, TrialRecord
 
 
@@ -35,12 +35,10 @@ def cost_of(
         return math.nan
     eta = cost.evaluate(
         record.sampling_Hz,
-        step.step_index(record.sampling_Hz),
-        step.step_N,
+        step.shape(record.sampling_Hz),
         record.setpoint_N,
         record.tension_N,
         record.current_A * newtons_per_ampere,
-        load=load_step(step, record.sampling_Hz),
     )
     return float(eta) if np.isfinite(eta) else math.nan
 
@@ -102,7 +100,7 @@ def metrics_of(record: TrialRecord, step: StepProfile) -> StepMetrics:
     """
     if not _is_complete(record, step):
         return NO_METRICS
-    load = load_step(step, record.sampling_Hz)
+    load = step.shape(record.sampling_Hz).load
     tracked = slice(None, None if load is None else load.sample)
     return step_metrics(
         record.time_s[tracked],
@@ -119,7 +117,7 @@ def load_metrics_of(record: TrialRecord, step: StepProfile) -> LoadMetrics | Non
     Raises:
         RigError: as in `cost_of`.
     """
-    load = load_step(step, record.sampling_Hz)
+    load = step.shape(record.sampling_Hz).load
     if load is None or not _is_complete(record, step):
         return None
     return load_metrics(

@@ -372,7 +372,6 @@ def _log_cost(prediction: Prediction) -> float:
 
 def _overshoot(record: LoopRecord, trial: StepTrial) -> float:
     """Overshoot of a record, as a share of the step, by means of `SMOOTHED` samples."""
-    end = trial.load_index if trial.load else trial.samples
-    after = record.measurement_N[record.step_index : end] - trial.preload_N
+    after = record.measurement_N[record.step_index : trial.end] - trial.preload_N
     smooth = np.convolve(after, np.full(SMOOTHED, 1.0 / SMOOTHED), mode="valid")
-    return max(float(np.max(smooth / trial.step_N)) - 1.0, 0.0)
+    return max(float(np.max(smooth / trial.step.size_N)) - 1.0, 0.0)

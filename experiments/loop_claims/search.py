@@ -65,8 +65,7 @@ def search(case: LoopCase, optimum: Truth, noise: float, seed: int, trials_max: 
     """One model-based search with repeats of what it recommends."""
     plant, cost, step = case.plant, case.cost, case.plant.profile
     rate = plant.controller.sampling_Hz
-    index, samples = step.step_index(rate), step.samples(rate)
-    trial = StepTrial(plant.controller, cost, step.preload_N, step.step_N, index, samples)
+    trial = StepTrial(plant.controller, cost, step.preload_N, step.shape(rate), step.samples(rate))
     true = TrueLoop(plant, cost)
     rng, run = np.random.default_rng(seed), _trials(case, seed)
     space = SearchSpace.around(case.start, BOUNDS_FACTOR)
@@ -138,7 +137,7 @@ def _trials(case: LoopCase, seed: int) -> Callable[[Gains, int], tuple[float, Lo
         if r.diverged_at is not None:
             return math.inf, None
         columns = r.setpoint_N, r.tension_N, r.effort_N
-        eta = float(case.cost.evaluate(rate, index, step.step_N, *columns))
+        eta = float(case.cost.evaluate(rate, step.shape(rate), *columns))
         return eta, LoopRecord(r.effort_N, r.tension_N, step.step_N, index)
 
     return run

@@ -98,8 +98,8 @@ class Problem:
         """The step trial."""
         step, controller = self.plant.profile, self.plant.controller
         rate = controller.sampling_Hz
-        index, samples = step.step_index(rate), step.samples(rate)
-        return StepTrial(controller, self.cost, step.preload_N, step.step_N, index, samples)
+        samples = step.samples(rate)
+        return StepTrial(controller, self.cost, step.preload_N, step.shape(rate), samples)
 
     def without_noise(self) -> "Problem":
         """The problem without gauge noise."""
@@ -112,7 +112,7 @@ class Problem:
         if r.diverged_at is not None:
             return math.inf
         columns = r.setpoint_N, r.tension_N, r.effort_N
-        return float(self.cost.evaluate(rate, step.step_index(rate), step.step_N, *columns))
+        return float(self.cost.evaluate(rate, step.shape(rate), *columns))
 
     def _response(
         self, coordinates: Coordinates, seed: int, number: int, noise_N: float

@@ -13,7 +13,7 @@ from estune.core.cost import StepCost
 from estune.core.gains import Gains
 from estune.core.quantities import FloatArray
 from estune.errors import InvalidInput
-from estune.trial.profiles import AnyProfile, StepProfile, load_step
+from estune.trial.profiles import AnyProfile, StepProfile
 from plants.simulation.noise import NoiseSource
 from plants.simulation.plant import Plant, TrialSetpoint, drive_of
 
@@ -149,13 +149,7 @@ def batch_costs(
         # A diverged trial leaves the rest of its columns undefined.
         columns.tension_N[~done], columns.effort_N[~done] = np.nan, np.nan
         costs[part] = cost.evaluate(
-            rate,
-            profile.step_index(rate),
-            profile.step_N,
-            drive.setpoint_N,
-            columns.tension_N,
-            columns.effort_N,
-            load=load_step(profile, rate),
+            rate, profile.shape(rate), drive.setpoint_N, columns.tension_N, columns.effort_N
         )
 
     starts = range(0, len(rows), CHUNK)

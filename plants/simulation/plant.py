@@ -45,7 +45,9 @@ def drive_of(profile: AnyProfile, sampling_Hz: float) -> TrialSetpoint:
         )
     time, setpoint = np.arange(samples) / sampling_Hz, profile.setpoint(sampling_Hz)
     time.flags.writeable = setpoint.flags.writeable = False
-    load = profile.load(sampling_Hz) if isinstance(profile, LoadStepProfile) else None
+    load = None
+    if isinstance(profile, LoadStepProfile):
+        load = profile.shape(sampling_Hz).loads(samples)
     return TrialSetpoint(time, setpoint, profile.preload_N, profile.loop == "open", load)
 
 

@@ -147,7 +147,7 @@ def draw_disturbance(
     band = 0.02 * abs(step.step_N)
     ax.axhspan(-band, band, color=LIGHT, linewidth=0, label="±2 % of the step")
     for record, look in _before_and_after(before, after):
-        at = step.load_step(record.sampling_Hz).sample
+        at = round(step.load_at_s * record.sampling_Hz)
         deviation = record.tension_N[at:] - record.setpoint_N[at:]
         ax.plot((record.time_s[at:] - step.load_at_s) * per_s, deviation, **look)
     finish(ax, f"deviation, {rig.measurement_unit}".rstrip(", "), f"time from the load, {unit}")

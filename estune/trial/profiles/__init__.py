@@ -10,7 +10,6 @@ the current loop: current = setpoint / newtons per ampere, within the rig's limi
 
 from typing import Annotated, Any, Literal, TypeAlias, get_args
 
-from estune.core.response import LoadStep
 from estune.trial.profiles.excitations import ChirpProfile, StaircaseProfile, TriangleProfile
 from estune.trial.profiles.load_step import LoadStepProfile
 from estune.trial.profiles.multisine import MOST_LINES, Lines, MultisineProfile
@@ -31,7 +30,6 @@ __all__ = [
     "StaircaseProfile",
     "StepProfile",
     "TriangleProfile",
-    "load_step",
 ]
 
 Kind = Literal["step", "load_step", "triangle", "multisine", "chirp", "staircase"]
@@ -58,8 +56,3 @@ Profile: TypeAlias = Annotated[AnyProfile, _ByKind()]
 """Any profile."""
 
 PROFILES: tuple[type[AnyProfile], ...] = get_args(AnyProfile)
-
-
-def load_step(profile: AnyProfile, sampling_Hz: float) -> LoadStep | None:
-    """First sample and size of a profile's load step; None without one."""
-    return profile.load_step(sampling_Hz) if isinstance(profile, LoadStepProfile) else None

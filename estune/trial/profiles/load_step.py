@@ -3,10 +3,7 @@
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Literal
 
-import numpy as np
-
-from estune.core.quantities import FloatArray
-from estune.core.response import LoadStep
+from estune.core.response import LoadStep, StepShape
 from estune.core.setting import Setting, documented
 from estune.errors import InvalidInput
 from estune.trial.profiles.step import StepProfile
@@ -53,12 +50,7 @@ class LoadStepProfile(StepProfile):
                 f"{self.step_at_s:g} s and before the end at {self.duration_s:g} s"
             )
 
-    def load_step(self, sampling_Hz: float) -> LoadStep:
-        """First sample and size of the load."""
-        return LoadStep(round(self.load_at_s * sampling_Hz), self.load_N)
-
-    def load(self, sampling_Hz: float) -> FloatArray:
-        """The load at each sample, N."""
-        load = np.zeros(self.samples(sampling_Hz))
-        load[self.load_step(sampling_Hz).sample :] = self.load_N
-        return load
+    def shape(self, sampling_Hz: float) -> StepShape:
+        """The step and the load in samples."""
+        load = LoadStep(round(self.load_at_s * sampling_Hz), self.load_N)
+        return StepProfile.shape(self, sampling_Hz)._replace(load=load)

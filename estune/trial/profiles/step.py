@@ -6,6 +6,7 @@ from typing import Annotated, Literal
 import numpy as np
 
 from estune.core.quantities import FloatArray
+from estune.core.response import StepShape
 from estune.core.setting import Setting, check_settings, documented
 from estune.errors import InvalidInput
 from estune.trial.profiles.sampled import Loop, Sampled, ordered
@@ -58,6 +59,10 @@ class StepProfile(Sampled):
     def step_index(self, sampling_Hz: float) -> int:
         """Index of the first sample whose setpoint is the stepped one."""
         return round(self.step_at_s * sampling_Hz)
+
+    def shape(self, sampling_Hz: float) -> StepShape:
+        """The step in samples."""
+        return StepShape(self.step_index(sampling_Hz), self.step_N)
 
     def setpoint(self, sampling_Hz: float) -> FloatArray:
         """The setpoint at each sample, N, shape (samples,)."""
