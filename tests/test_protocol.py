@@ -122,7 +122,7 @@ def test_digest_differs_for_different_requests(other):
         (("request", "gains"), ("I", float("inf")), "request.gains.I: .*finite"),
         (("request", "gains"), ("P", -1.0), "request.gains: .*above zero"),
         (("request", "gains"), ("P", "1"), "request.gains.P: .*number"),
-        (("request", "profile"), ("step_N", 0.0), "request.profile.step: .*no response"),
+        (("request", "profile"), ("step_N", 0.0), "request.profile.step: .*step_N is 0.0 N"),
         (("request", "profile"), ("kind", "square"), "request.profile: .*square"),
         (("request", "profile"), ("kind", "triangle"), r"request\.profile\.triangle\..*required"),
         (("request", "profile"), ("loop", "ajar"), r"request\.profile\.step\.loop: .*closed"),

@@ -91,12 +91,14 @@ class Setting:
         unit: Its unit; empty without one.
         bounds: Its range.
         otherwise: What holds where it is not given, if that is not the default of the field.
+        younger: Whether it is younger than messages and files that must stay as they are: where
+            it has its default, it is left out of digests and keys.
         share: Whether it is a share, which may be written in per cent.
         none: What the word "none" means where it may be written; empty where it may not.
         bare_most: Largest share that may be written without a per cent sign; None is any.
     """
 
-    __slots__ = ("bare_most", "bounds", "help", "none", "otherwise", "share", "unit")
+    __slots__ = ("bare_most", "bounds", "help", "none", "otherwise", "share", "unit", "younger")
 
     def __init__(
         self,
@@ -107,6 +109,7 @@ class Setting:
         share: bool = False,
         none: str = "",
         bare_most: float | None = None,
+        younger: bool = False,
         above: float | None = None,
         least: float | None = None,
         below: float | None = None,
@@ -120,6 +123,7 @@ class Setting:
         self.share = share
         self.none = none
         self.bare_most = bare_most
+        self.younger = younger
         self.bounds = Bounds(above, least, below, most, not_zero, infinite)
 
 
@@ -228,6 +232,13 @@ def _find(kind: Any) -> Iterator[Declared]:
         if setting is not None:
             bare = _without_none(get_args(hint)[0])
             yield Declared(field.name, bare, field.default, setting)
+
+
+def stated(value: Any) -> dict[str, Any]:
+    """The fields of a dataclass by name, but for younger ones that have their default."""
+    younger = {m.name: m.default for m in declared(type(value)) if m.setting.younger}
+    named = ((field.name, getattr(value, field.name)) for field in fields(value))
+    return {name: v for name, v in named if name not in younger or v != younger[name]}
 
 
 def check_settings(value: Any) -> None:

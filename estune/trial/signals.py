@@ -1,8 +1,9 @@
 """Names and units of a rig's measured and commanded signals."""
 
-from dataclasses import dataclass
+from dataclasses import MISSING, dataclass
 
 from estune.core.gains import Gains, gain_units
+from estune.core.setting import declared
 from estune.support.quantity_text import with_unit
 from estune.trial.profiles import StepProfile
 
@@ -61,8 +62,14 @@ class NamedSignals:
         return with_unit(value, self.command_unit, digits)
 
     def step_text(self, step: StepProfile) -> str:
-        """The setpoints before and after a step: "15 to 25 N"."""
-        return f"{step.preload_N:g} to {self.measured(step.preload_N + step.step_N, 6)}"
+        """The setpoints before and after a step, and what it has besides: "15 to 25 N"."""
+        text = f"{step.preload_N:g} to {self.measured(step.preload_N + step.step_N, 6)}"
+        more = [
+            f"{member.name} {getattr(step, member.name)}"
+            for member in declared(type(step))
+            if member.default is not MISSING and getattr(step, member.name) != member.default
+        ]
+        return ", ".join([text, *more])
 
 
 @dataclass(frozen=True, slots=True)

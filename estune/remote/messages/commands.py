@@ -8,6 +8,7 @@ from types import MappingProxyType
 from typing import Any, Literal, NamedTuple
 
 from estune.core.gains import Gains
+from estune.core.setting import stated
 from estune.remote.messages.codec import Message
 from estune.trial import Setpoint, TrialRequest
 
@@ -21,7 +22,7 @@ def digest(request: TrialRequest) -> str:
     little-endian float64.
     """
     profile: Any = request.profile
-    values = [getattr(profile, field.name) for field in fields(profile)]
+    values = list(stated(profile).values())
     words = [request.run, str(request.number), str(request.attempt)]
     words += [value for value in values if isinstance(value, str)]
     numbers = [*request.gains.as_tuple(), *(v for v in values if not isinstance(v, str))]

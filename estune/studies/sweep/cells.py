@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 
 from estune.core.cost import StepCost
 from estune.core.gains import Gains
+from estune.core.setting import stated
 from estune.errors import InvalidInput
 from estune.remote.security import OPEN, read_security
 from estune.run import targets
@@ -284,7 +285,7 @@ def _keys(
     tuner = _NAME_IN_KEYS.get(tuner, tuner)
     before = to_json([version("estune"), rig.label, rig.rig, source, length, tension, tuner])[:-1]
     start_values = start and asdict(start)
-    after = to_json([search, start_values, asdict(step), _cost_in_key(cost), model])[1:]
+    after = to_json([search, start_values, stated(step), _cost_in_key(cost), model])[1:]
     texts = (f"{before}, {seed}, {after}" for seed in range(seeds))
     return "".join(hashlib.sha256(text.encode()).hexdigest()[:KEY_LENGTH] for text in texts)
 

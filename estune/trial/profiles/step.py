@@ -3,8 +3,6 @@
 from dataclasses import dataclass
 from typing import Annotated, Literal
 
-import numpy as np
-
 from estune.core.quantities import FloatArray
 from estune.core.response import StepShape
 from estune.core.setting import Setting, check_settings, documented
@@ -66,6 +64,4 @@ class StepProfile(Sampled):
 
     def setpoint(self, sampling_Hz: float) -> FloatArray:
         """The setpoint at each sample, N, shape (samples,)."""
-        setpoint = np.full(self.samples(sampling_Hz), float(self.preload_N + self.step_N))
-        setpoint[: self.step_index(sampling_Hz)] = self.preload_N
-        return setpoint
+        return self.preload_N + self.shape(sampling_Hz).setpoint(self.samples(sampling_Hz))
