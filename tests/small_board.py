@@ -37,7 +37,7 @@ FIELDS = {
     "result": ({"digest"}, {"offset", "length"}),
     "request": ({"run", "number", "gains", "profile"}, {"attempt"}),
     "P": ({"P", "I", "D", "setpoint_filter_s"}, set()),
-    "step": ({"kind", "preload_N", "step_N", "step_at_s", "duration_s"}, {"loop"}),
+    "step": ({"kind", "preload_N", "step_N", "step_at_s", "duration_s"}, {"loop", "ramp_s"}),
 }
 
 
@@ -233,9 +233,10 @@ def submit(message):
         raise Refused("InvalidInput", "this board knows steps only")
     check_fields("step", profile)
     numbers = [profile[n] for n in ("preload_N", "step_N", "step_at_s", "duration_s")]
+    numbers.append(profile.get("ramp_s", 0.0))
     finite(*numbers)
-    preload, size, at, duration = numbers
-    if not (size and 0.0 <= at < duration):
+    preload, size, at, duration, ramp = numbers
+    if not (size and at >= 0.0 and ramp >= 0.0 and at + ramp < duration):
         raise Refused("ProtocolError", "no step profile")
     if not all(0.0 <= tension <= 50.0 for tension in (preload, preload + size)):
         raise Refused("InvalidInput", "a setpoint is outside the rig's range 0 to 50 N")
@@ -373,7 +374,7 @@ def run():
                 entry["state"] = "running"
                 save()
             profile, gains = now.trial["profile"], now.trial["gains"]
-        columns = follow(gains, *profile)
+        columns = follow(gains, profile)
         with lock:
             now.frame = now.trial["id"], record(now.trial, columns)
             entry["state"] = "ended"
@@ -382,9 +383,10 @@ def run():
         session.put(f"{ROOT}/status", question(["status"], b""), attachment=INSTANCE)
 
 
-def follow(gains, preload, size, at, duration):
+def follow(gains, profile):
     """Samples in real time of PIDF and drum, which lags the effort, until the end or a stop."""
     rows, began, h = [], time.monotonic(), 1.0 / RATE_HZ
+    preload, size, at, duration, ramp = profile
     tension = integral = filtered = lagged = preload
     lag_s = gains["setpoint_filter_s"]
     pole = math.exp(-h / lag_s) if lag_s else 0.0
@@ -395,7 +397,8 @@ def follow(gains, preload, size, at, duration):
             work.wait_for(lambda: now.stop, max(0.0, began + k / RATE_HZ - time.monotonic()))
             if now.stop:
                 break
-        setpoint = preload + size if k >= round(at * RATE_HZ) else preload
+        moved = (k - round(at * RATE_HZ) + 1) / max(1, round(ramp * RATE_HZ))
+        setpoint = preload + size * min(max(moved, 0.0), 1.0)
         filtered = pole * filtered + (1.0 - pole) * setpoint
         rate = (tension - lagged) / (0.01 + h)
         lagged += h * rate

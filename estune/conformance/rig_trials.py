@@ -46,6 +46,18 @@ class TrialTests:
         assert again.verdict is ReplyCode.ENDED
         assert wire.status().ended == ended + 1
 
+    def test_ramp_to_the_setpoint_is_run_as_requested_or_refused(self, wire: WireClient) -> None:
+        step = wire.describe().rig.step
+        request = wire.trial(ramp_s=0.4 * (step.duration_s - step.step_at_s))
+        answer = wire.submit(request)
+        if answer.verdict is ReplyCode.REFUSED:
+            assert answer.error in ("InvalidInput", "ProtocolError")
+            assert wire.code(request) is ReplyCode.UNKNOWN
+            return
+        record = wire.record(request)
+        setpoint = request.profile.setpoint(record.sampling_Hz)
+        np.testing.assert_allclose(record.setpoint_N, setpoint, rtol=1e-6)
+
     def test_current_follows_from_setpoint_tension_and_the_trials_gains(
         self, wire: WireClient
     ) -> None:

@@ -7,8 +7,9 @@ With the error eps = r - y, the step dT and the time t measured from the step,
 
 Implements (35), where eps_1 = dT exp(-4 t/t_s) is the error of a first-order system that settles
 within 2 % in the desired time t_s. So eta depends on neither the size nor the sign of the step,
-and eta = 1 means "as good as first order". The paper advises t_s <= 2 pi / omega_n, with omega_n
-the plant's natural frequency in rad/s.
+and eta = 1 means "as good as first order". Where the setpoint moves in a ramp, eps_1 is the error
+of the same system on that ramp, so that 1 means the same. The paper advises t_s <= 2 pi / omega_n,
+with omega_n the plant's natural frequency in rad/s.
 
 The paper contradicts itself in two places, both options here:
 
@@ -153,7 +154,7 @@ class StepCost:
                 zero or outside the record, the columns differ in length, or there is no sample
                 before the step from which to count the first move.
         """
-        step_index, step_N, load = step
+        step_index, step_N, load, ramp = step
         if not (math.isfinite(step_N) and step_N != 0.0):
             raise InvalidInput(f"step size is {step_N} N; it must be finite and not zero")
         measurement = np.asarray(measurement_N)
@@ -179,7 +180,7 @@ class StepCost:
         # A diverged response overflows to infinity, which is its cost.
         with np.errstate(over="ignore", invalid="ignore"):
             error = setpoint - measurement
-            eta = self._criterion(error[..., step_index:end] / step_N, sampling_Hz)
+            eta = self._criterion(error[..., step_index:end] / step_N, sampling_Hz, ramp)
             if load is not None and self.rejection > 0.0:
                 rejected = self._criterion(error[..., load.sample :] / load.size_N, sampling_Hz)
                 eta = (1.0 - self.rejection) * eta + self.rejection * rejected
@@ -190,9 +191,9 @@ class StepCost:
                 eta = eta + self.move_weight * _moves(step_index, step_N, effort)
         return float(eta) if np.ndim(eta) == 0 else np.asarray(eta)
 
-    def _criterion(self, error: FloatArray, sampling_Hz: float) -> FloatArray:
+    def _criterion(self, error: FloatArray, sampling_Hz: float, ramp: int = 1) -> FloatArray:
         """The criterion of an error relative to its step, shape (..., samples after it)."""
-        weights = _normalised_weights(self, sampling_Hz, error.shape[-1])
+        weights = _normalised_weights(self, sampling_Hz, error.shape[-1], ramp)
         return np.asarray((np.abs(error) if self.criterion == "itae" else error**2) @ weights)
 
     def _by_function(
@@ -202,7 +203,7 @@ class StepCost:
         columns: tuple[FloatArray, FloatArray, FloatArray],
     ) -> float | FloatArray:
         """The cost by the user's function, of each response of a batch."""
-        step_index, step_N, load = step
+        step_index, step_N, load, _ = step
         rest = [np.asarray(c)[..., : max(step_index, 1)].mean(-1, keepdims=True) for c in columns]
         rest[1] = rest[0]  # the error stays as it is
         moved = np.broadcast_arrays(*(c - r for c, r in zip(columns, rest, strict=True)))
@@ -242,7 +243,7 @@ class StepCost:
         Raises:
             InvalidInput: the settling time is longer than what remains of so many samples.
         """
-        return _normalised_weights(self, sampling_Hz, samples - step.sample)
+        return _normalised_weights(self, sampling_Hz, samples - step.sample, step.ramp)
 
 
 def default_cost(settling_time_s: float) -> StepCost:
@@ -286,8 +287,11 @@ def _moves(step_index: int, step_N: float, effort: FloatArray) -> FloatArray:
 
 
 @lru_cache(maxsize=256)
-def _normalised_weights(cost: StepCost, sampling_Hz: float, samples: int) -> FloatArray:
-    """Weights of eps_k^2/dT^2 in N of (35) by quadrature, over N of the reference."""
+def _normalised_weights(cost: StepCost, sampling_Hz: float, samples: int, ramp: int) -> FloatArray:
+    """Weights of eps_k^2/dT^2 in N of (35) by quadrature, over N of the reference.
+
+    The reference follows a setpoint that moves by 1/ramp in each of `ramp` samples.
+    """
     check_positive("sampling rate", sampling_Hz, "Hz")
     if samples < 2:
         raise InvalidInput("the step is at the last sample; there is no response to score")
@@ -304,6 +308,8 @@ def _normalised_weights(cost: StepCost, sampling_Hz: float, samples: int) -> Flo
     sigmoid = 1.0 / (1.0 + np.exp(np.minimum(exponent, 700.0)))
     unit = 1.0 if cost.time_unit == "second" else t_s
     whole, reference = _trapezoid(t, h, t[-1]), np.exp(-4.0 * t / t_s)
+    if ramp > 1:
+        reference = np.convolve(reference, np.full(ramp, 1.0 / ramp))[:samples]
     weights: FloatArray
     if cost.criterion == "itae":
         weights = t * whole / (t * whole @ reference)

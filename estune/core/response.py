@@ -30,17 +30,18 @@ class StepShape(NamedTuple):
         sample: First sample of the step.
         size_N: Its size; not zero.
         load: Load step after it, or None.
+        ramp: Samples over which the setpoint moves; 1 is a step.
     """
 
     sample: int
     size_N: float
     load: LoadStep | None = None
+    ramp: int = 1
 
     def setpoint(self, samples: int) -> FloatArray:
         """The setpoint as a deviation from the preload, N, shape (samples,)."""
-        setpoint = np.zeros(samples)
-        setpoint[self.sample :] = self.size_N
-        return setpoint
+        moved = np.arange(1 - self.sample, samples - self.sample + 1) / self.ramp
+        return self.size_N * np.clip(moved, 0.0, 1.0)
 
     def loads(self, samples: int) -> FloatArray:
         """The load at each sample, N, shape (samples,)."""

@@ -44,10 +44,10 @@ class LoadStepProfile(StepProfile):
 
     def __post_init__(self) -> None:
         StepProfile.__post_init__(self)
-        if not self.step_at_s < self.load_at_s < self.duration_s:
+        if not self.reached_at_s < self.load_at_s < self.duration_s:
             raise InvalidInput(
                 f"the load at {self.load_at_s:g} s must come after the step at "
-                f"{self.step_at_s:g} s and before the end at {self.duration_s:g} s"
+                f"{self.reached_at_s:g} s and before the end at {self.duration_s:g} s"
             )
 
     def shape(self, sampling_Hz: float) -> StepShape:

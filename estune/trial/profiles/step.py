@@ -1,7 +1,9 @@
 """A step in the setpoint."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Annotated, Literal
+
+from pydantic import Field
 
 from estune.core.quantities import FloatArray
 from estune.core.response import StepShape
@@ -15,9 +17,11 @@ _RIG = "as the rig suggests"
 @documented
 @dataclass(frozen=True, slots=True)
 class StepProfile(Sampled):
-    """A step in the setpoint: hold the preload, and at `step_at_s` jump by the step.
+    """A step or a ramp in the setpoint: hold the preload, from `step_at_s` on move by the step.
 
-    setpoint = preload_N for k < round(step_at_s f_s), preload_N + step_N after that.
+    With k_0 = round(step_at_s f_s) and n = max(1, round(ramp_s f_s)),
+
+        setpoint = preload_N for k < k_0, preload_N + step_N min(1, (k - k_0 + 1)/n) after that.
 
     Raises:
         InvalidInput: a value is out of its range.
@@ -41,13 +45,29 @@ class StepProfile(Sampled):
         Setting("Whether the controller follows the setpoint (closed) or it is the effort (open)"),
     ] = "closed"
     kind: Annotated[Literal["step"], Setting("Kind of profile in messages")] = "step"
+    ramp_s: Annotated[
+        float,
+        Field(exclude_if=lambda ramp_s: ramp_s == 0.0),
+        Setting(
+            "Time over which the setpoint moves to its new value; 0 is a step",
+            "s",
+            least=0.0,
+            younger=True,
+        ),
+    ] = field(default=0.0, kw_only=True)
 
     def __post_init__(self) -> None:
         check_settings(self)
-        if not self.step_at_s < self.duration_s:
+        if not self.reached_at_s < self.duration_s:
             raise InvalidInput(
-                f"the step at {self.step_at_s} s must lie inside the trial of {self.duration_s} s"
+                f"the step at {self.step_at_s} s, with its ramp of {self.ramp_s:g} s, must lie "
+                f"inside the trial of {self.duration_s} s"
             )
+
+    @property
+    def reached_at_s(self) -> float:
+        """Time from the start of the trial at which the setpoint is at its new value, s."""
+        return self.step_at_s + self.ramp_s
 
     @property
     def extremes_N(self) -> tuple[float, float]:
@@ -60,7 +80,8 @@ class StepProfile(Sampled):
 
     def shape(self, sampling_Hz: float) -> StepShape:
         """The step in samples."""
-        return StepShape(self.step_index(sampling_Hz), self.step_N)
+        ramp = max(1, round(self.ramp_s * sampling_Hz))
+        return StepShape(self.step_index(sampling_Hz), self.step_N, ramp=ramp)
 
     def setpoint(self, sampling_Hz: float) -> FloatArray:
         """The setpoint at each sample, N, shape (samples,)."""
