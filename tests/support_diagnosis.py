@@ -117,7 +117,7 @@ def diagnosis(**changes) -> Diagnosis:
             "inner_share": interval(0.21, 0.02),
         },
         sentence=EyeletFriction.sentence(FOUND, REEL),
-        effect=EyeletFriction,
+        effect=EyeletFriction(**FOUND),
     )
     candidates = [
         Candidate("eyelet_friction", 0.997, 1.2, 0.61, "it closes 99.7 % of the gap"),

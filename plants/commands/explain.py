@@ -108,6 +108,7 @@ def can_be_tuned(model: Any) -> bool:
 
 def _show(diagnosis: "Diagnosis") -> None:
     from plants.diagnosis.report import summary  # noqa: PLC0415  slow to import
+    from plants.remedies import text as remedies  # noqa: PLC0415  as above
 
     out = output.console()
     out.print(Text(diagnosis.heading(), style=_STYLES.get(diagnosis.verdict, "bold yellow")))
@@ -118,6 +119,14 @@ def _show(diagnosis: "Diagnosis") -> None:
     if diagnosis.effects:
         out.print()
         out.print(_table(summary.parameters(diagnosis)))
+    offers = diagnosis.remedies()
+    if offers:
+        out.print()
+        shown = (*remedies.COLUMNS[:-2],)
+        rows = tuple(row[: len(shown)] for row in remedies.rows(offers))
+        out.print(_table(summary.Table(("what can be done", *shown[1:]), rows)))
+    for text in remedies.sentences(diagnosis, offers):
+        out.print(Text(text), soft_wrap=True)
     best = summary.fitted(diagnosis, _CANDIDATES)
     if best.rows:
         out.print()

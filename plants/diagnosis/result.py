@@ -6,6 +6,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
+from estune.core.gains import Gains
 from estune.core.quantities import FloatArray
 from estune.recordings.issue import DataIssue
 from estune.run.trial_file import SUFFIX, TrialFile
@@ -13,6 +14,7 @@ from plants.diagnosis.data.noise_floor import NoiseFloor
 from plants.diagnosis.residual.localisation import ResidualLocation
 from plants.effects import Effect
 from plants.effects.plant_scale import written_unit
+from plants.remedies import Offer, offers_for
 
 Verdict = Literal["named", "incomplete", "ambiguous", "unknown", "none"]
 """`named`: the effects explain the prediction error; `incomplete`: most of it; `ambiguous`: the
@@ -379,6 +381,14 @@ class DiagnosisResult:
         """Explained fraction of the error power above the noise floor; nan without effects."""
         share = explained_share(self.before.ratio, self.after.ratio)
         return share if self.effects else math.nan
+
+    def remedies(self, gains: Gains | None = None) -> tuple[Offer, ...]:
+        """What can be done, each with what it is predicted to bring; see `plants.remedies`.
+
+        Args:
+            gains: Gains of the loop; the model's own safe ones by default.
+        """
+        return offers_for(self, gains)
 
     @property
     def ruled_out(self) -> tuple[str, ...]:

@@ -7,6 +7,7 @@ import casadi as ca
 from plants.effects.effect import Effect, Port, Response, Signal, Site, Values
 from plants.effects.parameter import Share, parameter
 from plants.effects.plant_scale import PlantScale
+from plants.effects.remedy import Remedy, limit
 
 
 @dataclass(frozen=True)
@@ -57,6 +58,15 @@ class Backlash(Effect):
         return (
             f"has backlash of {plant.travel(p.play_rad)} between motor and drum; the motor is "
             f"{100.0 * p.motor_share:.0f} % of what turns and moves alone where the teeth part"
+        )
+
+    @classmethod
+    def remedies(cls, _p: Values, _plant: PlantScale) -> tuple[Remedy, ...]:
+        """What can be done about it."""
+        return (
+            limit(
+                "keep the tension above zero (limits.tension_min_N): play costs nothing while taut"
+            ),
         )
 
     @staticmethod

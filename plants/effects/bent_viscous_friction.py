@@ -7,6 +7,7 @@ import casadi as ca
 from plants.effects.effect import Effect, Port, Response, Signal, Site, Values
 from plants.effects.parameter import RecordScale, parameter
 from plants.effects.plant_scale import PlantScale, digits
+from plants.effects.remedy import Remedy, limit
 
 BEGUN = 0.1
 """Start of a fit: torque at the rms velocity, relative to the torque's rms."""
@@ -55,6 +56,11 @@ class BentViscousFriction(Effect):
             f"has viscous friction that grows {way} than in proportion to the speed: the torque "
             f"against the motion has a quadratic part of {digits(size)} {unit}"
         )
+
+    @classmethod
+    def remedies(cls, _p: Values, _plant: PlantScale) -> tuple[Remedy, ...]:
+        """What can be done about it."""
+        return (limit("tune at the speed that matters: the damping differs with it"),)
 
     @staticmethod
     def prepare(p: Values, reel: Values) -> dict[str, Signal]:  # noqa: ARG004  nothing of its own

@@ -7,6 +7,7 @@ import casadi as ca
 from plants.effects.effect import Effect, Port, Response, Signal, Site, Values
 from plants.effects.parameter import parameter
 from plants.effects.plant_scale import PlantScale, share, si
+from plants.effects.remedy import Remedy, limit
 
 
 @dataclass(frozen=True)
@@ -43,6 +44,11 @@ class CableCreep(Effect):
             f"has a cable that creeps: after each change it gives another {share(p.share)} of "
             f"what it gave at once, with a time constant of {si(p.time_s, 's')}"
         )
+
+    @classmethod
+    def remedies(cls, _p: Values, _plant: PlantScale) -> tuple[Remedy, ...]:
+        """What can be done about it."""
+        return (limit("wait until the cable has crept, or pre-stretch it; gains change nothing"),)
 
     @staticmethod
     def prepare(p: Values, reel: Values) -> dict[str, Signal]:

@@ -9,6 +9,7 @@ import casadi as ca
 from plants.effects.effect import Effect, Port, Response, Signal, Site, Values
 from plants.effects.parameter import Share, parameter
 from plants.effects.plant_scale import PlantScale, si
+from plants.effects.remedy import Remedy, limit
 
 TINY_N = 1e-30
 """Slack that no tension feels, so that none at zero tension is not 0/0."""
@@ -87,6 +88,15 @@ class CableSlack(Effect):
         firm = "" if math.isnan(until) else f"; from {si(until, 'N')} on it is as stiff as ever"
         return (
             f"has {plant.cable(p.slack_m)} of slack that is taken up before the cable holds{firm}"
+        )
+
+    @classmethod
+    def remedies(cls, _p: Values, _plant: PlantScale) -> tuple[Remedy, ...]:
+        """What can be done about it."""
+        return (
+            limit(
+                "keep the tension above zero (limits.tension_min_N): it costs nothing while taut"
+            ),
         )
 
     @staticmethod

@@ -7,6 +7,7 @@ import casadi as ca
 from plants.effects.effect import Effect, Port, Response, Signal, Site, Values
 from plants.effects.parameter import parameter
 from plants.effects.plant_scale import PlantScale, digits, share, si
+from plants.effects.remedy import Remedy, limit
 
 NEWTON_ROUNDS = 6
 """From the smaller of the two bounds below; they end within rounding of the root."""
@@ -57,6 +58,11 @@ class CableStiffening(Effect):
             f"has a cable that stiffens as it is pulled: where the linear law has {si(T, 'N')} it "
             f"pulls {share(abs(bent))} {more} ({terms})"
         )
+
+    @classmethod
+    def remedies(cls, _p: Values, _plant: PlantScale) -> tuple[Remedy, ...]:
+        """What can be done about it."""
+        return (limit("schedule the gains over the tension: the loop's gain grows with it"),)
 
     @staticmethod
     def respond(p: Values, state: Signal, signal: Signal, _site: Site) -> Response:

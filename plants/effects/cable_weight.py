@@ -9,6 +9,7 @@ import casadi as ca
 from plants.effects.effect import Effect, Port, Response, Signal, Site, Values
 from plants.effects.parameter import parameter
 from plants.effects.plant_scale import PlantScale, si
+from plants.effects.remedy import Place, Remedy
 
 TINY_N3 = 1e-30
 """Keeps the third root differentiable where nothing is added."""
@@ -53,6 +54,18 @@ class CableWeight(Effect):
         return (
             f"has a cable {1e3 * p.density_kg_m:.3g} g/m heavier than the model's{seen}, and is "
             "softer at low tension"
+        )
+
+    @classmethod
+    def remedies(cls, _p: Values, _plant: PlantScale) -> tuple[Remedy, ...]:
+        """What can be done about it."""
+        return (
+            Remedy(
+                Place.LOOP,
+                "take the whole cable's weight, the model's and this, off the gauge's reading "
+                "(compensation.gravity)",
+                harm="needs the height of the far end above the reel",
+            ),
         )
 
     @staticmethod

@@ -7,6 +7,7 @@ import casadi as ca
 from plants.effects.effect import Effect, Port, Response, Signal, Site, Values
 from plants.effects.parameter import parameter
 from plants.effects.plant_scale import PlantScale
+from plants.effects.remedy import Remedy, friction_feed_forward
 
 TINY_Nm = 1e-30
 """Keeps a quotient finite where there is no friction."""
@@ -47,6 +48,15 @@ class CoulombFriction(Effect):
         return (
             f"has dry friction{plant.at_drum}: {plant.torque(p.torque_Nm)} against the motion, "
             "at any speed. A smaller change of the command causes no motion"
+        )
+
+    @classmethod
+    def remedies(cls, p: Values, plant: PlantScale) -> tuple[Remedy, ...]:
+        """What can be done about it."""
+        return friction_feed_forward(
+            plant,
+            "torque_Nm",
+            {"coulomb_Nm": p.torque_Nm, "static_Nm": p.torque_Nm},
         )
 
     @staticmethod

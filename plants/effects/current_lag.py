@@ -7,6 +7,7 @@ import casadi as ca
 from plants.effects.effect import Effect, Port, Response, Signal, Site, Values
 from plants.effects.parameter import Share, parameter
 from plants.effects.plant_scale import PlantScale, digits, si
+from plants.effects.remedy import Remedy, workshop
 
 TINY_s = 1e-15
 """Keeps a quotient finite where there is no lag."""
@@ -52,6 +53,11 @@ class CurrentLag(Effect):
             f"has a drive whose current follows its command with a lag of {si(p.lag_s, 's')}: it "
             f"gives 0.71 of what is commanded at {digits(corner_Hz)} Hz"
         )
+
+    @classmethod
+    def remedies(cls, _p: Values, _plant: PlantScale) -> tuple[Remedy, ...]:
+        """What can be done about it."""
+        return (workshop("raise the bandwidth of the amplifier's current loop", "lag_s", 1.0),)
 
     @staticmethod
     def respond(p: Values, state: Signal, signal: Signal, site: Site) -> Response:

@@ -7,6 +7,7 @@ import casadi as ca
 from plants.effects.effect import Effect, Port, Response, Signal, Site, Values
 from plants.effects.parameter import Role, parameter
 from plants.effects.plant_scale import PlantScale
+from plants.effects.remedy import Remedy, limit
 
 TINY = 1e-12
 
@@ -45,6 +46,13 @@ class CurrentSaturation(Effect):
         return (
             f"has a drive that gives no more than {plant.current(p.limit_A)}, however much is "
             "commanded; beyond it the controller's integral winds up"
+        )
+
+    @classmethod
+    def remedies(cls, _p: Values, _plant: PlantScale) -> tuple[Remedy, ...]:
+        """What can be done about it."""
+        return (
+            limit("set limits.current_max_A to the drive's limit, and ask for 97 % of it at most"),
         )
 
     @staticmethod

@@ -9,6 +9,7 @@ from plants.effects.coulomb_friction import CoulombFriction
 from plants.effects.effect import Effect, Port, Response, Signal, Site, Values
 from plants.effects.parameter import Share, parameter
 from plants.effects.plant_scale import PlantScale
+from plants.effects.remedy import Remedy, friction_feed_forward
 
 
 @dataclass(frozen=True)
@@ -57,6 +58,19 @@ class DahlHysteresis(Effect):
             f"has dry friction that gives before it slips: {plant.torque(p.torque_Nm)}, built up "
             f"over {plant.travel(p.presliding_rad)} after each reversal, so that small motions "
             "meet less"
+        )
+
+    @classmethod
+    def remedies(cls, p: Values, plant: PlantScale) -> tuple[Remedy, ...]:
+        """What can be done about it."""
+        return friction_feed_forward(
+            plant,
+            "torque_Nm",
+            {
+                "coulomb_Nm": p.torque_Nm,
+                "static_Nm": p.torque_Nm,
+                "memory_rad": p.presliding_rad,
+            },
         )
 
     @staticmethod

@@ -7,6 +7,7 @@ from typing import Any
 from plants.effects.effect import Effect, Port, Values
 from plants.effects.parameter import Share, parameter
 from plants.effects.plant_scale import PlantScale, digits, si
+from plants.effects.remedy import Remedy, limit, workshop
 
 
 @dataclass(frozen=True)
@@ -42,6 +43,14 @@ class DeadTime(Effect):
         return (
             f"has dead time that the model lacks: every command acts {si(d, 's')}{counted} later, "
             f"which takes {digits(3600.0 * d)} degrees of phase at 10 Hz"
+        )
+
+    @classmethod
+    def remedies(cls, _p: Values, _plant: PlantScale) -> tuple[Remedy, ...]:
+        """What can be done about it."""
+        return (
+            workshop("shorten the exchange with drive and gauge", "delay_s", 1.0),
+            limit("each sample of dead time costs bandwidth, whatever the gains"),
         )
 
     @staticmethod

@@ -7,6 +7,7 @@ import casadi as ca
 from plants.effects.effect import Effect, Port, Response, Signal, Site, Values
 from plants.effects.parameter import RecordScale, parameter
 from plants.effects.plant_scale import PlantScale
+from plants.effects.remedy import Remedy, limit, workshop
 
 BEGUN = 0.1
 """Start of a fit: torque at the rms velocity, relative to the torque's rms."""
@@ -51,6 +52,14 @@ class DirectionalFriction(Effect):
         return (
             f"has {plant.damping(abs(p.difference_Nms))} more viscous friction when it moves "
             f"{way} than {other}"
+        )
+
+    @classmethod
+    def remedies(cls, _p: Values, _plant: PlantScale) -> tuple[Remedy, ...]:
+        """What can be done about it."""
+        return (
+            limit("the loop is tuned with the mean of both directions"),
+            workshop("look for a seal or a bearing that drags in one direction"),
         )
 
     @staticmethod

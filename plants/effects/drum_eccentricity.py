@@ -8,6 +8,7 @@ from plants.effects import angle_phase
 from plants.effects.effect import Effect, Port, Response, Signal, Site, Values
 from plants.effects.parameter import parameter, phase
 from plants.effects.plant_scale import PlantScale, also, share
+from plants.effects.remedy import Remedy, workshop
 
 
 @dataclass(frozen=True)
@@ -49,6 +50,11 @@ class DrumEccentricity(Effect):
             f"has a drum that is not round: its radius varies by {share(p.eccentricity)}"
             f"{also(p.eccentricity * plant.radius_m, 'm')} either way, once a turn"
         )
+
+    @classmethod
+    def remedies(cls, _p: Values, _plant: PlantScale) -> tuple[Remedy, ...]:
+        """What can be done about it."""
+        return (workshop("true the drum, or centre it on its shaft", "eccentricity", 1.0),)
 
     @staticmethod
     def prepare(p: Values, reel: Values) -> dict[str, Signal]:

@@ -6,6 +6,7 @@ experiments want to know they read from its class:
 - its law: `port`, `also`, `states`, `respond`, `rest`, `amend`, `prepare`, `put`;
 - its words: `name` (the slug), `title`, `appearance` (what it looks like in data), `excitation`
   (what experiment shows it), `describe` (a sentence with its fitted numbers);
+- its remedies, with their numbers: `remedies`, see `plants.effects.remedy`;
 - its parameters, each with unit, bounds, role (size, limit, shape, frequency, periods, phase),
   where a fit begins, and the least size that matters: see `Parameter`;
 - its relations: `family` and `extends` (simpler laws that do a part of it), `base_parameter` (a
@@ -26,6 +27,7 @@ from typing import Any, ClassVar, NamedTuple, Self
 from estune.errors import InvalidInput
 from plants.effects.parameter import Parameter, RecordScale, Role, Share
 from plants.effects.plant_scale import PlantScale, si
+from plants.effects.remedy import Remedy
 
 Signal = Any
 """A CasADi expression: no Python `if` may depend on it."""
@@ -249,6 +251,20 @@ class Effect(ABC):
         """One or two sentences: what the effect is and how large, in the model's own units."""
         plant = PlantScale.of(model)
         return f"Your {plant.subject} {cls.describe(SimpleNamespace(**values), plant)}."
+
+    @classmethod
+    def remedies(
+        cls,
+        p: Values,  # noqa: ARG003  an effect without remedies
+        plant: PlantScale,  # noqa: ARG003
+    ) -> tuple[Remedy, ...]:
+        """What can be done about it, the first one first; see `plants.effects.remedy`.
+
+        Args:
+            p: The fitted parameters by name, in the plant's own units.
+            plant: Words and sizes of the plant.
+        """
+        return ()
 
     @staticmethod
     def amend(p: Values, reel: Values) -> dict[str, Any]:  # noqa: ARG004  most effects amend nothing

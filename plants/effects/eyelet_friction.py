@@ -8,6 +8,7 @@ import casadi as ca
 from plants.effects.effect import Effect, Port, Response, Signal, Site, Values
 from plants.effects.parameter import parameter
 from plants.effects.plant_scale import PlantScale, share
+from plants.effects.remedy import Remedy, limit, workshop
 
 TINY = 1e-9
 """Keeps lengths and tensions that are divided by above zero."""
@@ -101,6 +102,14 @@ class EyeletFriction(Effect):
             f"has eyelet friction: outside tension is {B:.3g} of inside when winding in{less}, "
             "the other way round when paying out. After a reversal the cable sticks: "
             f"{inside} of what gives is inside the eyelet. Below {slowly} it creeps"
+        )
+
+    @classmethod
+    def remedies(cls, _p: Values, _plant: PlantScale) -> tuple[Remedy, ...]:
+        """What can be done about it."""
+        return (
+            workshop("put a pulley in the place of the eyelet"),
+            limit("the gauge reads the tension behind the eyelet: no gains see the one outside"),
         )
 
     @staticmethod

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from plants.effects.effect import Effect, Port, Response, Signal, Site, Values
 from plants.effects.parameter import Share, parameter
 from plants.effects.plant_scale import PlantScale, share
+from plants.effects.remedy import Remedy, recalibrate
 
 
 @dataclass(frozen=True)
@@ -35,6 +36,15 @@ class GainError(Effect):
         return (
             f"has a drive that gives {share(abs(p.error))} {more} torque than the model says, at "
             "rest as well as in motion"
+        )
+
+    @classmethod
+    def remedies(cls, _p: Values, _plant: PlantScale) -> tuple[Remedy, ...]:
+        """What can be done about it."""
+        return (
+            recalibrate(
+                "correct C1, or the torque constant by a weight that the motor just holds", "error"
+            ),
         )
 
     @staticmethod

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from plants.effects.effect import Effect, Port, Response, Signal, Site, Values
 from plants.effects.parameter import parameter
 from plants.effects.plant_scale import PlantScale
+from plants.effects.remedy import Remedy, workshop
 
 
 @dataclass(frozen=True)
@@ -34,6 +35,13 @@ class GaugeDrift(Effect):
         return (
             f"has a gauge whose zero wanders {'up' if rate > 0.0 else 'down'} from the start of a "
             f"record: {plant.reading(abs(rate))} in a second"
+        )
+
+    @classmethod
+    def remedies(cls, _p: Values, _plant: PlantScale) -> tuple[Remedy, ...]:
+        """What can be done about it."""
+        return (
+            workshop("let the gauge warm up, and tare it before each trial", "rate_N_per_s", 1.0),
         )
 
     @staticmethod

@@ -7,6 +7,7 @@ import casadi as ca
 from plants.effects.effect import Effect, Port, Response, Signal, Site, Values
 from plants.effects.parameter import parameter
 from plants.effects.plant_scale import PlantScale, digits
+from plants.effects.remedy import Remedy, recalibrate
 
 
 @dataclass(frozen=True)
@@ -47,6 +48,11 @@ class GaugeNonlinearity(Effect):
             f"{plant.reading(abs(c) * T * T)} too {more}, at twice that "
             f"{plant.reading(4.0 * abs(c) * T * T)} (curvature {c:.3g} 1/N)"
         )
+
+    @classmethod
+    def remedies(cls, _p: Values, _plant: PlantScale) -> tuple[Remedy, ...]:
+        """What can be done about it."""
+        return (recalibrate("hang weights and fit C2 with its curve", "curvature_per_N"),)
 
     @staticmethod
     def respond(p: Values, state: Signal, signal: Signal, _site: Site) -> Response:

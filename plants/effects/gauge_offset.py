@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from plants.effects.effect import Effect, Port, Response, Signal, Site, Values
 from plants.effects.parameter import Share, parameter
 from plants.effects.plant_scale import PlantScale
+from plants.effects.remedy import Remedy, recalibrate
 
 
 @dataclass(frozen=True)
@@ -40,6 +41,11 @@ class GaugeOffset(Effect):
         """Sentence with the fitted values."""
         more = "much" if p.offset_N > 0.0 else "little"
         return f"has a gauge that reads {plant.reading(abs(p.offset_N))} too {more} at any tension"
+
+    @classmethod
+    def remedies(cls, _p: Values, _plant: PlantScale) -> tuple[Remedy, ...]:
+        """What can be done about it."""
+        return (recalibrate("tare the gauge: C2 without tension", "offset_N"),)
 
     @staticmethod
     def respond(p: Values, state: Signal, signal: Signal, _site: Site) -> Response:

@@ -8,6 +8,7 @@ import casadi as ca
 from plants.effects.effect import Effect, Port, Response, Signal, Site, Values
 from plants.effects.parameter import parameter
 from plants.effects.plant_scale import PlantScale, digits, share
+from plants.effects.remedy import Remedy, workshop
 from plants.simulation.equations import held_input
 
 SQUARINGS = 7
@@ -49,6 +50,11 @@ class GaugeResonance(Effect):
             f"ratio of {p.damping:.2g}: {share(p.share)} of the reading goes through it and "
             "rings after each blow, while angle and current do not"
         )
+
+    @classmethod
+    def remedies(cls, _p: Values, _plant: PlantScale) -> tuple[Remedy, ...]:
+        """What can be done about it."""
+        return (workshop("mount the gauge stiffer, or filter the converter less"),)
 
     @staticmethod
     def prepare(p: Values, reel: Values) -> dict[str, Signal]:

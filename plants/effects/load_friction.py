@@ -7,6 +7,7 @@ import casadi as ca
 from plants.effects.effect import Effect, Port, Response, Signal, Site, Values
 from plants.effects.parameter import parameter
 from plants.effects.plant_scale import PlantScale, share
+from plants.effects.remedy import Remedy, friction_feed_forward
 
 
 @dataclass(frozen=True)
@@ -42,6 +43,15 @@ class LoadFriction(Effect):
         return (
             f"has dry friction{plant.at_drum} that grows with the load, {share(p.load_share)} of "
             f"it against the motion{at}"
+        )
+
+    @classmethod
+    def remedies(cls, p: Values, plant: PlantScale) -> tuple[Remedy, ...]:
+        """What can be done about it."""
+        return friction_feed_forward(
+            plant,
+            "load_share",
+            {"load_share": p.load_share},
         )
 
     @staticmethod

@@ -8,6 +8,7 @@ import casadi as ca
 from plants.effects.effect import Effect, Port, Response, Signal, Site, Values
 from plants.effects.parameter import parameter, phase
 from plants.effects.plant_scale import PlantScale
+from plants.effects.remedy import Remedy, workshop
 
 
 @dataclass(frozen=True)
@@ -39,6 +40,11 @@ class MainsInterference(Effect):
             f"has mains interference in the gauge's signal: {plant.reading(p.amplitude_N)} at "
             f"{p.frequency_Hz:.4g} Hz, at rest as well as in motion"
         )
+
+    @classmethod
+    def remedies(cls, _p: Values, _plant: PlantScale) -> tuple[Remedy, ...]:
+        """What can be done about it."""
+        return (workshop("shield the gauge's cable, ground it at one end", "amplitude_N", 1.0),)
 
     @staticmethod
     def prepare(p: Values, reel: Values) -> dict[str, Signal]:

@@ -7,6 +7,7 @@ import casadi as ca
 from plants.effects.effect import Effect, Port, Response, Signal, Site, Values
 from plants.effects.parameter import parameter
 from plants.effects.plant_scale import PlantScale
+from plants.effects.remedy import Remedy, workshop
 
 FINEST_N = 1e-12
 
@@ -33,6 +34,11 @@ class Quantisation(Effect):
     def describe(cls, p: Values, plant: PlantScale) -> str:
         """Sentence with the fitted values."""
         return f"has a gauge that reads in steps of {plant.reading(p.step_N)}"
+
+    @classmethod
+    def remedies(cls, _p: Values, _plant: PlantScale) -> tuple[Remedy, ...]:
+        """What can be done about it."""
+        return (workshop("use a converter of more bits, or less of its range", "step_N", 1.0),)
 
     @staticmethod
     def prepare(p: Values, _reel: Values) -> dict[str, Signal]:

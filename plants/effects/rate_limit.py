@@ -7,6 +7,7 @@ import casadi as ca
 from plants.effects.effect import Effect, Port, Response, Signal, Site, Values
 from plants.effects.parameter import Role, parameter
 from plants.effects.plant_scale import PlantScale
+from plants.effects.remedy import Remedy, limit, workshop
 
 
 @dataclass(frozen=True)
@@ -41,6 +42,14 @@ class RateLimit(Effect):
         return (
             "has a drive whose current changes no faster than "
             f"{plant.current(p.rate_A_per_s, '/s')}: large steps become ramps, small ones pass"
+        )
+
+    @classmethod
+    def remedies(cls, _p: Values, _plant: PlantScale) -> tuple[Remedy, ...]:
+        """What can be done about it."""
+        return (
+            limit("ask for no steeper setpoints than the drive's rate allows"),
+            workshop("raise the rate limit of the amplifier"),
         )
 
     @staticmethod

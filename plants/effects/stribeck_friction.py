@@ -11,6 +11,7 @@ from plants.effects.dahl_hysteresis import DahlHysteresis
 from plants.effects.effect import Effect, Port, Response, Signal, Site, Values
 from plants.effects.parameter import Share, parameter
 from plants.effects.plant_scale import PlantScale
+from plants.effects.remedy import Remedy, friction_feed_forward
 
 SIXTEENTHS = 16.0
 FURTHEST = 2.5
@@ -76,6 +77,20 @@ class StribeckFriction(Effect):
             f"and {plant.torque(p.excess_Nm)} more at rest, which fades over "
             f"{plant.speed(p.stribeck_rad_s)}. It gives {plant.travel(p.presliding_rad)} before "
             "it slips; moved slowly, it sticks and slips"
+        )
+
+    @classmethod
+    def remedies(cls, p: Values, plant: PlantScale) -> tuple[Remedy, ...]:
+        """What can be done about it."""
+        return friction_feed_forward(
+            plant,
+            "coulomb_Nm",
+            {
+                "coulomb_Nm": p.coulomb_Nm,
+                "static_Nm": p.coulomb_Nm + p.excess_Nm,
+                "stribeck_rad_s": p.stribeck_rad_s,
+                "memory_rad": p.presliding_rad,
+            },
         )
 
     @staticmethod

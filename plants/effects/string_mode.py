@@ -12,6 +12,7 @@ from plants.effects.effect import Effect, Port, Response, Signal, Site, Values
 from plants.effects.oscillator import stepping
 from plants.effects.parameter import RecordScale, parameter
 from plants.effects.plant_scale import PlantScale, share, si
+from plants.effects.remedy import Remedy, limit
 
 
 def _ringing_densities(records: RecordScale) -> list[float]:
@@ -73,6 +74,11 @@ class StringMode(Effect):
             f"has a cable of {1e3 * p.density_kg_m:.3g} g/m that swings like a string{where}: "
             f"faster than that, {share(p.coupling)} of its sag's give is lost"
         )
+
+    @classmethod
+    def remedies(cls, _p: Values, _plant: PlantScale) -> tuple[Remedy, ...]:
+        """What can be done about it."""
+        return (limit("the cable's own vibration bounds the bandwidth; shorten or tighten it"),)
 
     @staticmethod
     def prepare(p: Values, reel: Values) -> dict[str, Signal]:

@@ -9,6 +9,7 @@ from plants.effects.effect import Effect, Port, Response, Signal, Site, Values
 from plants.effects.oscillator import stepping
 from plants.effects.parameter import RecordScale, parameter
 from plants.effects.plant_scale import PlantScale, digits, share
+from plants.effects.remedy import Remedy, limit, workshop
 
 
 def _stiffening_coefficients(records: RecordScale) -> list[float]:
@@ -62,6 +63,14 @@ class StructuralMode(Effect):
         return (
             f"stands on a frame that rings at {digits(p.frequency_Hz)} Hz with a damping ratio of "
             f"{p.damping:.2g} and gives {share(p.share)} as much as the rest does{stiffer}"
+        )
+
+    @classmethod
+    def remedies(cls, _p: Values, _plant: PlantScale) -> tuple[Remedy, ...]:
+        """What can be done about it."""
+        return (
+            workshop("stiffen or damp the frame", "share", 1.0),
+            limit("the tuner respects the mode already"),
         )
 
     @staticmethod

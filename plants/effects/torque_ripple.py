@@ -6,6 +6,7 @@ from plants.effects import angle_phase
 from plants.effects.effect import Effect, Port, Response, Signal, Site, Values
 from plants.effects.parameter import Role, Share, parameter, phase
 from plants.effects.plant_scale import PlantScale, digits
+from plants.effects.remedy import Remedy, workshop
 
 
 @dataclass(frozen=True)
@@ -41,6 +42,15 @@ class TorqueRipple(Effect):
         return (
             f"has a motor that cogs: its torque varies by {plant.torque(p.amplitude_Nm)} either "
             f"way, {digits(p.per_turn)} times a turn, the same at each passage"
+        )
+
+    @classmethod
+    def remedies(cls, _p: Values, _plant: PlantScale) -> tuple[Remedy, ...]:
+        """What can be done about it."""
+        return (
+            workshop(
+                "change the motor for one that cogs less, or map its ripple", "amplitude_Nm", 1.0
+            ),
         )
 
     @staticmethod

@@ -6,6 +6,7 @@ from typing import Any
 from plants.effects.effect import Effect, Port, Values
 from plants.effects.parameter import parameter
 from plants.effects.plant_scale import PlantScale
+from plants.effects.remedy import Remedy, limit
 
 
 @dataclass(frozen=True)
@@ -37,6 +38,11 @@ class ViscousDamping(Effect):
             f"has more viscous friction than the model: {plant.damping(p.damping_Nms)}, in "
             "proportion to the speed"
         )
+
+    @classmethod
+    def remedies(cls, _p: Values, _plant: PlantScale) -> tuple[Remedy, ...]:
+        """What can be done about it."""
+        return (limit("the loop is tuned with it; it damps, and costs nothing in tracking"),)
 
     @staticmethod
     def amend(p: Values, reel: Values) -> dict[str, Any]:

@@ -12,6 +12,7 @@ from plants.diagnosis.result import (
     NextExperiment,
     SearchStep,
 )
+from plants.remedies.text import to_json as remedies_to_json
 
 
 def to_json(d: DiagnosisResult) -> dict[str, Any]:
@@ -42,6 +43,7 @@ def to_json(d: DiagnosisResult) -> dict[str, Any]:
         "limitations": d.limitations,
         "findings": d.findings,
         "splits": d.splits,
+        "remedies": remedies_to_json(d.remedies()),
     }
     return {name: finite_json(value) for name, value in values.items()}
 

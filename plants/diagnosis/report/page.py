@@ -12,6 +12,7 @@ from estune.support.plot_style import WIDTH_in, new_figure
 from plants.diagnosis.report import figures, residual_figures, summary
 from plants.diagnosis.result import DiagnosisResult, Trace
 from plants.effects.plant_scale import PlantScale
+from plants.remedies import text as remedies
 
 TITLE = "Where simulation and measurement disagree"
 
@@ -32,6 +33,7 @@ def page(d: DiagnosisResult) -> Page:
     sections = (
         Section("What was found", _effects(d)),
         Section("Before and after" if d.effects else "What the model predicts", _traces(d)),
+        Section("What can be done", _remedies(d)),
         Section("Where it shows", _where(d)),
         Section("What was tried", _ranking(d)),
         Section("The base model's numbers", _calibrations(d)),
@@ -72,6 +74,25 @@ def _traces(d: DiagnosisResult) -> list[Block]:
             _table(summary.steps(d)),
         ]
     return blocks
+
+
+def _remedies(d: DiagnosisResult) -> list[Block]:
+    offers = d.remedies()
+    table = html_page.Table(remedies.COLUMNS, remedies.rows(offers), ())
+    told = [Paragraph(text) for text in remedies.sentences(d, offers)]
+    if not offers:
+        return [*told]
+    return [
+        Paragraph(
+            "Ratios with the remedy to without, at the same gains, predicted with the model found "
+            "here: cost of a step, rms error on a slow triangle, greatest error after a reversal, "
+            "standard deviation at rest. In brackets what the intervals of the numbers make of "
+            "them. `estune remedy` writes a remedy in the loop as a patch of the rig's file, and "
+            "`estune prove` measures it on the rig."
+        ),
+        table,
+        *told,
+    ]
 
 
 def _where(d: DiagnosisResult) -> list[Block]:

@@ -1,0 +1,102 @@
+"""What can be done about an effect: declared by the effect, with its numbers."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from enum import StrEnum
+
+from plants.effects.plant_scale import PlantScale
+
+
+class Place(StrEnum):
+    """Where a remedy is applied."""
+
+    LOOP = "loop"  # a term beside the controller, in [compensation] of the rig's file
+    CALIBRATION = "calibration"  # a number of C1, C2 or the rig's file
+    WORKSHOP = "workshop"  # mechanical or electrical
+    LIMIT = "limit"  # a limit of what tuning can reach: told, not mended
+
+
+WORK = {
+    Place.LOOP: "one table in the rig's file",
+    Place.CALIBRATION: "recalibrate: weights on the cable, or an instrument at the motor",
+    Place.WORKSHOP: "workshop",
+    Place.LIMIT: "none",
+}
+
+SAFE_FRACTION = 0.8
+"""Greatest share of a feed-forward that is offered: from 0.8 to 1.0 it gains most, and above that
+an error of the identified size turns it into a disturbance (`experiments.compensation`)."""
+
+
+@dataclass(frozen=True, slots=True)
+class Remedy:
+    """One thing that can be done.
+
+    Attributes:
+        place: Where.
+        title: What to do, an imperative without a full stop.
+        harm: What it may harm, and how much of it is safe.
+        sized_by: The effect's parameter whose interval decides whether it can be done; empty where
+            it has no number.
+        removes: Share of that parameter that it takes away where the number is right.
+        tables: Tables of `[compensation]` in the rig's file, for a loop that has them.
+        work: What work it takes.
+    """
+
+    place: Place
+    title: str
+    harm: str = ""
+    sized_by: str = ""
+    removes: float = 0.0
+    tables: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    work: str = ""
+
+    @property
+    def effort(self) -> str:
+        """What work it takes, by its place where nothing else is declared."""
+        return self.work or WORK[self.place]
+
+
+def friction_feed_forward(
+    plant: PlantScale, sized_by: str, friction: Mapping[str, float]
+) -> tuple[Remedy, ...]:
+    """Friction fed forward along the known motion; see `estune.reel.friction`.
+
+    Args:
+        plant: Words and sizes of the plant.
+        sized_by: The parameter that sizes it.
+        friction: Keys of `[compensation.friction]` that the effect gives.
+    """
+    if not plant.has_cable:
+        torque = "the drive's own controller, along the motion that is commanded"
+        return (Remedy(Place.LOOP, f"feed the friction forward in {torque}", sized_by=sized_by),)
+    per_rad = plant.stiffness_N_m * plant.radius_m
+    table = {"coulomb_Nm": 0.0, "static_Nm": 0.0, "stribeck_rad_s": 1.0} | dict(friction)
+    if math.isfinite(per_rad):
+        table["tension_per_rad_N"] = per_rad
+    return (
+        Remedy(
+            Place.LOOP,
+            "feed the friction forward along the known motion",
+            harm="nothing at rest up to 1.2 of it; at 1.5 of the true friction tracking is as bad "
+            "as without",
+            sized_by=sized_by,
+            tables={"friction": table},
+        ),
+    )
+
+
+def recalibrate(title: str, sized_by: str, harm: str = "") -> Remedy:
+    """A number of a calibration, which then takes the effect away."""
+    return Remedy(Place.CALIBRATION, title, harm, sized_by, removes=1.0)
+
+
+def workshop(title: str, sized_by: str = "", removes: float = 0.0) -> Remedy:
+    """A mechanical or electrical remedy."""
+    return Remedy(Place.WORKSHOP, title, sized_by=sized_by, removes=removes)
+
+
+def limit(title: str) -> Remedy:
+    """A limit of what tuning can reach."""
+    return Remedy(Place.LIMIT, title)

@@ -1,0 +1,300 @@
+"""The remedies of a diagnosis, each with what it is predicted to bring.
+
+The prediction runs the fitted model with and without the remedy at the same gains. A remedy keeps
+the numbers of the diagnosis; the machine has those of a draw from their intervals. So the interval
+of a ratio is what the uncertainty of the diagnosis makes of it.
+"""
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from types import SimpleNamespace
+from typing import Any, Protocol
+
+import casadi as ca
+import numpy as np
+
+from estune.core.gains import Gains
+from estune.core.quantities import FloatArray
+from estune.errors import EstuneError, InvalidInput
+from estune.reel.friction import FrictionFeedForward, StribeckFriction
+from plants.effects import Effect, Port, Site
+from plants.effects.plant_scale import PlantScale
+from plants.effects.remedy import SAFE_FRACTION, Place, Remedy
+from plants.remedies.behaviour import MEASURES, KnownFriction, behaviour
+
+DRAWS = 16
+"""Machines drawn from the intervals: their 2.5 and 97.5 % points are then the outermost two."""
+WORTH = 0.02
+"""Least predicted gain of tracking, reversal or cost that is worth the work."""
+WIDE = 0.3
+"""Half an interval relative to the value above which a number is too uncertain to be fed forward:
+at 1.3 of the friction and 0.8 of it fed forward, a tenth too much is fed at the other end."""
+REVERSAL_MARGIN = 0.1
+"""What reversals are predicted too well by on machines whose friction is not the model's: 0.10 on
+average over 20 of `experiments.hidden_machines`. The upper end of their interval has it."""
+GAIN_MOVED = 0.05
+OFFSET_NOISES = 10.0
+"""Changes of a calibration from which it comes first: a curve of the gauge for which no effect was
+found has moved the torque's gain by 17 % and the offset by 34 noises."""
+
+
+class Bounds(Protocol):
+    """A fitted value and its interval."""
+
+    value: float
+    low: float
+    high: float
+
+
+class Found(Protocol):
+    """An effect of a diagnosis, with its fitted parameters."""
+
+    name: str
+    parameters: Mapping[str, Any]
+    effect: Effect
+
+
+@dataclass(frozen=True, slots=True)
+class Ratio:
+    """A predicted ratio of with to without, and its 95 % interval."""
+
+    value: float
+    low: float
+    high: float
+
+
+@dataclass(frozen=True, slots=True)
+class Offer:
+    """One row of what can be done.
+
+    Attributes:
+        effect: Slug of the effect; empty for a calibration of the base model.
+        place: Where it is applied; see `plants.effects.remedy.Place`.
+        title: What to do.
+        work: The work it takes.
+        harm: What it may harm.
+        worth: Whether it is predicted to gain enough; None where nothing is predicted.
+        ratios: Predicted ratios by `MEASURES`.
+        tables: Tables of `[compensation]` that switch it on.
+        refused: Why it cannot be done yet, with the experiment that helps; empty where it can.
+    """
+
+    effect: str
+    place: Place
+    title: str
+    work: str
+    harm: str = ""
+    worth: bool | None = None
+    ratios: Mapping[str, Ratio] = field(default_factory=dict)
+    tables: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    refused: str = ""
+
+
+def offers_for(diagnosis: Any, gains: Gains | None = None) -> tuple[Offer, ...]:
+    """What can be done about the effects of a diagnosis, the greatest gain first.
+
+    Args:
+        diagnosis: A finished diagnosis, `plants.diagnosis.result.DiagnosisResult`.
+        gains: Gains of the loop; the model's own safe ones by default.
+    """
+    moved = _calibrations(diagnosis)
+    if moved:
+        return moved
+    offers = [
+        _offer(diagnosis, found, remedy, gains)
+        for found in diagnosis.effects
+        for remedy in _remedies(found, diagnosis.augmented)
+    ]
+    return tuple(sorted(offers, key=_gain, reverse=True))
+
+
+def _calibrations(diagnosis: Any) -> tuple[Offer, ...]:
+    """The calibration, where the fit has moved it: nothing else is offered before."""
+    noise = getattr(diagnosis.noise, "channels", {}).get("tension_N")
+    for c in diagnosis.calibrations:
+        fitted = (c.with_effects if diagnosis.effects else c.base).value
+        by_gain = c.name == "torque_gain" and abs(fitted / (c.given or 1.0) - 1.0) > GAIN_MOVED
+        by_offset = (
+            c.name == "gauge_offset_N"
+            and noise is not None
+            and abs(fitted - c.given) > OFFSET_NOISES * noise.rms
+        )
+        if by_gain or by_offset:
+            title = (
+                f"hang weights and calibrate C2 and C1 first: the records move {c.name} from "
+                f"{c.given:.4g} to {fitted:.4g} {c.unit}".rstrip()
+            )
+            harm = "other remedies would rest on a wrong scale; explain anew afterwards"
+            work = "recalibrate with four weights"
+            return (Offer("", Place.CALIBRATION, title, work, harm),)
+    return ()
+
+
+def _remedies(found: Found, model: Any) -> tuple[Remedy, ...]:
+    """The remedies that an effect declares, with its fitted numbers."""
+    values = SimpleNamespace(**{name: i.value for name, i in found.parameters.items()})
+    return type(found.effect).remedies(values, PlantScale.of(model))
+
+
+def _offer(diagnosis: Any, found: Found, remedy: Remedy, gains: Gains | None) -> Offer:
+    """One row, predicted where it can be."""
+    row = Offer(found.name, remedy.place, remedy.title, remedy.effort, remedy.harm)
+    bounds = found.parameters.get(remedy.sized_by)
+    if bounds is None:
+        return row
+    refused = _too_wide(found, remedy, bounds)
+    if refused and remedy.place is Place.LOOP:
+        return replace(row, refused=refused)
+    fraction = safe_fraction(bounds)
+    tables = {
+        name: dict(table) | ({"fraction": fraction} if name == "friction" else {})
+        for name, table in remedy.tables.items()
+    }
+    ratios = _predicted(diagnosis, found, remedy, tables, gains)
+    gained = [1.0 - ratio.value for name, ratio in ratios.items() if name != "rest"]
+    worth = max(gained) >= WORTH if gained else None
+    return replace(row, worth=worth, ratios=ratios, tables=tables)
+
+
+def safe_fraction(bounds: Bounds) -> float:
+    """Share of a number that is fed forward: none of its interval is exceeded, N/A without one."""
+    return max(0.0, min(SAFE_FRACTION, bounds.low / bounds.value)) if bounds.value > 0.0 else 0.0
+
+
+def _too_wide(found: Found, remedy: Remedy, bounds: Bounds) -> str:
+    half = 0.5 * (bounds.high - bounds.low)
+    if not (math.isfinite(half) and bounds.value != 0.0):
+        return f"{remedy.sized_by} has no interval; {_experiment(found)}"
+    if half <= WIDE * abs(bounds.value):
+        return ""
+    return (
+        f"{remedy.sized_by} is known to {100.0 * half / abs(bounds.value):.0f} %, more than "
+        f"{100.0 * WIDE:.0f} %; {_experiment(found)}"
+    )
+
+
+def _experiment(found: Found) -> str:
+    shown = found.effect.excitation or "more records of it"
+    return f"measure {shown}, and explain the records together"
+
+
+def _predicted(
+    diagnosis: Any,
+    found: Found,
+    remedy: Remedy,
+    tables: Mapping[str, Mapping[str, float]],
+    gains: Gains | None,
+) -> dict[str, Ratio]:
+    """Ratios of the measures with the remedy to those without; none where nothing is predicted."""
+    model = diagnosis.augmented
+    known = known_friction(tables.get("friction"), PlantScale.of(model))
+    if model.profile.loop != "closed" or (known is None and not remedy.removes):
+        return {}
+    try:
+        about = model.describe("model", gains)
+        rows = [
+            _ratios((model, about), drawn, known, found, remedy)
+            for drawn in (found.effect, *_draws(found))
+        ]
+    except EstuneError:  # a model that cannot be run at these gains predicts nothing
+        return {}
+    return _intervals(np.array(rows), widened=known is not None)
+
+
+def _ratios(
+    rig: tuple[Any, Any], true: Effect, known: KnownFriction | None, found: Found, remedy: Remedy
+) -> FloatArray:
+    """Measures with the remedy over those without, on a machine that has the drawn effect."""
+    model, about = rig
+    machine = with_effect(model, found.effect, true)
+    mended = machine
+    if known is None:
+        told, size = getattr(found.effect, remedy.sized_by), getattr(true, remedy.sized_by)
+        allowed = true.parameters()[remedy.sized_by]
+        left = size - remedy.removes * told
+        left = abs(left) if allowed.low >= 0.0 else left
+        neutral = 0.0 if allowed.neutral is None else allowed.neutral
+        left = min(max(left, allowed.low), allowed.high) if neutral == 0.0 else neutral
+        mended = with_effect(model, found.effect, replace(true, **{remedy.sized_by: left}))
+    gains, settling = about.gains, about.settling_time_s
+    left_effect = replace(true, **{remedy.sized_by: left}) if known is None else true
+    after = behaviour(mended, gains, settling, known, truth_behind(left_effect))
+    return np.asarray(after / behaviour(machine, gains, settling, None, truth_behind(true)))
+
+
+def truth_behind(effect: Effect) -> Callable[[FloatArray], FloatArray] | None:
+    """The tension that is there where an effect of the gauge reads another; None for others."""
+    if effect.port is not Port.GAUGE or effect.states or effect.in_noise:
+        return None
+    numbers = SimpleNamespace(**vars(effect))
+
+    def tension_N(reading_N: FloatArray) -> FloatArray:
+        site = Site(Port.GAUGE, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+        _, signal = effect.rest(numbers, ca.DM(0, 1), ca.DM(reading_N), site)
+        return np.asarray(signal, dtype=np.float64).ravel()
+
+    return tension_N
+
+
+def _intervals(rows: FloatArray, *, widened: bool) -> dict[str, Ratio]:
+    """Ratios of the fitted model, and the range of the draws."""
+    found = {}
+    for name, column in zip(MEASURES, rows.T, strict=True):
+        drawn = column[np.isfinite(column)]
+        if not np.isfinite(column[0]):
+            continue
+        high = float(drawn.max()) + (REVERSAL_MARGIN if widened and name == "reversal" else 0.0)
+        found[name] = Ratio(float(column[0]), float(drawn.min()), high)
+    return found
+
+
+def _draws(found: Found) -> list[Effect]:
+    """The effect with numbers drawn from their intervals."""
+    random = np.random.default_rng(0)
+    drawn = []
+    for _ in range(DRAWS):
+        values: dict[str, float] = {}
+        for name, p in found.effect.parameters().items():
+            value, bounds = float(getattr(found.effect, name)), found.parameters.get(name)
+            spread = 0.0 if bounds is None else (bounds.high - bounds.low) / 3.92
+            # Relative: the effect's own number may be in another unit than the interval.
+            scale = value / bounds.value if bounds is not None and bounds.value else 1.0
+            step = float(random.standard_normal()) * spread * scale
+            step = step if math.isfinite(step) else 0.0
+            values[name] = min(max(value + step, p.low), p.high)
+        drawn.append(replace(found.effect, **values))
+    return drawn
+
+
+def with_effect(model: Any, old: Effect, new: Effect) -> Any:
+    """The model with an effect in the place of another of its kind.
+
+    Raises:
+        InvalidInput: the model has no such effect.
+    """
+    effects = tuple(new if isinstance(one, type(old)) else one for one in model.effects)
+    if new not in effects:
+        raise InvalidInput(f"the model has no {old.name}")
+    return replace(model, effects=effects)
+
+
+def known_friction(table: Mapping[str, float] | None, scale: PlantScale) -> KnownFriction | None:
+    """What a table `[compensation.friction]` feeds forward; None where there is none."""
+    if not table:
+        return None
+    dry = StribeckFriction(table["coulomb_Nm"], table["static_Nm"], table["stribeck_rad_s"])
+    per_rad = table["tension_per_rad_N"]
+    memory = table.get("memory_rad", 0.0) or SHORT_MEMORY_rad
+    law = FrictionFeedForward(dry, memory, table.get("load_share", 0.0), table["fraction"])
+    return KnownFriction(law, per_rad, scale.radius_m)
+
+
+SHORT_MEMORY_rad = 1e-4
+"""Presliding where none is found: a tenth of a count of an encoder of 6000 counts."""
+
+
+def _gain(offer: Offer) -> float:
+    """What a row is sorted by: the greatest predicted gain."""
+    gains = [1.0 - ratio.value for name, ratio in offer.ratios.items() if name != "rest"]
+    return max(gains, default=-math.inf)

@@ -1,0 +1,66 @@
+"""The remedies of a diagnosis as text and as JSON values."""
+
+from collections.abc import Sequence
+from dataclasses import asdict
+from typing import Any
+
+from plants.remedies.behaviour import MEASURES
+from plants.remedies.offers import WORTH, Offer, Ratio
+
+PLACES = {
+    "loop": "in the loop",
+    "calibration": "calibration",
+    "workshop": "workshop",
+    "limit": "a limit",
+}
+COLUMNS = ("what to do", "where", *MEASURES, "work", "may harm")
+
+
+def rows(offers: Sequence[Offer]) -> tuple[tuple[str, ...], ...]:
+    """A row for each remedy, under `COLUMNS`: predicted ratios of with to without."""
+    return tuple(
+        (
+            _what(offer),
+            PLACES[offer.place],
+            *(_ratio(offer.ratios.get(name)) for name in MEASURES),
+            offer.work,
+            offer.harm or "-",
+        )
+        for offer in offers
+    )
+
+
+def sentences(diagnosis: Any, offers: Sequence[Offer]) -> tuple[str, ...]:
+    """What cannot be done yet, and what experiment would help."""
+    found = [f"{offer.effect}: not yet; {offer.refused}." for offer in offers if offer.refused]
+    next_one = diagnosis.next_experiment
+    if diagnosis.verdict in ("unknown", "incomplete", "ambiguous") and next_one is not None:
+        found.append(f"What is not named cannot be remedied. {_sentence(next_one.sentence)}")
+    if diagnosis.verdict == "none":
+        hidden = ", ".join(diagnosis.not_excited)
+        told = f"; these records cannot show {hidden}" if hidden else ""
+        found.append(f"The model lacks nothing that could be remedied{told}.")
+    return tuple(found)
+
+
+def to_json(offers: Sequence[Offer]) -> list[dict[str, Any]]:
+    """The remedies as JSON values."""
+    return [asdict(offer) for offer in offers]
+
+
+def _what(offer: Offer) -> str:
+    if offer.refused:
+        return f"{offer.title} (not yet)"
+    if offer.worth is False:
+        return f"{offer.title} (not worth it: under {WORTH:.0%})"
+    return offer.title
+
+
+def _ratio(ratio: Ratio | None) -> str:
+    if ratio is None:
+        return "-"
+    return f"{ratio.value:.2f} [{ratio.low:.2f}, {ratio.high:.2f}]"
+
+
+def _sentence(text: str) -> str:
+    return f"{text[:1].upper()}{text[1:].rstrip('.')}."

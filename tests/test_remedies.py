@@ -1,0 +1,138 @@
+"""Remedies: declared by every effect, predicted from a diagnosis, and what is refused."""
+
+from dataclasses import dataclass, replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+import plants
+from estune.core.gains import Gains
+from estune.hardware.compensation.tables import CompensationTable
+from estune.trial import TrialRequest
+from estune.trial.tracking import tracking_of, tracking_profile
+from plants.diagnosis.report.page import page
+from plants.diagnosis.result import BaseParameter, Interval, NamedEffect
+from plants.effects import EFFECTS, CoulombFriction, Effect, Port, parameter
+from plants.effects.plant_scale import PlantScale
+from plants.effects.remedy import Place, Remedy
+from plants.remedies import offers_for, text
+from tests.support_diagnosis import diagnosis, interval
+from tests.test_compensation import friction_table, rig_with
+
+GAINS = Gains(0.78, 31.0, 0.0206, 0.0003)
+REEL = plants.reference_reel()
+
+
+def found(effect, spread=0.1, **changes):
+    """A diagnosis that has found one effect."""
+    fitted = {
+        name: Interval(value, value * (1.0 - spread), value * (1.0 + spread), p.unit)
+        for name, p in effect.parameters().items()
+        for value in [getattr(effect, name)]
+    }
+    named = NamedEffect(effect.name, effect.title, fitted, "", effect)
+    parts = {"effects": (named,), "augmented": REEL + effect, "calibrations": ()}
+    return replace(diagnosis(), **parts | changes)
+
+
+@pytest.mark.parametrize("name", EFFECTS)
+def test_every_effect_declares_what_can_be_done(name):
+    effect = EFFECTS[name]()
+    numbers = SimpleNamespace(**vars(effect))
+    for model in (REEL, plants.unloaded_reel()):
+        remedies = type(effect).remedies(numbers, PlantScale.of(model))
+        assert remedies
+        for remedy in remedies:
+            assert remedy.title
+            assert remedy.effort
+            assert remedy.sized_by in {"", *effect.parameters()}
+            if remedy.tables:
+                table = CompensationTable(**{k: dict(v) for k, v in remedy.tables.items()})
+                assert table.plan(632.0, 8192, 0.025, 0.8, 120.0) is not None
+
+
+def measured_tracking(hidden, compensation):
+    about_step = REEL.profile
+    settling_s = REEL.describe("reel", None).settling_time_s
+    profile = tracking_profile(about_step, settling_s)
+    with rig_with(compensation, effects=[hidden], take_up_A=1.0) as rig:
+        record = rig.run(TrialRequest("c", 0, GAINS, profile))
+    return tracking_of(profile, settling_s, 632.0, record.setpoint_N - record.tension_N)
+
+
+@pytest.mark.parametrize("name", ["Coulomb, large", "Dahl"])
+def test_prediction_is_what_the_loop_then_measures(name):
+    hidden, compensation = friction_table(name, 0.8)
+    numbers = {key: value for key, value in hidden.items() if key != "name"}
+    (offer,) = offers_for(found(EFFECTS[hidden["name"]](**numbers)), GAINS)
+    assert offer.place is Place.LOOP
+    assert offer.worth
+    off, on = (measured_tracking(hidden, c) for c in (None, compensation))
+    assert offer.ratios["tracking"].value == pytest.approx(on.rms_N / off.rms_N, abs=0.05)
+    assert offer.ratios["tracking"].low <= offer.ratios["tracking"].value
+    assert offer.ratios["reversal"].high >= on.reversal_N / off.reversal_N
+
+
+def test_a_curve_of_the_gauge_is_seen_in_the_true_tension_alone():
+    (offer,) = offers_for(found(EFFECTS["gauge_nonlinearity"](curvature_per_N=6e-3)), GAINS)
+    assert offer.place is Place.CALIBRATION
+    assert offer.ratios["tracking"].high < 0.3
+    assert offer.ratios["cost"].value == pytest.approx(1.0, abs=0.1)
+
+
+def test_uncertain_friction_is_refused_with_the_experiment_that_helps():
+    d = found(CoulombFriction(torque_Nm=0.05), spread=0.5)
+    (offer,) = offers_for(d, GAINS)
+    assert "50 %" in offer.refused
+    assert not offer.tables
+    assert CoulombFriction.excitation in text.sentences(d, (offer,))[0]
+
+
+def test_a_share_is_fed_forward_that_the_interval_allows():
+    (offer,) = offers_for(found(CoulombFriction(torque_Nm=0.05), spread=0.25), GAINS)
+    assert offer.tables["friction"]["fraction"] == pytest.approx(0.75)
+
+
+def test_small_friction_is_listed_as_not_worth_it():
+    (offer,) = offers_for(found(CoulombFriction(torque_Nm=2e-4)), GAINS)
+    assert offer.worth is False
+    assert "not worth it" in text.rows((offer,))[0][0]
+
+
+def test_a_moved_calibration_is_the_only_remedy():
+    moved = BaseParameter("torque_gain", "", 1.0, interval(1.2, 0.01), interval(1.17, 0.01))
+    offers = offers_for(found(CoulombFriction(torque_Nm=0.05), calibrations=(moved,)), GAINS)
+    assert [offer.place for offer in offers] == [Place.CALIBRATION]
+    assert "hang weights" in offers[0].title
+
+
+@dataclass(frozen=True)
+class OwnEffect(Effect):
+    """A user's own effect with a remedy."""
+
+    name = "own_effect"
+    title = "an own effect"
+    appearance = "it is seen"
+    port = Port.GAUGE
+    size_N: float = parameter(0.1, low=0.0, high=1.0, unit="N", neutral=0.0)
+
+    @classmethod
+    def remedies(cls, p, _plant):
+        return (Remedy(Place.WORKSHOP, f"take {p.size_N:g} N away", sized_by="size_N"),)
+
+
+def test_an_effect_of_ones_own_brings_its_remedies():
+    (offer,) = offers_for(found(OwnEffect(0.2)), GAINS)
+    assert offer.title == "take 0.2 N away"
+    assert not offer.ratios
+
+
+def test_page_and_json_tell_what_can_be_done():
+    d = found(CoulombFriction(torque_Nm=0.05))
+    section = next(s for s in page(d).sections if s.title == "What can be done")
+    assert "along the known motion" in str(section)
+    (row,) = d.to_json()["remedies"]
+    assert row["ratios"]["tracking"]["value"] < 0.8
+    assert row["tables"]["friction"]["fraction"] == 0.8
+    assert np.isfinite([row["ratios"]["cost"][end] for end in ("low", "value", "high")]).all()
