@@ -86,10 +86,9 @@ def compare(
     if json:
         output.print_json(made.to_json())
         return
-    from estune.studies.compare.report import columns, table_rows  # noqa: PLC0415  draws
+    from estune.studies.compare.report import table  # noqa: PLC0415  draws
 
-    tuned = next(iter(made.results.values())).rig
-    output.show_table(columns(tuned), table_rows(made.results))
+    output.show_study(table(made.results))
     output.show_next(files)
 
 

@@ -17,7 +17,7 @@ from estune.cli.values import Flag, TunerName, check_folder_exists, security_fro
 from estune.errors import EstuneError, InvalidInput, RigError
 from estune.run.targets import is_endpoint, open_target
 from estune.studies.match import procedure
-from estune.studies.match.outcome import COLUMNS, Matching
+from estune.studies.match.outcome import Matching
 from estune.studies.match.reel_matcher import Settings
 from estune.support.whole_file import write_file
 from estune.trial import RigDescription
@@ -151,10 +151,7 @@ def _show(matching: Matching) -> None:
     out.print()
     style = "bold green" if matching.passed else "bold yellow"
     out.print(Text(matching.heading(), style=style), soft_wrap=True)
-    output.show_table(COLUMNS, matching.rows())
-    for reel in matching.reels:
-        if not reel.passed:
-            out.print(Text(f"{reel.label}: {reel.reason}"), soft_wrap=True)
+    output.show_study(matching.table())
 
 
 def _write(matching: Matching, report: Path | None) -> dict[str, object]:

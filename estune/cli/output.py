@@ -15,6 +15,7 @@ from rich.text import Text
 
 if TYPE_CHECKING:
     from estune.run.results.result import TuneResult
+    from estune.studies.table import StudyTable
 
 
 FIGURE_NAME = "figure.png"
@@ -90,6 +91,14 @@ def show_table(columns: Iterable[str], rows: Iterable[Iterable[str]]) -> None:
     for row in cells:
         show_next({head: cell for head, cell in zip(heads, row, strict=True) if cell})
         print()
+
+
+def show_study(table: "StudyTable") -> None:
+    """Prints the tunings of a study, and the reasons of their endings."""
+    show_table(table.heads, table.cells())
+    for row in table.rows:
+        if row.reason:
+            console().print(Text(f"{row.label}: {row.reason}"), soft_wrap=True)
 
 
 def local_time(at: str) -> str:

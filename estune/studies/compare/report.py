@@ -11,7 +11,9 @@ from estune.core.gains import GAIN_NAMES
 from estune.run.ending import RunEnding
 from estune.run.results.result import TuneResult
 from estune.studies.compare.comparison import Comparison, searched
-from estune.support.html_page import Cell, Drawing, Page, Paragraph, Section, Status, Table
+from estune.studies.page import study_page
+from estune.studies.table import NOTHING, StudyRow, StudyTable
+from estune.support.html_page import Drawing, Page, Status
 from estune.support.plot_style import (
     BLUE,
     GREEN,
@@ -25,7 +27,6 @@ from estune.support.plot_style import (
     new_figure,
 )
 from estune.support.quantity_text import axis_label, time_text
-from estune.trial import RigDescription
 
 WITHIN = 1.05
 
@@ -33,22 +34,7 @@ _COLOURS = (BLUE, GREEN, PURPLE, VERMILION, ORANGE, GREY)
 _MARKERS = "osD^vX"
 _HEADS = {"setpoint_filter_s": "filter"}
 
-_FIGURES = (
-    "tuner",
-    "search trials",
-    "all trials",
-    "unsafe",
-    "start cost",
-    "cost",
-    "overshoot",
-    "Ms",
-)
-
-
-def columns(rig: RigDescription) -> tuple[str, ...]:
-    """Heads of the table, with the units of the rig's gains."""
-    gains = (axis_label(_HEADS.get(name, name), unit) for name, unit in rig.gain_units.items())
-    return (*_FIGURES, *gains, "ending")
+_FIGURES = ("search trials", "all trials", "unsafe", "start cost", "cost", "overshoot", "Ms")
 
 
 def page(comparison: Comparison) -> Page:
@@ -65,17 +51,15 @@ def page(comparison: Comparison) -> Page:
         "limits are not shown, then those that break one, each by cost; only model_based keeps "
         "limits while it searches. Ms is given where the records allow it to be claimed."
     )
-    rows, heads = [_cells(row) for row in table_rows(results)], columns(rig)
-    return Page(
+    return study_page(
         f"Tuners compared on {rig.name}",
         Status(f"{headline}."),
         (
             Drawing(cost_figure(results), "costs", headline, csv=_csv(results)),
             Drawing(gain_figure(results), "gains", "Recommended gains and unsafe trials"),
-            Table((*heads[:8], heads[-1]), [(*row[:8], row[-1]) for row in rows], range(1, 8)),
-            Table((heads[0], *heads[8:-1]), [(row[0], *row[8:-1]) for row in rows], range(1, 5)),
         ),
-        (Section("Procedure", (Paragraph(how),)),),
+        table(results),
+        procedure=how,
     )
 
 
@@ -96,26 +80,22 @@ def _headline(results: Mapping[str, TuneResult]) -> str:
     return f"{told}; {soonest} came within 5 % of it first, after {needed[soonest]} search trials"
 
 
-def table_rows(results: Mapping[str, TuneResult]) -> list[tuple[str, ...]]:
-    """A row of text for each tuner, as `COLUMNS`."""
-    return [_row(name, result) for name, result in results.items()]
+def table(results: Mapping[str, TuneResult]) -> StudyTable:
+    """The tuners, a row each."""
+    rows = tuple(_row(name, result) for name, result in results.items())
+    return StudyTable("tuner", _FIGURES, next(iter(results.values())).rig.gain_units, rows)
 
 
-def _row(name: str, result: TuneResult) -> tuple[str, ...]:
+def _row(name: str, result: TuneResult) -> StudyRow:
     at, margins = result.tuned or result.start, result.claim.margins
     overshoot = math.nan if at.metrics is None else at.metrics.overshoot
-    return (
-        *(name, str(result.nit), str(result.nfev), str(result.unsafe)),
+    figures = (
+        *(str(result.nit), str(result.nfev), str(result.unsafe)),
         *(f"{result.verdict.start_cost:.4g}", f"{result.fun:.4g}"),
-        f"{overshoot:.1%}" if math.isfinite(overshoot) else "-",
-        "-" if margins is None else f"{margins.sensitivity.value:.2f}",
-        *(f"{value:.4g}" for value in result.gains.as_tuple()),
-        str(result.ending),
+        f"{overshoot:.1%}" if math.isfinite(overshoot) else NOTHING,
+        NOTHING if margins is None else f"{margins.sensitivity.value:.2f}",
     )
-
-
-def _cells(row: tuple[str, ...]) -> tuple[Cell, ...]:
-    return (*row[:-1], Status(row[-1], good=RunEnding(row[-1]).good))
+    return StudyRow(name, figures, result.gains, str(result.ending), result.ending.good)
 
 
 def cost_figure(results: Mapping[str, TuneResult]) -> Figure:

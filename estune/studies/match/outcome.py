@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from estune.core.cost import StepCost
 from estune.core.gains import GAIN_NAMES, Gains
+from estune.studies.table import NOTHING, StudyRow, StudyTable
 from estune.support.notebook_card import card
 from estune.trial.profiles import StepProfile
 from estune.trial.signals import REEL, Signals
@@ -125,9 +126,6 @@ class ReelMatch:
         return values
 
 
-COLUMNS = ("reel", "tuned cost", "matched cost", "P, I, D, filter", "", "")
-
-
 @dataclass(frozen=True, slots=True, repr=False)
 class Matching:
     """Several reels tuned to one cost.
@@ -181,24 +179,30 @@ class Matching:
             text += f"; spread {before:.3g} before, {after:.2g} after"
         return text
 
-    def rows(self) -> tuple[tuple[str, ...], ...]:
-        """The records as the cells of a table with `COLUMNS`."""
-        return tuple(
-            (
-                *(reel.label, str(reel.tuned_cost or "-"), str(reel.cost or "-")),
-                ", ".join(f"{g:.4g}" for g in reel.gains.as_tuple()) if reel.gains else "-",
-                *(str(reel.outcome), "live" if reel.live else ""),
+    def table(self) -> StudyTable:
+        """The reels, a row each."""
+        rows = tuple(
+            StudyRow(
+                reel.label,
+                (str(reel.tuned_cost or NOTHING), str(reel.cost or NOTHING)),
+                reel.gains,
+                f"{reel.outcome}, live" if reel.live else str(reel.outcome),
+                reel.passed,
+                "" if reel.passed else reel.reason,
             )
             for reel in self.reels
         )
+        return StudyTable("reel", ("tuned cost", "matched cost"), self.signals.gain_units, rows)
 
     def __repr__(self) -> str:
-        missed = [f"{reel.label}: {reel.reason}" for reel in self.reels if not reel.passed]
-        return "\n".join([self.heading(), *(", ".join(row) for row in self.rows()), *missed])
+        table = self.table()
+        missed = [f"{row.label}: {row.reason}" for row in table.rows if row.reason]
+        return "\n".join([self.heading(), *(", ".join(row) for row in table.cells()), *missed])
 
     def _repr_html_(self) -> str:
-        missed = [f"{reel.label}: {reel.reason}" for reel in self.reels if not reel.passed]
-        tables = [(COLUMNS, *self.rows())]
+        table = self.table()
+        missed = [f"{row.label}: {row.reason}" for row in table.rows if row.reason]
+        tables = [(table.heads, *table.cells())]
         return card(self.heading(), good=self.passed, tables=tables, sentences=missed)
 
     def to_json(self) -> dict[str, Any]:

@@ -3,9 +3,9 @@
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from estune.core.gains import GAIN_NAMES
-from estune.studies.match.outcome import CostEstimate, Matching, ReelMatch
-from estune.support.html_page import Cell, Drawing, Page, Paragraph, Section, Status, Table
+from estune.studies.match.outcome import CostEstimate, Matching
+from estune.studies.page import study_page
+from estune.support.html_page import Drawing, Page, Paragraph, Status
 from estune.support.plot_style import (
     BLUE,
     GREEN,
@@ -17,7 +17,7 @@ from estune.support.plot_style import (
     legend,
     new_figure,
 )
-from estune.support.quantity_text import axis_label, time_text
+from estune.support.quantity_text import time_text
 
 TITLE = "Equal transparency"
 
@@ -29,18 +29,13 @@ def page(matching: Matching) -> Page:
         f"The target was set by {chosen_by}; a reel passes if the 95 % confidence interval of "
         f"its cost lies within {100.0 * matching.tolerance:g} % of it."
     )
-    heads = (
-        axis_label("filter" if name == "setpoint_filter_s" else name, unit)
-        for name, unit in matching.signals.gain_units.items()
-    )
-    columns = ("Reel", "Tuned η", "Matched η", *heads, "Outcome")
-    table = Table(columns, tuple(map(_row, matching.reels)), numeric=range(1, len(columns) - 1))
     heading = matching.heading()
-    return Page(
+    return study_page(
         TITLE,
         Status(f"{heading}.", good=matching.passed),
-        (Paragraph(rule, style="soft"), Drawing(_figure(matching), "costs", heading), table),
-        (Section("Procedure", (Paragraph(_procedure(matching)),)),),
+        (Paragraph(rule, style="soft"), Drawing(_figure(matching), "costs", heading)),
+        matching.table(),
+        procedure=_procedure(matching),
     )
 
 
@@ -90,23 +85,3 @@ def _draw(
             list(closed), means, yerr=[below, above], fmt=marker, color=colour, label=label,
             markersize=4.5, elinewidth=1.0, capsize=2.5,
         )  # fmt: skip
-
-
-def _row(reel: ReelMatch) -> tuple[Cell, ...]:
-    gains = reel.gains.as_tuple() if reel.gains else (None,) * len(GAIN_NAMES)
-    reason = "" if reel.passed else reel.reason
-    return (
-        reel.label,
-        _text(reel.tuned_cost),
-        _text(reel.cost),
-        *map(_text, gains),
-        Status(str(reel.outcome), reel.passed, reason),
-    )
-
-
-def _text(value: CostEstimate | float | None) -> str:
-    if value is None:
-        return "\N{EN DASH}"
-    if isinstance(value, CostEstimate):
-        return f"{value.cost:.4g} ± {100.0 * value.half_width:.1f} %"
-    return f"{value:.4g}"

@@ -1,13 +1,17 @@
 """Report page of a sweep: its laws, the paper's figures of them, and the excluded cells."""
 
+import math
 from collections.abc import Iterator
 from operator import attrgetter
 
 from estune.core.gains import GAIN_NAMES
 from estune.studies.law.law import GainLaw
+from estune.studies.page import study_page
 from estune.studies.sweep import figures
 from estune.studies.sweep.exclusions import exclusion_sentences
+from estune.studies.sweep.outcome import CellOutcome
 from estune.studies.sweep.result import Series, SweepResult
+from estune.studies.table import NOTHING, StudyRow, StudyTable
 from estune.support.html_page import (
     Block,
     Drawing,
@@ -25,7 +29,7 @@ _POINTS_MAX = 2000
 TITLE = "Gains over cable length"
 
 _ROWS_MAX = 100
-"""Excluded tunings that the page lists."""
+"""Tunings that the page lists; cells.csv has them all."""
 
 
 def page(result: SweepResult) -> Page:
@@ -40,15 +44,17 @@ def page(result: SweepResult) -> Page:
     ]
     complete = not result.excluded and all(isinstance(law, GainLaw) for _, law in laws)
     note = Paragraph("Figures 12, 13 and 14 are the paper's, of these tunings.", style="soft")
-    return Page(
+    counted = [Paragraph(f"{sentence}.") for sentence in exclusion_sentences(result.outcomes)]
+    table = _table(result)
+    if len(table.rows) < len(result.outcomes):
+        more = len(result.outcomes) - len(table.rows)
+        counted.append(Paragraph(f"{more} more are listed in cells.csv.", style="soft"))
+    return study_page(
         TITLE,
         Status(f"{result.heading()}.", good=complete or None),
-        (*sentences, note),
-        (
-            *sections,
-            Section("Design", (_design(result),)),
-            Section("Excluded from the laws", tuple(_excluded(result))),
-        ),
+        (*sentences, note, *counted),
+        table,
+        sections=(*sections, Section("Design", (_design(result),))),
     )
 
 
@@ -116,12 +122,23 @@ def _design(result: SweepResult) -> Table:
     return Table((), tuple(rows.items()))
 
 
-def _excluded(result: SweepResult) -> Iterator[Block]:
-    excluded = result.excluded
-    rows = [(outcome.cell.label, outcome.excluded) for outcome in excluded[:_ROWS_MAX]]
-    for sentence in exclusion_sentences(result.outcomes):
-        yield Paragraph(f"{sentence}.")
-    if rows:
-        yield Table(("Tuning", "Reason"), rows)
-    if len(excluded) > len(rows):
-        yield Paragraph(f"{len(excluded) - len(rows)} more are listed in cells.csv.", style="soft")
+def _table(result: SweepResult) -> StudyTable:
+    """The tunings, those that the laws exclude first."""
+    excluded = result.excluded[:_ROWS_MAX]
+    used = result.outcomes.where(lambda outcome: not outcome.excluded)
+    rows = tuple(map(_row, (*excluded, *used[: _ROWS_MAX - len(excluded)])))
+    signals = result.outcomes[0].cell.signals
+    return StudyTable("tuning", ("trials", "start cost", "cost"), signals.gain_units, rows)
+
+
+def _row(outcome: CellOutcome) -> StudyRow:
+    costs = (outcome.start_cost, outcome.cost)
+    figures = (f"{cost:.4g}" if math.isfinite(cost) else NOTHING for cost in costs)
+    return StudyRow(
+        outcome.cell.label,
+        (str(outcome.trials), *figures),
+        outcome.gains,
+        str(outcome.ending),
+        not outcome.excluded,
+        outcome.excluded,
+    )
