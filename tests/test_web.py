@@ -82,7 +82,9 @@ def test_numbers_that_are_not_finite_are_sent_as_null():
 @pytest.fixture
 def server():
     done = []
-    view = View("reel", "rig", Board(), [], {"estop": lambda who: done.append(who) or "asked"})
+    view = View(
+        "reel", "rig", Board(), [], commands={"estop": lambda who: done.append(who) or "asked"}
+    )
     server = PageServer(lambda: [view], may_command=True)
     server.done = done
     yield server
@@ -148,7 +150,7 @@ def test_page_is_small_and_may_load_its_own_files_alone(server):
     assert "default-src 'self'" in ask(server).headers["Content-Security-Policy"]
     assert ask(server, "/static/../server.py").status == 404
     assert ask(server, "/static/page.py").status == 404
-    licence = files("estune.web").joinpath("static", "uPlot.LICENSE").read_text()
+    licence = files("estune.support").joinpath("charts", "uPlot.LICENSE").read_text()
     assert "MIT License" in licence
 
 

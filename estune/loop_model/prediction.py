@@ -147,12 +147,12 @@ def _expected_cost(
         return cost(output, effort)
     if trial.cost.is_quadratic and trial.step.load is None:
         return cost(output, effort) + _noise_cost(loop, trial, noise_N)
-    y, u = loop.noise_response(noise_N * _fixed_noise(trial.samples))
+    y, u = loop.noise_response(noise_N * fixed_noise(trial.samples))
     return 0.5 * (cost(output + y, effort + u) + cost(output - y, effort - u))
 
 
 @lru_cache(maxsize=16)
-def _fixed_noise(samples: int) -> FloatArray:
+def fixed_noise(samples: int) -> FloatArray:
     """White noise of standard deviation one, the same at all gains."""
     return np.random.default_rng(0).standard_normal(samples)
 

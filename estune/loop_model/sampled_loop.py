@@ -50,6 +50,7 @@ def _loop(dead: int, samples: int) -> Any:
     """
     import casadi as ca  # noqa: PLC0415  slow to import
 
+    ca.GlobalOptions.setNumpyMode(1)  # or it prints a notice
     state, column = ca.SX.sym("state", 6 + dead), ca.SX.sym("column", 2 + 9 + 7)
     setpoint, load = column[0], column[1]
     c = pidf.Coefficients(*(column[2 + i] for i in range(9)))

@@ -1,4 +1,4 @@
-"""Report pages as one HTML file: figures inside, no script, no request, light and dark, printable.
+"""Report pages as one HTML file: figures inside, no request, light and dark, printable.
 
 A page is a value: a `Page` has a headline and `Section`s, and each section is a list of blocks.
 
@@ -18,13 +18,15 @@ same, byte for byte, whenever it shows the same.
 """
 
 import base64
+import json
 import platform
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from importlib.metadata import version
+from importlib.resources import files
 from pathlib import Path
-from typing import ClassVar, Literal
+from typing import Any, ClassVar, Literal
 
 import matplotlib as mpl
 from jinja2 import Environment, PackageLoader, StrictUndefined
@@ -133,7 +135,50 @@ class Drawing:
     csv: str = ""
 
 
-Block = Paragraph | Heading | Status | Table | Bullets | Warnings | Drawing
+@dataclass(frozen=True, eq=False)
+class Panel:
+    """A part with controls: its scripts run in the page, and the rest of it needs none.
+
+    Attributes:
+        name: Unique name of its element.
+        text: Text above it.
+        data: Its data as JSON values.
+        files: Its scripts and styles in the order in which they need each other, as packages and
+            paths within them. A script is a module; imports are resolved by the order alone.
+        start: Script that starts it, with the names `element` and `data`.
+    """
+
+    kind: ClassVar[str] = "panel"
+    name: str
+    text: str
+    data: Any
+    files: Sequence[tuple[str, str]]
+    start: str
+
+    @property
+    def styles(self) -> Markup:
+        """Its styles."""
+        return Markup("\n".join(self._texts(".css")))  # noqa: S704  files of the packages
+
+    @property
+    def scripts(self) -> Markup:
+        """Its scripts as one module."""
+        modules = (_IMPORT.sub("", text) for text in self._texts(".js"))
+        data = json.dumps(self.data, separators=(",", ":"), allow_nan=False).replace(
+            "<", "\\u003c"
+        )
+        begin = f"const element = document.getElementById({json.dumps(self.name)}), data = {data};"
+        return Markup("\n".join((*modules, begin, self.start)))  # noqa: S704  as above
+
+    def _texts(self, ending: str) -> Iterator[str]:
+        for package, path in self.files:
+            if path.endswith(ending):
+                yield files(package).joinpath(path).read_text("utf-8")
+
+
+_IMPORT = re.compile(r"^import .*$\n|^export (?=\w)", re.MULTILINE)
+
+Block = Paragraph | Heading | Status | Table | Bullets | Warnings | Drawing | Panel
 
 
 @dataclass(frozen=True)

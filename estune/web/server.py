@@ -33,6 +33,12 @@ COMMAND_MAX_BYTES = 1024
 _END_WITHIN_S = 5.0
 
 _TYPES = {"html": "text/html", "js": "text/javascript", "css": "text/css", "svg": "image/svg+xml"}
+_FOLDERS = (
+    ("estune.web", "static"),
+    ("estune.support", "charts"),
+    ("estune.loop_model", "browser"),
+)
+"""Folders of the page's files, by package."""
 _HEADERS = {
     "Content-Security-Policy": "default-src 'self'; frame-ancestors 'none'; base-uri 'none'; "
     "form-action 'none'",
@@ -111,6 +117,7 @@ class PageServer:
                 Route("/static/{name}", _named_static),
                 Route("/api/views", self._list),
                 Route("/api/events", self._events),
+                Route("/api/tuning", self._tuning),
                 Route("/api/command", self._command, methods=["POST"]),
             ]
         )
@@ -139,6 +146,13 @@ class PageServer:
         return StreamingResponse(
             self._stream(view), media_type="text/event-stream", headers=_HEADERS
         )
+
+    async def _tuning(self, request: Request) -> Response:
+        view = await self._view(request.query_params.get("view", ""))
+        if view is None:
+            return Response("there is no such view", 404)
+        text = await run_in_threadpool(view.tuning.text)
+        return Response(text, media_type="application/json", headers=_HEADERS)
 
     async def _stream(self, view: View) -> AsyncIterator[str]:
         """Server-sent events: what changed, and a beat with the age of the data."""
@@ -231,8 +245,8 @@ async def _named_static(request: Request) -> Response:
 
 def _content(name: str) -> bytes | None:
     """A file of the page; None if there is none of that name."""
-    folder = files("estune.web").joinpath("static")
-    file = next((one for one in folder.iterdir() if one.name == name), None)
+    folders = (files(package).joinpath(folder) for package, folder in _FOLDERS)
+    file = next((one for at in folders for one in at.iterdir() if one.name == name), None)
     return None if file is None or name.rpartition(".")[2] not in _TYPES else file.read_bytes()
 
 

@@ -27,6 +27,7 @@ from estune.web.daemon_reader import DaemonReader
 from estune.web.reader import Reader
 from estune.web.rig_reader import RigReader
 from estune.web.run_reader import RunReader
+from estune.web.tuning_source import TuningSource
 
 LINK_S = 2.0
 """Time that a rig has to answer before the page says that there is no link, s."""
@@ -45,6 +46,7 @@ class View:
         kind: What it shows.
         board: Its values.
         commands: What a page may command, by name.
+        tuning: What its tuning page shows.
     """
 
     def __init__(
@@ -53,9 +55,12 @@ class View:
         kind: Literal["run", "rig", "daemon"],
         board: Board,
         readers: Iterable[Reader],
+        *,
         commands: Mapping[str, Execute] | None = None,
+        tuning: TuningSource | None = None,
     ) -> None:
         self.name = name
+        self.tuning = tuning or TuningSource()
         self.kind = kind
         self.board = board
         self.commands = dict(commands or {})
@@ -103,7 +108,7 @@ def run_view(folder: Path, security: Security = OPEN) -> View:
         reader = RigReader(board, connect_rig, run=run, is_wanted=is_wanted)
         readers.append(reader)
         commands["estop"] = reader.estop
-    return View(folder.name, "run", board, readers, commands)
+    return View(folder.name, "run", board, readers, commands=commands, tuning=TuningSource(folder))
 
 
 def folder_views(folder: Path, security: Security = OPEN) -> Views:
@@ -148,7 +153,7 @@ def rig_view(
     board = Board()
     follow = _Follower(runs, rig)
     reader = RigReader(board, _connecting(endpoint, rig, security), on_run=follow)
-    follow.view = View(rig, "rig", board, [reader], {"estop": reader.estop})
+    follow.view = View(rig, "rig", board, [reader], commands={"estop": reader.estop})
     return follow.view
 
 
@@ -176,6 +181,7 @@ class _Follower:
             self.view.board.put("elsewhere", run)
             return
         following = RunReader(self.view.board, folder)
+        self.view.tuning.folder = folder
         self.view.replace(reader, following)
         self._shown = run, following
         self.view.board.put("elsewhere", "")
@@ -227,6 +233,7 @@ def daemon_view(
         shown.clear()
         shown[run] = RunReader(board, runs / run, predict=False)
         view.replace(old, shown[run])
+        view.tuning.folder = runs / run
 
     reader = DaemonReader(board, supervised, follow)
     readers: list[Reader] = [reader]
@@ -235,7 +242,7 @@ def daemon_view(
         samples = RigReader(board, _connecting(target, rig, security))
         readers.append(samples)
         commands["estop"] = samples.estop
-    view = View(rig, "daemon", board, readers, commands)
+    view = View(rig, "daemon", board, readers, commands=commands)
     return view
 
 

@@ -19,10 +19,12 @@ from estune.run.results.frequency_figures import (
     response_columns,
 )
 from estune.run.results.run_result import RunResult
+from estune.run.results.tuning_data import tuning_data
 from estune.support.html_page import (
     Block,
     Drawing,
     Page,
+    Panel,
     Paragraph,
     Section,
     Status,
@@ -37,6 +39,9 @@ from estune.trial.profiles import LoadStepProfile
 _CSV_MAX = 400_000
 """Characters of a table that the page carries: three of them are 1.6 MB as base64, and a page is
 to stay below 1.5 MB. `estune export` writes all samples."""
+
+CHART_FILES = ("colours.css", "uPlot.min.css", "uPlot.iife.min.js", "charts.js")
+TUNER_FILES = ("tuner.css", "loop.js", "optimum.js", "gains.js", "nyquist.js", "tuner.js")
 
 _FAR = 1e4
 """Times the largest command up to which a limit is worth naming."""
@@ -56,6 +61,7 @@ def page(result: RunResult) -> Page:
             Section("Step response", tuple(_responses(result))),
             Section("Disturbance response", tuple(_disturbance(result))),
             Section("Loop", tuple(_loop(result))),
+            Section("Tune by the model", tuple(_tuning(result))),
             Section("Search", tuple(_search(result))),
             Section("Settings", (Table((), tuple(_settings(result).items())),)),
         ),
@@ -190,6 +196,22 @@ def _loop(result: RunResult) -> Iterator[Block]:
         "Nyquist diagram with the unit circle. A curve that stays outside the grey disc about -1 "
         f"has a sensitivity below {limit:g}.",
     )
+
+
+def _tuning(result: RunResult) -> Iterator[Block]:
+    """The sliders of the live page, where a loop was identified."""
+    data = tuning_data(result)
+    if data is not None:
+        yield Panel(
+            "tuner",
+            "Move the sliders: nothing here acts on the rig. Try gains there with `estune watch`.",
+            data,
+            (
+                *(("estune.support", f"charts/{name}") for name in CHART_FILES),
+                *(("estune.loop_model", f"browser/{name}") for name in TUNER_FILES),
+            ),
+            "new Tuner(element, data);",
+        )
 
 
 def _sensitivity_limit(result: RunResult) -> float:

@@ -1,6 +1,7 @@
 // The page: follows one view by server-sent events, and draws what has changed.
 
 import { Sections } from "./sections.js";
+import { TuningSection } from "./tuning.js";
 
 const STALE_S = 1.5; // the rig is read four times a second
 const AGAIN_S = 10; // a stream that is silent for so long is opened anew: the computer has slept
@@ -13,6 +14,7 @@ if (key) {
 
 let stream = null, view = "", shown = null;
 let beat = { at: performance.now(), ages: {} };
+const tuning = new TuningSection();
 export const sections = () => shown; // of the view on the page
 let allowed = [], kind = "";
 
@@ -25,6 +27,7 @@ function open(name) {
   view = name;
   shown?.close();
   shown = new Sections();
+  tuning.show(name);
   beat = { at: performance.now(), ages: {} };
   stream = new EventSource(`api/events?view=${encodeURIComponent(name)}`);
   stream.addEventListener("hello", (event) => {
@@ -39,7 +42,7 @@ function open(name) {
   });
   stream.onmessage = (event) => {
     shown.take(JSON.parse(event.data));
-    requestAnimationFrame(() => { shown.draw(); showState(); });
+    requestAnimationFrame(() => { shown.draw(); showState(); tuning.follow(shown.values); });
   };
   text($("title"), name);
   document.title = `${name} - estune`;

@@ -121,7 +121,7 @@ export class Sections {
     }
     if (state.start_cost) marks.push({ at: state.start_cost, colour: "orange", label: "initial gains" });
     if (unsafe.some((x) => x !== null) && state.eta_max) marks.push({ at: state.eta_max, colour: "red", label: "unsafe above" });
-    const cost = this.chart("cost", { height: 240, x: "trial", y: "cost (1 = as good as first order)", log: true,
+    const cost = this.chart("cost", { height: 240, x: "trial", whole: true, y: "cost (1 = as good as first order)", log: true,
       label: "Cost of each trial, the best so far, and the band of noise about it",
       series: [{ label: "cost", colour: "blue", points: "only" }, { label: "unsafe", colour: "red", points: "only", size: 8, open: true },
         { label: "best so far", colour: "ink", step: true }] });
@@ -151,7 +151,7 @@ export class Sections {
       if (!this.charts[id]) {
         const figure = document.createElement("figure");
         $("gains").append(figure);
-        this.chart(id, { height: 150, x: "trial", y: label, log: true, legend: false, label: `${label} over the trials`,
+        this.chart(id, { height: 150, x: "trial", whole: true, y: label, log: true, legend: false, label: `${label} over the trials`,
           series: [{ label, colour: "blue", points: true, size: 4 }, { label: "next", colour: "red", points: "only", size: 9, open: true }] }, figure);
       }
       const positive = (x) => (x > 0 ? x : null);
@@ -195,7 +195,7 @@ export class Sections {
     const rows = this.tables.checks.filter((row) => row[2] !== null), { daemon } = this.values;
     if (!rows.length) return;
     $("checks").hidden = false;
-    const chart = this.chart("chart", { height: 200, x: "check trial", y: "cost",
+    const chart = this.chart("chart", { height: 200, x: "check trial", whole: true, y: "cost",
       label: "Cost of the check trials over their number, with the baseline",
       series: [{ label: "steady", colour: "blue", points: "only" }, { label: "changed", colour: "red", points: "only", size: 8, open: true },
         ...["lower alarm limit", "upper alarm limit"].map((label) => ({ label, colour: "red", dash: [6, 4], width: 1, step: true }))] });

@@ -40,12 +40,13 @@ function marks(get) {
   };
 }
 
+const WHOLE = [1, 2, 5].flatMap((n) => [0, 1, 2, 3, 4, 5, 6].map((power) => n * 10 ** power)).sort((a, b) => a - b);
 const number = (value) => (value == null ? "-" : Number(value.toPrecision(4)).toString());
 
 // A chart in a figure. `series` are {label, colour, width, dash, points, step}.
 export class Chart {
-  constructor(figure, { height, x, y, log = false, legend = true, series, label }) {
-    this.options = { height, x, y, log, legend, series };
+  constructor(figure, { height, x, y, log = false, logX = false, whole = false, legend = true, series, bands = [], label }) {
+    this.options = { height, x, y, log, logX, whole, legend, series, bands };
     this.figure = figure;
     this.marks = [];
     this.ranges = {};
@@ -73,7 +74,7 @@ export class Chart {
 
   build() {
     this.plot?.destroy();
-    const { x, y, log, legend, series } = this.options;
+    const { x, y, log, logX, whole, legend, series, bands } = this.options;
     const axis = (label, more) => ({
       label, labelSize: 18, labelGap: 0, stroke: colour("ink"), font: "12px system-ui, sans-serif",
       labelFont: "12px system-ui, sans-serif", grid: { stroke: colour("rule"), width: 1 },
@@ -83,11 +84,12 @@ export class Chart {
     this.plot = new uPlot({
       ...this.size(),
       scales: {
-        x: { time: false, range: (u, low, high) => this.zoom ?? this.ranges.x ?? [low, high] },
-        y: log ? { distr: 3 } : { range: (u, low, high) => this.ranges.y ?? uPlot.rangeNum(low, high, 0.1, true) },
+        x: { time: false, distr: logX ? 3 : 1, range: (u, low, high) => this.zoom ?? this.ranges.x ?? [low, high] },
+        y: log ? { distr: 3 } : { range: (u, low, high) => this.ranges.y ?? (low == null ? [null, null] : uPlot.rangeNum(low, high, 0.1, true)) },
       },
-      axes: [axis(x, { size: 34, values }), axis(y, { size: 62, values })],
+      axes: [axis(x, { size: 34, values, incrs: whole ? WHOLE : undefined }), axis(y, { size: 62, values })],
       legend: { show: legend },
+      bands: bands.map((pair) => ({ series: pair, fill: colour("blue") + "33" })),
       cursor: { drag: { x: true, y: false, setScale: false },
         bind: { dblclick: () => () => this.zoomTo(null) } },
       hooks: { setSelect: [(u) => {
@@ -98,7 +100,8 @@ export class Chart {
       }] },
       plugins: [marks(() => this.marks)],
       series: [{ label: x, value: (u, v) => number(v) }, ...series.map((one) => ({
-        label: one.label, stroke: colour(one.colour), width: one.width ?? 1.5, dash: one.dash,
+        label: one.label, stroke: typeof one.colour === "function" ? () => colour(one.colour()) : colour(one.colour),
+        width: one.hidden ? 0 : one.width ?? 1.5, dash: one.dash,
         spanGaps: one.points !== "only", value: (u, v) => number(v),
         paths: one.points === "only" ? () => null
           : one.step ? uPlot.paths.stepped({ align: 1 }) : undefined,
@@ -107,6 +110,8 @@ export class Chart {
           : { show: false },
       }))],
     }, this.data, this.figure);
+    const listed = this.plot.root.querySelectorAll(".u-legend .u-series");
+    series.forEach((one, n) => one.hidden && listed[n + 1]?.remove()); // edges of a band
     this.hideEmpty();
   }
 

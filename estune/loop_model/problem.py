@@ -1,0 +1,101 @@
+"""The prediction problem of an identified loop as JSON values, for `browser/loop.js`."""
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from estune.core.controller_equation import controller_polynomials
+from estune.core.controller_form import OWN_FORM
+from estune.core.gains import Gains
+from estune.core.pidf import ControllerSettings
+from estune.core.response import StepShape
+from estune.loop_model.model import LoopModel
+from estune.loop_model.prediction import StepTrial, fixed_noise
+
+DIGITS = 10
+"""Digits of the numbers that enter a recursion."""
+
+
+def problem(models: Sequence[LoopModel], trial: StepTrial, noise_N: float) -> dict[str, Any]:
+    """What `predict` of `browser/loop.js` takes.
+
+    Args:
+        models: The loop as it is estimated, then models that are as likely.
+        trial: The step trial.
+        noise_N: Standard deviation of the measurement noise.
+    """
+    cost, step, rate = trial.cost, trial.step, trial.controller.sampling_Hz
+    weights: dict[str, Any] = {"unknown": bool(cost.function)}
+    if not cost.function:
+        weights |= {
+            "error": _rounded(cost.weights(rate, step, trial.end)),
+            "absolute": cost.criterion == "itae",
+            "move": cost.move_weight,
+            "effort": cost.effort_weight / (rate * cost.settling_time_s),
+            "rejection": cost.rejection,
+        }
+    if step.load and cost.rejection and not cost.function:
+        alone = StepShape(step.load.sample, step.load.size_N)
+        weights["load_error"] = _rounded(cost.weights(rate, alone, trial.samples))
+    by_variance = cost.is_quadratic and step.load is None
+    return {
+        "models": [_model(model) for model in models],
+        "controller": _controller(trial.controller),
+        "rest": trial.effort_N,
+        "trial": {
+            "samples": trial.samples,
+            "step_index": step.sample,
+            "step_N": step.size_N,
+            "ramp": step.ramp,
+            "load_N": step.load.size_N if step.load else 0.0,
+            "load_index": step.load.sample if step.load else trial.samples,
+        },
+        "cost": weights,
+        "noise_N": noise_N,
+        "noise": None if by_variance or not noise_N else _rounded(fixed_noise(trial.samples)),
+    }
+
+
+def _model(model: LoopModel) -> dict[str, Any]:
+    a1, a2 = model.poles
+    b0, b1, b2 = model.zeros
+    # A polynomial in q^-1 as one in 1 - q^-1.
+    return {
+        "sections": [[1.0 + a1 + a2, -(a1 + 2.0 * a2), a2]],
+        "numerator": [b0 + b1 + b2, -(b1 + 2.0 * b2), b2],
+        "dead_samples": model.dead_samples,
+        "friction": model.friction_N,
+    }
+
+
+def _controller(settings: ControllerSettings) -> dict[str, Any]:
+    """S and T as sums over P, I, D and I D / P, which is what every form of controller is."""
+    at = [Gains(1.0, i, d, 0.0) for i, d in ((0.0, 0.0), (1.0, 0.0), (0.0, 1.0), (1.0, 1.0))]
+    forms = [controller_polynomials(settings, gains) for gains in at]
+    form = settings.form or OWN_FORM
+
+    def basis(name: str) -> list[list[float]]:
+        columns = [np.asarray(getattr(c, name)) for c in forms]
+        size = max(column.size for column in columns)
+        of_p, p_i, p_d, p_i_d = (np.pad(c, (0, size - c.size)) for c in columns)
+        return [list(c.tolist()) for c in (of_p, p_i - of_p, p_d - of_p, p_i_d - p_i - p_d + of_p)]
+
+    return {
+        "sampling_Hz": settings.sampling_Hz,
+        "derivative_filter_s": settings.derivative_filter_s,
+        "limits": [
+            limit if math.isfinite(limit) else None
+            for limit in (settings.output_min_N, settings.output_max_N)
+        ],
+        "own": form == OWN_FORM,
+        "S": basis("measurement"),
+        "T": basis("setpoint"),
+        "R": list(forms[0].denominator.tolist()),
+        "setpoint_filter": form.setpoint_filter,
+    }
+
+
+def _rounded(values: Any) -> list[float]:
+    return [float(f"{value:.{DIGITS}g}") for value in np.asarray(values).tolist()]
