@@ -302,23 +302,8 @@ def counting(unit: str, *, quiet: bool) -> Iterator[Callable[[int, int], None]]:
         unit: What a step is, in the plural.
         quiet: Whether to show nothing.
     """
-    steps, began_s = [0, 0], time.monotonic()
-
-    def status() -> ProgressStatus:
-        done, total = steps
-        left_s = (time.monotonic() - began_s) / done * (total - done) if done else math.nan
-        return ProgressStatus("", done, total, unit, "", "", (), left_s)
-
-    if quiet:
-        yield lambda _done, _total: None
-        return
-    with show_progress(status) as update:
-
-        def on_step(done: int, total: int) -> None:
-            steps[:] = done, total
-            update()
-
-        yield on_step
+    with showing_phases(quiet=quiet) as on_phase:
+        yield lambda done, total: on_phase(f"{done} of {total} {unit}", done / max(total, 1))
 
 
 @contextmanager

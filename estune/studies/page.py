@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from estune.studies.table import StudyTable
 from estune.support.html_page import Block, Cell, Page, Paragraph, Section, Status, Table
 
-_COLUMNS_MAX = 9
+_COLUMNS_MAX = 8
 """Columns of a table that a page of 72 characters holds; gains beyond them get a table of their
 own."""
 
