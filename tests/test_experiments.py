@@ -18,6 +18,7 @@ TIMED = {
     "live_page",
     "platform_tracking",
     "scale",
+    "tls_flood",
 }
 """Experiments whose targets are times or ratios of times, which a busy machine may miss."""
 
@@ -37,6 +38,7 @@ NIGHTLY = {
     "benchmark_trials",
     "diagnosis_constants",
     "diagnosis_scale",
+    "faulty_rigs",
     "hidden_effects",
     "jitter",
     "live_page",
@@ -45,6 +47,7 @@ NIGHTLY = {
     "sample_efficiency",
     "scale",
     "sweep_law",
+    "tls_flood",
 }
 """Experiments of a minute, or whose targets are times; their subjects have tests of their own."""
 

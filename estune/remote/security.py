@@ -20,6 +20,9 @@ Relative paths start at this file. A file with a secret must be readable by its 
 docs/how-to/security.md.
 """
 
+import ssl
+from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, Self
 
@@ -78,6 +81,69 @@ class Tls(TomlTable):
             **{f"{side}_private_key": self.key for side in ("listen", "connect")},
         }
 
+    @property
+    def own_name(self) -> str:
+        """Common name of the certificate, as the authority's other end reads it.
+
+        Raises:
+            InvalidInput: a file cannot be used, or the authority does not accept the certificate.
+        """
+        sides = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT), ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
+        for side in sides:
+            side.check_hostname, side.verify_mode = False, ssl.CERT_REQUIRED
+            self.load_into(side)
+        there, back = ssl.MemoryBIO(), ssl.MemoryBIO()
+        client = sides[0].wrap_bio(back, there)
+        server = sides[1].wrap_bio(there, back, server_side=True)
+        try:
+            for end in (client, server, client, server):
+                with suppress(ssl.SSLWantReadError):
+                    end.do_handshake()
+        except ssl.SSLError as error:
+            raise InvalidInput(
+                f"{self.authority} does not accept {self.certificate}, which must serve for both "
+                f"sides of a connection: {getattr(error, 'verify_message', error.reason)}"
+            ) from error
+        return common_name(server.getpeercert() or {})
+
+    def load_into(self, context: ssl.SSLContext) -> None:
+        """Makes a context identify itself by the certificate and trust the authority.
+
+        Raises:
+            InvalidInput: a file cannot be used, or the certificate is of an old version.
+        """
+        try:
+            context.load_verify_locations(self.authority)
+            context.load_cert_chain(self.certificate, self.key)
+        except ssl.SSLError as error:
+            raise InvalidInput(
+                f"{self.certificate} and {self.key}, or {self.authority}: {error.reason or error}"
+            ) from error
+        text = Path(self.certificate).read_text("utf-8")
+        if not has_version_3(ssl.PEM_cert_to_DER_cert(text[text.index("-----BEGIN") :])):
+            raise InvalidInput(
+                f"{self.certificate} is a certificate of version 1; make it anew, with an "
+                "extension file (estune docs security)"
+            )
+
+
+def common_name(certificate: Mapping[str, Any]) -> str:
+    """The first common name of a certificate, as `SSLSocket.getpeercert` gives it; or empty."""
+    fields = (field for group in certificate.get("subject", ()) for field in group)
+    return next((str(value) for name, value in fields if name == "commonName"), "")
+
+
+def has_version_3(der: bytes) -> bool:
+    """Whether an X.509 certificate in DER says that its version is above 1.
+
+    Its first part, a sequence in a sequence, then begins with an element of tag 0 (RFC 5280,
+    section 4.1); without one the version is 1.
+    """
+    for _ in range(2):
+        long_form = der[1] & 0x80
+        der = der[2 + (der[1] & 0x7F if long_form else 0) :]
+    return der[0] == 0xA0
+
 
 class Access(TomlTable):
     """Rights: names of users, or common names of certificates."""
@@ -85,10 +151,27 @@ class Access(TomlTable):
     command: list[str] = Field(default_factory=list)
     look: list[str] = Field(default_factory=list)
 
-    def settings(self, names_are: str) -> dict[str, Any]:
-        """Zenoh settings of this table, for names of the kind that Zenoh calls so."""
-        observers = sorted({*self.look, *self.command})
-        subjects = [("look", observers), ("command", sorted(set(self.command)))]
+    def settings(self, names_are: str, own_name: str = "") -> dict[str, Any]:
+        """Zenoh settings of this table.
+
+        Args:
+            names_are: The kind of names, as Zenoh calls it.
+            own_name: Common name of a listener behind a TLS front, which has compared the
+                clients' names itself and passes on those with all rights by a socket of their
+                own, the others as itself. Names then are those of routers.
+        """
+        observers, commanders = {*self.look, *self.command}, {*self.command}
+        subjects: list[tuple[str, str, set[str]]] = [
+            ("look", names_are, observers - {own_name}),
+            ("command", names_are, commanders - {own_name}),
+        ]
+        if own_name:
+            subjects += [
+                ("look", "cert_common_names", {own_name}),
+                ("look", "link_protocols", {"unixsock-stream"}),
+                ("command", "link_protocols", {"unixsock-stream"}),
+            ]
+        named = [(i, *subject) for i, subject in enumerate(subjects) if subject[2]]
         rules = [
             ("look sends", _IN, _QUERIES, _KEYS),
             ("look receives", _OUT, _REPLIES, _KEYS),
@@ -102,11 +185,10 @@ class Access(TomlTable):
                 {"id": name, "permission": "allow", "flows": f, "messages": m, "key_exprs": k}
                 for name, f, m, k in rules
             ],
-            "subjects": [{"id": name, names_are: names} for name, names in subjects if names],
+            "subjects": [{"id": f"{i}", kind: sorted(names)} for i, _, kind, names in named],
             "policies": [
-                {"rules": [f"{name} sends", f"{name} receives"], "subjects": [name]}
-                for name, names in subjects
-                if names
+                {"rules": [f"{right} sends", f"{right} receives"], "subjects": [f"{i}"]}
+                for i, right, _, _ in named
             ],
         }
 
@@ -139,17 +221,36 @@ class Security(TomlTable):
         if self.tls is None and encrypted:
             raise InvalidInput(f"endpoint {endpoint} needs certificates: add [tls] to --security")
 
-    def settings(self) -> dict[str, Any]:
-        """Additional settings of a Zenoh session, by key."""
+    @property
+    def observers(self) -> frozenset[str]:
+        """Names of certificates whose clients may look and not command."""
+        if self.access is None or self.password is not None:
+            return frozenset()
+        return frozenset(self.access.look) - frozenset(self.access.command)
+
+    def lets_command(self, name: str) -> bool:
+        """Whether a client is let through with all rights, by the name of its certificate.
+
+        With passwords, the session tells clients apart.
+        """
+        if self.access is None or self.password is not None:
+            return True
+        return name in self.access.command
+
+    def settings(self, *, behind_front: bool = False) -> dict[str, Any]:
+        """Additional settings of a Zenoh session, by key; of one behind a TLS front if asked."""
         settings: dict[str, Any] = {}
         if self.password is not None:
             settings["transport/auth/usrpwd"] = self.password.settings()
         if self.tls is not None:
-            settings["transport/link/protocols"] = ["tls", "quic"]
+            front = ["unixsock-stream"] if behind_front else []
+            settings["transport/link/protocols"] = ["tls", "quic", *front]
             settings["transport/link/tls"] = self.tls.settings()
         if self.access is not None:
-            names_are = "usernames" if self.password is not None else "cert_common_names"
-            settings["access_control"] = self.access.settings(names_are)
+            by_password = self.password is not None
+            own = self.tls.own_name if self.tls and behind_front and not by_password else ""
+            names_are = "usernames" if by_password else "cert_common_names"
+            settings["access_control"] = self.access.settings(names_are, own)
         return settings
 
 

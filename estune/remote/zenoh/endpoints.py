@@ -99,11 +99,11 @@ def connection_fault(endpoint: str, security: Security) -> tuple[str, bool]:
 
 def _tls_fault(connection: socket.socket, host: str, tls: Tls) -> str:
     """Faults of the certificates of either side; empty if there are none."""
+    context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
     try:
-        context = ssl.create_default_context(cafile=tls.authority)
-        context.load_cert_chain(tls.certificate, tls.key)
-    except ssl.SSLError as error:
-        return f"{tls.certificate} and {tls.key}, or {tls.authority}: {error.reason or error}"
+        tls.load_into(context)
+    except InvalidInput as error:
+        return str(error)
     try:
         with context.wrap_socket(connection, server_hostname=host) as encrypted:
             encrypted.settimeout(_PROBE_WITHIN_S)

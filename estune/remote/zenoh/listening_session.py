@@ -11,8 +11,9 @@ from queue import Empty, SimpleQueue
 import zenoh
 
 from estune.errors import RigError
-from estune.remote.security import OPEN, Security
+from estune.remote.security import OPEN, Security, Tls
 from estune.remote.zenoh.endpoints import check_endpoint, check_loopback, with_port
+from estune.remote.zenoh.tls_front import InnerEndpoints, TlsFront
 from estune.remote.zenoh.zenoh_session import COMMANDS_MAX_BYTES, close_session, open_session
 
 Reply = Callable[[bytes], None]
@@ -92,10 +93,18 @@ class ListeningSession:
         routers = tuple(routers)
         for each in (endpoint, *routers):
             check_endpoint(each)
+            security.check_endpoint(each)
         if not allow_remote:
             check_loopback(endpoint)
         self.instance = instance
-        self._session, self.endpoint = _listen(endpoint, routers, security)
+        self._front: TlsFront | None = None
+        if security.tls is not None and endpoint.startswith("tls/"):
+            self._session, self._front = _listen_behind_front(
+                endpoint, routers, security, security.tls
+            )
+            self.endpoint = self._front.endpoint
+        else:
+            self._session, self.endpoint = _listen(endpoint, routers, security)
         self._threads: list[threading.Thread] = []
         self._lanes: list[Lane] = []
         self._queryables: list[zenoh.Queryable[None]] = []
@@ -200,6 +209,8 @@ class ListeningSession:
 
     def close(self) -> None:
         """Closes the session and waits for its threads."""
+        if self._front is not None:
+            self._front.close()
         close_session(self._session)
         for lane in self._lanes:
             lane.close()
@@ -220,6 +231,26 @@ class ListeningSession:
             query.reply(key, data, attachment=self.instance)
         except zenoh.ZError as error:
             _log.debug("no reply to %s: %s", key, error)
+
+
+def _listen_behind_front(
+    endpoint: str, routers: tuple[str, ...], security: Security, tls: Tls
+) -> tuple[zenoh.Session, TlsFront]:
+    """A session that only a TLS front reaches, and the front."""
+    front = TlsFront(endpoint, tls, InnerEndpoints(security))
+    try:
+        session = open_session(
+            "peer",
+            listen=front.inner.listened,
+            connect=routers,
+            message_max_bytes=COMMANDS_MAX_BYTES,
+            security=security,
+            behind_front=True,
+        )
+    except BaseException:
+        front.close()
+        raise
+    return session, front
 
 
 def _listen(

@@ -46,6 +46,7 @@ def open_session(
     connect: tuple[str, ...] = (),
     message_max_bytes: int,
     security: Security = OPEN,
+    behind_front: bool = False,
 ) -> zenoh.Session:
     """Opens a session.
 
@@ -57,12 +58,13 @@ def open_session(
             connected, it reconnects by itself after a cut.
         message_max_bytes: Largest message accepted.
         security: Identity of this process, and the rights of others.
+        behind_front: Whether a TLS front identifies the clients of this listener.
 
     Raises:
         InvalidInput: an endpoint does not match the security settings.
         zenoh.ZError: it cannot listen, or connect.
     """
-    for endpoint in (*listen, *connect):
+    for endpoint in connect:
         security.check_endpoint(endpoint)
     settings: dict[str, Any] = {
         "mode": role,
@@ -94,7 +96,7 @@ def open_session(
         },
     }
     config = zenoh.Config.from_json5(json.dumps(settings))
-    for key, value in security.settings().items():
+    for key, value in security.settings(behind_front=behind_front).items():
         config.insert_json5(key, json.dumps(value))
     return zenoh.open(config)
 

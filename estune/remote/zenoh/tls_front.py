@@ -1,0 +1,241 @@
+"""TLS in front of a listening session: no connection reaches it before its certificate is checked.
+
+Zenoh's own TLS listener rests 100 ms after every handshake that fails, so that 300 idle
+connections keep newcomers out for half a minute. Here a handshake delays no other, and the session
+knows nothing of a client before it has spoken under a certificate that has a right.
+"""
+
+import asyncio
+import logging
+import resource
+import socket
+import ssl
+import tempfile
+import threading
+from contextlib import suppress
+from pathlib import Path
+from typing import cast
+
+from estune.errors import InvalidInput, RigError
+from estune.remote.security import Security, Tls, common_name, has_version_3
+from estune.remote.zenoh.endpoints import host_and_port, with_port
+from estune.support.printable import printable
+
+HANDSHAKE_WITHIN_S = 5.0
+"""Time for a handshake. A connection that waits costs a file; a flood that renews them, work."""
+
+SPOKEN_WITHIN_S = 10.0
+"""Time from the handshake to the first message, s."""
+
+OPEN_FILES = 16384
+"""Files that a process with a front asks the system for: connections that may wait."""
+
+_WAITING_BYTES_MAX = 2**16
+_END_WITHIN_S = 2.0
+
+_log = logging.getLogger(__name__)
+
+
+class InnerEndpoints:
+    """Where the session itself listens: no other user of this machine gets through.
+
+    Attributes:
+        command: A socket in a folder of this user's own: clients with all rights.
+        look: For clients that may only look, where there are any; needs the rig's own key. The
+            access rules tell the two by their protocol.
+        listened: Both, or the first alone.
+    """
+
+    def __init__(self, security: Security) -> None:
+        self.security = security
+        self._folder = tempfile.TemporaryDirectory(prefix="estune-")
+        self.command = f"unixsock-stream/{Path(self._folder.name) / 'link'}"
+        self.look = with_port("tls/127.0.0.1:0") if security.observers else ""
+        self.listened = tuple(filter(None, (self.command, self.look)))
+
+    def for_client(self, name: str) -> str:
+        """The endpoint of the client whose certificate has a name; empty without any right."""
+        if self.security.lets_command(name):
+            return self.command
+        return self.look if name in self.security.observers else ""
+
+    def close(self) -> None:
+        """Removes the folder."""
+        self._folder.cleanup()
+
+
+class TlsFront:
+    """Accepts TLS connections at an endpoint and passes their bytes on to the session's own.
+
+    Attributes:
+        endpoint: Where it listens.
+        inner: Where the session listens.
+    """
+
+    def __init__(self, endpoint: str, tls: Tls, inner: InnerEndpoints) -> None:
+        """Listens, in a thread of its own; port 0 selects a free port.
+
+        Raises:
+            RigError: the endpoint is in use, or the certificate cannot be used.
+        """
+        self.inner = inner
+        try:
+            self._context = _listener_context(endpoint, tls)
+            self.inner_context = _inner_context(tls)
+            self._socket = _listening_socket(endpoint)
+        except BaseException:
+            inner.close()
+            raise
+        _allow_files()
+        self.endpoint = f"{endpoint.rpartition(':')[0]}:{self._socket.getsockname()[1]}"
+        self._loop = asyncio.new_event_loop()
+        self._ending = asyncio.Event()
+        self._thread = threading.Thread(target=self._run, name="TLS", daemon=True)
+        self._thread.start()
+
+    def close(self) -> None:
+        """Closes the endpoint and all connections. May be called again."""
+        with suppress(RuntimeError):  # the loop has ended
+            self._loop.call_soon_threadsafe(self._ending.set)
+        self._thread.join(_END_WITHIN_S)
+        self.inner.close()
+
+    def _run(self) -> None:
+        with asyncio.Runner(loop_factory=lambda: self._loop) as runner:
+            runner.run(self._serve())
+
+    async def _serve(self) -> None:
+        self._loop.set_exception_handler(lambda _, found: _log.debug("TLS: %s", found["message"]))
+        server = await self._loop.create_server(
+            lambda: _Client(self, self._loop),
+            sock=self._socket,
+            ssl=self._context,
+            ssl_handshake_timeout=HANDSHAKE_WITHIN_S,
+            ssl_shutdown_timeout=_END_WITHIN_S,
+        )
+        await self._ending.wait()
+        server.close()
+
+
+class _End(asyncio.Protocol):
+    """One end of a passage: its bytes go to the other end, as fast as that takes them."""
+
+    transport: asyncio.Transport
+    other: "_End | None" = None
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        self.transport = cast("asyncio.Transport", transport)
+
+    def data_received(self, data: bytes) -> None:
+        if self.other is not None:
+            self.other.transport.write(data)
+
+    def pause_writing(self) -> None:
+        if self.other is not None:
+            self.other.transport.pause_reading()
+
+    def resume_writing(self) -> None:
+        if self.other is not None:
+            self.other.transport.resume_reading()
+
+    def connection_lost(self, _: Exception | None) -> None:
+        if self.other is not None:
+            self.other.transport.close()
+
+
+class _Client(_End):
+    """The end of a client; it exists as such from its handshake on."""
+
+    def __init__(self, front: TlsFront, loop: asyncio.AbstractEventLoop) -> None:
+        self._front, self._loop = front, loop
+        self._endpoint, self._waiting = "", b""
+        self._opening: asyncio.Task[None] | None = None
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        """Finds the way of the client by the name in its certificate."""
+        super().connection_made(transport)
+        certificate = transport.get_extra_info("ssl_object").getpeercert(binary_form=True)
+        name = common_name(transport.get_extra_info("peercert"))
+        self._endpoint = self._front.inner.for_client(name) if has_version_3(certificate) else ""
+        if not self._endpoint:
+            _log.warning("client %r has a certificate and no right", printable(name))
+            self.transport.abort()
+            return
+        self._loop.call_later(SPOKEN_WITHIN_S, self._close_if_silent)
+
+    def data_received(self, data: bytes) -> None:
+        """Passes bytes on; opens the way with the first."""
+        if self.other is not None:
+            self.other.transport.write(data)
+            return
+        self._waiting += data
+        if len(self._waiting) > _WAITING_BYTES_MAX:
+            self.transport.abort()
+        elif self._opening is None:
+            self._opening = self._loop.create_task(self._open())
+
+    async def _open(self) -> None:
+        """Connects to the session."""
+        try:
+            if self._endpoint.startswith("tls/"):
+                context = self._front.inner_context
+                where = host_and_port(self._endpoint)
+                _, end = await self._loop.create_connection(_End, *where, ssl=context)
+            else:
+                path = self._endpoint.partition("/")[2]
+                _, end = await self._loop.create_unix_connection(_End, path)
+        except OSError as error:
+            _log.warning("the session does not take a connection: %s", error)
+            self.transport.abort()
+            return
+        end.other, self.other = self, end
+        end.transport.write(self._waiting)
+        if self.transport.is_closing():
+            end.transport.close()
+
+    def _close_if_silent(self) -> None:
+        if self._opening is None:
+            self.transport.abort()
+
+
+def _allow_files() -> None:
+    """Asks for as many open files as the system lets this user have, up to `OPEN_FILES`."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    wanted = OPEN_FILES if hard == resource.RLIM_INFINITY else min(OPEN_FILES, hard)
+    if soft != resource.RLIM_INFINITY and soft < wanted:
+        resource.setrlimit(resource.RLIMIT_NOFILE, (wanted, hard))
+
+
+def _listener_context(endpoint: str, tls: Tls) -> ssl.SSLContext:
+    context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
+    context.minimum_version = ssl.TLSVersion.TLSv1_3
+    context.verify_mode = ssl.CERT_REQUIRED
+    context.num_tickets = 0
+    try:
+        tls.load_into(context)
+    except InvalidInput as error:
+        raise RigError(
+            f"cannot listen at {endpoint} with the certificate of --security: {error}"
+        ) from error
+    return context
+
+
+def _inner_context(tls: Tls) -> ssl.SSLContext:
+    """Of the connection to our own listener, which no other program can have opened."""
+    context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
+    context.check_hostname = False
+    tls.load_into(context)
+    return context
+
+
+def _listening_socket(endpoint: str) -> socket.socket:
+    host, port = host_and_port(endpoint)
+    try:
+        family, _, _, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
+        return socket.create_server(address[:2], family=family, backlog=socket.SOMAXCONN)
+    except OSError as error:
+        cause = (error.strerror or str(error)).lower()
+        raise RigError(
+            f"cannot listen at {endpoint}: {cause}; choose another port, or port 0 for any free "
+            "one"
+        ) from error

@@ -1,0 +1,1 @@
+"""Deliberate faults of a rig, and who finds them."""
