@@ -13,6 +13,7 @@ import ssl
 import tempfile
 import threading
 from contextlib import suppress
+from functools import partial
 from pathlib import Path
 from typing import cast
 
@@ -31,6 +32,7 @@ OPEN_FILES = 16384
 """Files that a process with a front asks the system for: connections that may wait."""
 
 _WAITING_BYTES_MAX = 2**16
+_ACCEPT_AGAIN_S = 0.1
 _END_WITHIN_S = 2.0
 
 _log = logging.getLogger(__name__)
@@ -70,6 +72,7 @@ class TlsFront:
     Attributes:
         endpoint: Where it listens.
         inner: Where the session listens.
+        ends: The ends of connections that are open.
     """
 
     def __init__(self, endpoint: str, tls: Tls, inner: InnerEndpoints) -> None:
@@ -90,6 +93,8 @@ class TlsFront:
         self.endpoint = f"{endpoint.rpartition(':')[0]}:{self._socket.getsockname()[1]}"
         self._loop = asyncio.new_event_loop()
         self._ending = asyncio.Event()
+        self._handshakes: set[asyncio.Task[None]] = set()
+        self.ends: set[_End] = set()
         self._thread = threading.Thread(target=self._run, name="TLS", daemon=True)
         self._thread.start()
 
@@ -106,15 +111,47 @@ class TlsFront:
 
     async def _serve(self) -> None:
         self._loop.set_exception_handler(lambda _, found: _log.debug("TLS: %s", found["message"]))
-        server = await self._loop.create_server(
-            lambda: _Client(self, self._loop),
-            sock=self._socket,
-            ssl=self._context,
-            ssl_handshake_timeout=HANDSHAKE_WITHIN_S,
-            ssl_shutdown_timeout=_END_WITHIN_S,
-        )
+        accepting = self._loop.create_task(self._accept())
         await self._ending.wait()
-        server.close()
+        tasks = {accepting, *self._handshakes}
+        for task in tasks:
+            task.cancel()
+        await asyncio.gather(*tasks, return_exceptions=True)
+        self._socket.close()
+        for end in tuple(self.ends):
+            end.transport.abort()
+        while self.ends:
+            await asyncio.sleep(0.0)
+
+    async def _accept(self) -> None:
+        """Accepts connections; their handshakes wait for each other no more than for a turn."""
+        while True:
+            try:
+                connection, _ = await self._loop.sock_accept(self._socket)
+            except OSError as error:  # gone already, or no file is left
+                _log.debug("TLS: %s", error)
+                await asyncio.sleep(_ACCEPT_AGAIN_S)
+                continue
+            task = self._loop.create_task(self._shake_hands(connection))
+            self._handshakes.add(task)
+            task.add_done_callback(partial(self._handshake_ended, connection))
+
+    def _handshake_ended(self, connection: socket.socket, task: "asyncio.Task[None]") -> None:
+        self._handshakes.discard(task)
+        if task.cancelled():  # perhaps before it began, so that no transport has the socket
+            connection.close()
+
+    async def _shake_hands(self, connection: socket.socket) -> None:
+        try:
+            await self._loop.connect_accepted_socket(
+                lambda: _Client(self, self._loop),
+                connection,
+                ssl=self._context,
+                ssl_handshake_timeout=HANDSHAKE_WITHIN_S,
+                ssl_shutdown_timeout=_END_WITHIN_S,
+            )
+        except OSError as error:  # of TLS, too
+            _log.debug("TLS: %s", error)
 
 
 class _End(asyncio.Protocol):
@@ -123,8 +160,12 @@ class _End(asyncio.Protocol):
     transport: asyncio.Transport
     other: "_End | None" = None
 
+    def __init__(self, ends: "set[_End]") -> None:
+        self._ends = ends
+
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         self.transport = cast("asyncio.Transport", transport)
+        self._ends.add(self)
 
     def data_received(self, data: bytes) -> None:
         if self.other is not None:
@@ -139,6 +180,7 @@ class _End(asyncio.Protocol):
             self.other.transport.resume_reading()
 
     def connection_lost(self, _: Exception | None) -> None:
+        self._ends.discard(self)
         if self.other is not None:
             self.other.transport.close()
 
@@ -147,6 +189,7 @@ class _Client(_End):
     """The end of a client; it exists as such from its handshake on."""
 
     def __init__(self, front: TlsFront, loop: asyncio.AbstractEventLoop) -> None:
+        super().__init__(front.ends)
         self._front, self._loop = front, loop
         self._endpoint, self._waiting = "", b""
         self._opening: asyncio.Task[None] | None = None
@@ -176,14 +219,15 @@ class _Client(_End):
 
     async def _open(self) -> None:
         """Connects to the session."""
+        made = partial(_End, self._front.ends)
         try:
             if self._endpoint.startswith("tls/"):
                 context = self._front.inner_context
                 where = host_and_port(self._endpoint)
-                _, end = await self._loop.create_connection(_End, *where, ssl=context)
+                _, end = await self._loop.create_connection(made, *where, ssl=context)
             else:
                 path = self._endpoint.partition("/")[2]
-                _, end = await self._loop.create_unix_connection(_End, path)
+                _, end = await self._loop.create_unix_connection(made, path)
         except OSError as error:
             _log.warning("the session does not take a connection: %s", error)
             self.transport.abort()
@@ -232,10 +276,12 @@ def _listening_socket(endpoint: str) -> socket.socket:
     host, port = host_and_port(endpoint)
     try:
         family, _, _, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
-        return socket.create_server(address[:2], family=family, backlog=socket.SOMAXCONN)
+        listening = socket.create_server(address[:2], family=family, backlog=socket.SOMAXCONN)
     except OSError as error:
         cause = (error.strerror or str(error)).lower()
         raise RigError(
             f"cannot listen at {endpoint}: {cause}; choose another port, or port 0 for any free "
             "one"
         ) from error
+    listening.settimeout(0.0)  # for asyncio
+    return listening
