@@ -33,6 +33,7 @@ OPEN_FILES = 16384
 
 _WAITING_BYTES_MAX = 2**16
 _ACCEPT_AGAIN_S = 0.1
+_ACCEPTED_AT_ONCE = 32
 _END_WITHIN_S = 2.0
 
 _log = logging.getLogger(__name__)
@@ -111,30 +112,38 @@ class TlsFront:
 
     async def _serve(self) -> None:
         self._loop.set_exception_handler(lambda _, found: _log.debug("TLS: %s", found["message"]))
-        accepting = self._loop.create_task(self._accept())
+        self._loop.add_reader(self._socket, self._accept)
         await self._ending.wait()
-        tasks = {accepting, *self._handshakes}
-        for task in tasks:
-            task.cancel()
-        await asyncio.gather(*tasks, return_exceptions=True)
+        self._loop.remove_reader(self._socket)
         self._socket.close()
+        for task in tuple(self._handshakes):
+            task.cancel()
+        await asyncio.gather(*self._handshakes, return_exceptions=True)
         for end in tuple(self.ends):
             end.transport.abort()
         while self.ends:
             await asyncio.sleep(0.0)
 
-    async def _accept(self) -> None:
-        """Accepts connections; their handshakes wait for each other no more than for a turn."""
-        while True:
+    def _accept(self) -> None:
+        """Accepts the connections that have come; no handshake waits for another."""
+        for _ in range(_ACCEPTED_AT_ONCE):
             try:
-                connection, _ = await self._loop.sock_accept(self._socket)
+                connection, _ = self._socket.accept()
+            except BlockingIOError:
+                return
             except OSError as error:  # gone already, or no file is left
                 _log.debug("TLS: %s", error)
-                await asyncio.sleep(_ACCEPT_AGAIN_S)
-                continue
+                self._loop.remove_reader(self._socket)
+                self._loop.call_later(_ACCEPT_AGAIN_S, self._accept_again)
+                return
+            connection.settimeout(0.0)  # for asyncio
             task = self._loop.create_task(self._shake_hands(connection))
             self._handshakes.add(task)
             task.add_done_callback(partial(self._handshake_ended, connection))
+
+    def _accept_again(self) -> None:
+        if not self._ending.is_set():
+            self._loop.add_reader(self._socket, self._accept)
 
     def _handshake_ended(self, connection: socket.socket, task: "asyncio.Task[None]") -> None:
         self._handshakes.discard(task)
