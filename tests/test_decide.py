@@ -3,7 +3,12 @@
 import pytest
 
 from plants.diagnosis.result import ModelSummary
-from plants.diagnosis.search.decide import decide, family_probabilities, probabilities
+from plants.diagnosis.search.decide import (
+    decide,
+    effect_probabilities,
+    family_probabilities,
+    probabilities,
+)
 
 NOTHING = frozenset[str]()
 
@@ -67,6 +72,12 @@ def test_second_effect_needs_a_large_share_of_what_the_first_leaves(J, best):
     assert decide(base(200.0), models).best == frozenset(best.split("+"))
 
 
+@pytest.mark.parametrize(("values", "best"), [(2, {"a", "b"}), (5, {"a"})])
+def test_second_effect_is_named_only_if_it_is_rather_there_than_not(values, best):
+    pair = model("a+b", 5.0, values)
+    assert decide(base(2000.0), [model("a", 30.0), pair]).best == best
+
+
 def test_law_with_fewer_values_that_does_about_as_well_is_likelier():
     assert decide(base(50.0), [model("a", 1.3, 4), model("b", 1.6, 1)]).best == {"b"}
 
@@ -101,3 +112,10 @@ def test_sums_over_families_count_every_model_with_one():
     models = [model("a", 1.0, 1), model("a+b", 1.0, 1)]
     found = family_probabilities(models, probabilities(base(20.0), models))
     assert found["a"] == pytest.approx(1.0, abs=1e-3)
+
+
+def test_rivals_of_one_family_share_its_probability():
+    members = [model(name, 2.0, family="friction") for name in ("simple", "full")]
+    p = probabilities(base(100.0), members)
+    assert family_probabilities(members, p)["friction"] == pytest.approx(1.0)
+    assert effect_probabilities(members, p) == pytest.approx({"simple": 0.5, "full": 0.5})

@@ -387,6 +387,18 @@ def torque_ripple(effect):
     assert found == pytest.approx(-0.05 * np.sin(40.0 * angles + 0.7), abs=1e-6)
 
 
+def link_gravity(effect):
+    """The work that it takes off the drum is the energy of a pendulum."""
+    size, phi = 0.3, 0.7
+    law = Law(effect(torque_Nm=size, phase_rad=phi))
+    angles = np.cumsum(np.r_[0.1, 8.0 * SUBSTEP_s * np.cos(np.arange(5000) / 900.0)])
+    law.settle(0.0, angle=angles[0])
+    torque = np.array([law.pass_(0.0, angle=angle) for angle in angles])
+    work = np.cumsum(0.5 * (torque[1:] + torque[:-1]) * np.diff(angles))
+    potential = -size * np.cos(angles + phi)
+    assert work == pytest.approx(potential[0] - potential[1:], abs=1e-4 * size)
+
+
 def drum_eccentricity(effect):
     """Without friction, drum, cable and a constant motor torque keep their energy."""
     e, phi = 0.15, 1.0

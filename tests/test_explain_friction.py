@@ -91,11 +91,35 @@ def test_friction_is_identified_in_the_notation_of_other_simulators(friction, na
     assert found.effects[0].parameters[size].value == pytest.approx(FRICTION_Nm, rel=0.05)
 
 
+def test_friction_of_a_gear_grows_with_its_torque():
+    rng, count = np.random.default_rng(4), 2.0 * np.pi / COUNTS
+
+    def geared(current_A):
+        angle = velocity = 0.0
+        for torque in (TORQUE_Nm_A * current_A).tolist():
+            yield angle
+            for _ in range(SUBSTEPS):
+                held = 0.3 * abs(torque) * math.tanh(velocity / 0.04)
+                velocity += STEP_s * (torque - DAMPING_Nms * velocity - held) / INERTIA_kg_m2
+                angle += STEP_s * velocity
+
+    found = plants.explain(
+        BELIEVED,
+        [
+            open_loop(n, RATE_Hz, i, angle_rad=np.round(np.array(list(geared(i))) / count) * count)
+            for n, i in enumerate(currents(rng))
+        ],
+    )
+    assert [effect.name for effect in found.effects] == ["load_friction"]
+    assert found.effects[0].parameters["load_share"].value == pytest.approx(0.3, rel=0.05)
+
+
 @pytest.mark.parametrize(
     ("seed", "variant", "effect", "size"),
     [
         (31001, "unloaded", "directional_friction", "difference_Nms"),
         (31003, "unloaded", "current_lag", "lag_s"),
+        (31004, "unloaded", "link_gravity", "torque_Nm"),
         pytest.param(31000, "plain", "load_friction", "load_share", marks=pytest.mark.nightly),
     ],
 )

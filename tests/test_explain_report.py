@@ -18,8 +18,8 @@ from estune.support.html_page import render
 from estune.support.plot_style import new_figure, to_png
 from plants.diagnosis.report import figures, summary
 from plants.diagnosis.report.page import page
-from plants.diagnosis.result import ModelErrors
-from plants.effects import EFFECTS, Effect, Port, parameter, plant_scale
+from plants.diagnosis.result import Interval, ModelErrors, NamedEffect
+from plants.effects import EFFECTS, CoulombFriction, Effect, Port, parameter, plant_scale
 from tests.support_diagnosis import FOUND, NO_BLOCKS, deciding, diagnosis, nothing_found
 
 
@@ -299,6 +299,16 @@ def test_sentence_of_a_user_effect_has_title_numbers_and_appearance():
 )
 def test_si_chooses_a_readable_prefix(value, unit, said):
     assert plant_scale.si(value, unit) == said
+
+
+def test_numbers_of_effects_are_named_in_the_plants_units_and_not_beyond_their_intervals(named):
+    wide = Interval(0.0026, 0.0001, 0.0051, "m/s")
+    effect = CoulombFriction(20.0, 0.0026)
+    fitted = {"torque_Nm": Interval(20.0, 19.0, 21.0, "N"), "creep_rad_s": wide}
+    shown = NamedEffect(effect.name, effect.title, fitted, "", effect)
+    d = replace(named, effects=(shown,), base_model=plants.stage(95.0, 200.0))
+    (_, force, value, *_), (_, creep, unknown, *_) = summary.parameters(d).rows
+    assert (force, value, creep, unknown) == ("force_N", "20.0", "creep_m_s", "not determined")
 
 
 def test_tables_round_to_the_digits_of_the_interval(named):

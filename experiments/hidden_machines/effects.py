@@ -363,6 +363,16 @@ def load_friction(rng: Rng, base: Base) -> Hidden:
     )
 
 
+def link_gravity(rng: Rng, base: Base) -> Hidden:
+    size = force(base) * log_uniform(rng, 0.1, 0.4)
+    phase = rng.uniform(-np.pi, np.pi)
+    return Hidden(
+        "link_gravity",
+        {"ripple1": size, "ripple_wave": 1.0 / base.radius_m, "ripple_phase1": phase},
+        truth={"torque_Nm": size * base.radius_m},
+    )
+
+
 def current_lag(rng: Rng, base: Base) -> Hidden:
     """A lag, of which a small part is electronics that are late otherwise."""
     lag, electronics = rng.uniform(1.0, 5.0) / base.rate_Hz, rng.uniform(0.02, 0.1)
@@ -374,6 +384,7 @@ def current_lag(rng: Rng, base: Base) -> Hidden:
 
 
 FURTHER: dict[str, Draw] = {
-    draw.__name__: draw for draw in (directional_friction, load_friction, current_lag)
+    draw.__name__: draw
+    for draw in (directional_friction, load_friction, current_lag, link_gravity)
 }
 """Effects with a name that are hidden only where a case asks for them: seeds drawn before stay."""

@@ -132,7 +132,7 @@ class Stage(NamedTuple):
 
 def build_diagnosis(inputs: DiagnosisInputs) -> Diagnosis:
     """The verdict with all its evidence."""
-    stages, judged = _validated(inputs)
+    stages, judged = _evidenced(inputs, *_validated(inputs, inputs.done.judged))
     before, after = stages[0], stages[-1]
     judged = _not_nothing(inputs, judged, before)
     first = intervals(before.fitter, before.fit, before.fit)
@@ -188,9 +188,34 @@ def build_diagnosis(inputs: DiagnosisInputs) -> Diagnosis:
     )
 
 
-def _validated(inputs: DiagnosisInputs) -> tuple[list[Stage], Conclusion]:
+def _evidenced(
+    inputs: DiagnosisInputs, stages: list[Stage], judged: Conclusion
+) -> tuple[list[Stage], Conclusion]:
+    """Without the one of two effects whose size may as well be that at which it does nothing."""
+    base, last = stages[0], stages[-1]
+    if len(last.fit.effects) < 2:
+        return stages, judged
+    stated = intervals(last.fitter, last.fit, base.fit)
+    idle = [effect for effect in last.fit.effects if _may_be_nothing(effect, stated)]
+    rest = [effect for effect in last.fit.effects if effect not in idle]
+    alone = inputs.done.found.fits.get(frozenset(effect.name for effect in rest))
+    if len(idle) != 1 or alone is None:
+        return stages, judged
+    verdict: Verdict = "named" if CONSTANTS.incomplete >= alone.J else "incomplete"
+    single = judged._replace(verdict=verdict, stages=(inputs.done.found.base, alone), tied=())
+    return _validated(inputs, single)
+
+
+def _may_be_nothing(effect: type[Effect], stated: Mapping[str, Interval]) -> bool:
+    """Whether the intervals of all sizes of an effect hold the value at which it does nothing."""
+    sizes = {name: p.neutral for name, p in effect.parameters().items() if p.neutral is not None}
+    held = (stated[f"{effect.name}.{name}"] for name in sizes)
+    return all(one.low <= at <= one.high for one, at in zip(held, sizes.values(), strict=True))
+
+
+def _validated(inputs: DiagnosisInputs, judged: Conclusion) -> tuple[list[Stage], Conclusion]:
     """The models from the base to what is believed; unknown where data left out do not agree."""
-    judged, fitter = inputs.done.judged, inputs.done.fitter
+    fitter = inputs.done.fitter
     stages: list[Stage] = []
     if inputs.line is not None:
         stages.append(_stage(*inputs.recorded, None))

@@ -57,6 +57,11 @@ class Interval:
     high: float
     unit: str
 
+    @property
+    def is_determined(self) -> bool:
+        """Whether the interval is no wider than the value is large."""
+        return self.high - self.low <= abs(self.value)
+
     def over(self, size: float) -> "Interval":
         """The same as a multiple of a size above zero."""
         return replace(self, value=self.value / size, low=self.low / size, high=self.high / size)
@@ -94,6 +99,7 @@ class Candidate:
         cosine2: Screening R2.
         sentence: Why it was taken or ruled out.
         probability: Of its family being there, from 0 to 1.
+        own_probability: Of itself being there, whatever others of its family are.
     """
 
     name: str
@@ -102,6 +108,7 @@ class Candidate:
     cosine2: float
     sentence: str
     probability: float = math.nan
+    own_probability: float = math.nan
 
 
 @dataclass(frozen=True, slots=True)

@@ -57,6 +57,7 @@ from plants.effects.gauge_drift import GaugeDrift as GaugeDrift
 from plants.effects.gauge_nonlinearity import GaugeNonlinearity as GaugeNonlinearity
 from plants.effects.gauge_offset import GaugeOffset as GaugeOffset
 from plants.effects.gauge_resonance import GaugeResonance as GaugeResonance
+from plants.effects.link_gravity import LinkGravity as LinkGravity
 from plants.effects.load_friction import LoadFriction as LoadFriction
 from plants.effects.mains_interference import MainsInterference as MainsInterference
 from plants.effects.parameter import Parameter as Parameter

@@ -121,6 +121,7 @@ class Effect(ABC):
             is then visited last.
         by_tension: Whether it depends on the level of the tension, not on changes of it: beside it
             an offset of the torque can be told from one of the gauge.
+        without_cable: Whether it is looked for only on drives without a cable.
         smooth: Whether the trial has a derivative by the parameters that is worth following.
         form_error: Relative standard error of its values for the ways in which machines are
             unlike its law, where it is more than of other laws.
@@ -145,6 +146,7 @@ class Effect(ABC):
     resists: ClassVar[bool] = False
     divides: ClassVar[bool] = False
     by_tension: ClassVar[bool] = False
+    without_cable: ClassVar[bool] = False
     smooth: ClassVar[bool] = True
     form_error: ClassVar[float] = 0.0
 

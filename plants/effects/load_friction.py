@@ -12,22 +12,24 @@ from plants.effects.remedy import Remedy, friction_feed_forward
 
 @dataclass(frozen=True)
 class LoadFriction(Effect):
-    """Dry friction of bearings or teeth that carry the tension: `tau = -c R |T| sign(omega)`.
+    """Dry friction of bearings or teeth that carry the load: `tau = -c R |T| sign(omega)`.
 
-    At rest |tau| <= c R |T|. A friction that the load does not change is Coulomb friction beside
-    it. The torque is chosen as that of Coulomb friction, by the tension that acts in the substep.
+    R T is the torque of the tension; of a drive without a cable, the torque of the motor, which
+    its gear passes on. At rest |tau| <= c R |T|. A friction that the load does not change is
+    Coulomb friction beside it. The torque is chosen as that of Coulomb friction, by the load that
+    acts in the substep.
 
     Attributes:
-        load_share: Friction torque relative to the torque R T of the tension, c.
+        load_share: Friction torque relative to the torque R T of the load, c.
     """
 
     name = "load_friction"
     title = "dry friction that grows with the load"
     appearance = (
-        "current and tension differ by a share of the tension whose sign is that of the velocity; "
+        "current and tension differ by a share of the load whose sign is that of the velocity; "
         "tension and angle agree"
     )
-    excitation = "slow reversals at several tensions"
+    excitation = "slow reversals at several loads"
     port = Port.DRUM
     resists = True
     by_tension = True
@@ -37,9 +39,9 @@ class LoadFriction(Effect):
     @classmethod
     def describe(cls, p: Values, plant: PlantScale) -> str:
         """Sentence with the fitted values."""
-        tension = plant.usual_tension_N
-        at = "" if plant.is_plant else f": {plant.reading(p.load_share * tension)} at "
-        at += "" if plant.is_plant else plant.reading(tension)
+        tension, at = plant.usual_tension_N, ""
+        if plant.has_cable:
+            at = f": {plant.reading(p.load_share * tension)} at {plant.reading(tension)}"
         return (
             f"has dry friction{plant.at_drum} that grows with the load, {share(p.load_share)} of "
             f"it against the motion{at}"

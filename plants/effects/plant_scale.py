@@ -18,6 +18,15 @@ CHANNEL_TITLES = {
     "current_A": "current",
 }
 
+ENDINGS = {
+    "N m": "_Nm",
+    "rad": "_rad",
+    "rad/s": "_rad_s",
+    "N m s/rad": "_Nms",
+    "N m s2/rad2": "_Nms2",
+}
+"""What names of parameters end in, by their unit, of those that a plant may measure otherwise."""
+
 _INPUT, _OUTPUT = "in the input's unit", "in the output's unit"
 """Units of a plant that states none."""
 
@@ -125,6 +134,15 @@ class PlantScale(NamedTuple):
     def at_drum(self) -> str:
         """Place of the friction, in words."""
         return " at the drum" if self.subject == "reel" else ""
+
+    def parameter(self, name: str, unit: str) -> str:
+        """Name of an effect's parameter of a unit, which it ends in, with the plant's own."""
+        own, ending = self.unit(unit), ENDINGS.get(unit, "")
+        if own == unit or not ending or not name.endswith(ending):
+            return name
+        stem = name.removesuffix(ending)
+        stem = stem.replace("torque", "force") if own == "N" else stem
+        return f"{stem}_{own.replace('/', '_').replace(' ', '')}"
 
     def torque(self, torque_Nm: float) -> str:
         """A torque, and the tension it is at the cable."""

@@ -29,7 +29,8 @@ def unavailable(base: LinearBase, effect: type[Effect]) -> str | None:
     elif not base.is_drum and (motion.restoring is None or motion.restoring.is_zero()):
         missing |= {Port.CABLE}
     still = motion.restoring is None or motion.restoring.is_zero()
-    if effect.by_tension and still and not ports & missing:
+    loaded = base.is_drum and effect.resists  # by the torque that a gear passes on
+    if effect.by_tension and still and not loaded and not ports & missing:
         return f"it depends on the level of a tension, {_ABSENT[base.is_drum]}"
     if ports & missing:
         return f"it acts at the {min(ports & missing)}, {_ABSENT[base.is_drum]}"

@@ -53,6 +53,8 @@ class LinearPath(NamedTuple):
         x, tension = self.stages.forward(x, linear, site)
         if not ca.is_equal(tension, linear):
             free = free - c.by_torque * (ARM_m * (tension - linear))
+        if self.base.is_drum:  # the load of a gear is the torque it passes on
+            tension = c.V @ driven * c.torque_per_velocity / c.drum_radius_m
         at_drum = site._replace(port=Port.DRUM, velocity_rad_s=c.V @ free, tension_N=tension)
         x, torque = self.stages.drum_torque(x, at_drum, c.V @ c.by_torque)
         return ca.vertcat(free + c.by_torque * torque, x[n:, :])

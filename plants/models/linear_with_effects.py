@@ -109,6 +109,7 @@ class LinearEffectStructure(PathStructure):
             V=ca.SX(1, self.base.order) if motion.V is None else motion.V,
             restoring=restoring,
             torque_constant=p.torque_constant_Nm_A,
+            drum_radius_m=p.drum_radius_m,
             torque_per_velocity=torque_per_velocity,
             substep_s=h,
             drive_per_effort=per_ampere if self.base.is_drum else 1.0 / p.torque_unit,

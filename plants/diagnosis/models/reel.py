@@ -121,9 +121,9 @@ class DiagnosedReel(DiagnosedModel):
                 return found
         return self.model.tension_N
 
-    def unavailable(self, effect: type[Effect]) -> str | None:  # noqa: ARG002  a reel has all
-        """Every effect is declared for a reel."""
-        return None
+    def unavailable(self, effect: type[Effect]) -> str | None:
+        """Every effect but those of a load on the axis."""
+        return "it is of a load on the axis, not of a cable" if effect.without_cable else None
 
     def structure(self, effects: tuple[type[Effect], ...]) -> ReelStructure:
         """The reel with these effects."""

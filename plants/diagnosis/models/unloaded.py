@@ -97,7 +97,7 @@ class DiagnosedDrum(DiagnosedModel):
         own = (type(effect) for effect in self.effects)
         angles = [(n, m.angle_rad) for n, m in enumerate(self.measurements)]
         turning = [(n, angle) for n, angle in angles if angle is not None]
-        if len(turning) < 2 or not any(effect.named(Role.PERIODS) for effect in (*own, *added)):
+        if len(turning) < 2 or not any(effect.named(Role.PHASE) for effect in (*own, *added)):
             return found
         for n, angle in turning:
             middle, name = float(angle.mean()), f"encoder_zero_rad[{n}]"

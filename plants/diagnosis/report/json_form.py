@@ -56,6 +56,7 @@ def _fields(one: Any, without: str = "") -> dict[str, Any]:
 def _candidate(c: Candidate, d: DiagnosisResult) -> dict[str, Any]:
     gaps = {f"gap_{d.unit}": c.gap * d.floor, "gap_floors": c.gap}
     shares = {"closure": c.closure, "explains": c.cosine2, "probability": c.probability}
+    shares["own_probability"] = c.own_probability
     return {"name": c.name, **gaps, **shares, "sentence": c.sentence}
 
 

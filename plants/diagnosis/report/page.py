@@ -147,8 +147,8 @@ def _ranking(d: DiagnosisResult) -> list[Block]:
             "residual along the direction in which the effect would change it. The best were "
             "fitted together with the base model to all data, and judged by the share of the "
             "error power above the noise floor that they explain; the others change the "
-            "predictions in another way. The probability is that of the effect's family being "
-            "there."
+            "predictions in another way. Beside the probability of each effect stands that of its "
+            "family, of which any other member may be there instead."
         )
     ]
     count = len(summary.fitted(d, figures.BARS_MAX).rows)

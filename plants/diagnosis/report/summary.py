@@ -119,11 +119,16 @@ def gaps(d: DiagnosisResult) -> Table:
 
 def parameters(d: DiagnosisResult) -> Table:
     """The fitted parameters of each effect, with 95 % confidence intervals."""
-    rows = [
-        (effect.name, name, *_interval(fitted_value))
-        for effect in d.effects
-        for name, fitted_value in effect.parameters.items()
-    ]
+    scale = PlantScale.of(d.base_model)
+    rows = []
+    for effect in d.effects:
+        declared = effect.effect.parameters()
+        for name, found in effect.parameters.items():
+            value, interval, unit = _interval(found)
+            known = found.is_determined or declared[name].is_phase
+            shown = value if known else "not determined"
+            own = "" if declared[name].is_phase else declared[name].unit
+            rows.append((effect.name, scale.parameter(name, own), shown, interval, unit))
     return Table(("effect", "parameter", "value", "95 % interval", "unit"), tuple(rows))
 
 
@@ -153,10 +158,17 @@ def calibrations(d: DiagnosisResult) -> Table:
 def ranking(d: DiagnosisResult) -> Table:
     """All effects that were tried as the first one, best first."""
     rows = [
-        (c.name, *map(_percent, (c.cosine2, c.probability, c.closure)), number(c.gap))
+        (
+            c.name,
+            *map(_percent, (c.cosine2, c.own_probability, c.probability, c.closure)),
+            number(c.gap),
+        )
         for c in d.candidates
     ]
-    columns = ("effect", "screening R²", "probability", "explained", "times the floor left")
+    columns = (
+        *("effect", "screening R²", "probability", "of its family"),
+        *("explained", "times the floor left"),
+    )
     return Table(columns, tuple(rows))
 
 

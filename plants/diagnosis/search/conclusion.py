@@ -16,6 +16,7 @@ from plants.diagnosis.search.constants import CONSTANTS
 from plants.diagnosis.search.decide import (
     Decision,
     decide,
+    effect_probabilities,
     explained,
     family_probabilities,
     probabilities,
@@ -37,6 +38,7 @@ class Conclusion(NamedTuple):
         rest: What the error left looks like, in words, or empty.
         reason: Why a leading model is not believed, or empty.
         probability: Of an effect's family being there, by slug.
+        own_probability: Of the effect itself, by slug.
         models: Every model that was fitted, the base model first.
     """
 
@@ -47,6 +49,7 @@ class Conclusion(NamedTuple):
     rest: str = ""
     reason: str = ""
     probability: Mapping[str, float] = {}
+    own_probability: Mapping[str, float] = {}
     models: tuple[ModelSummary, ...] = ()
 
     @property
@@ -59,13 +62,14 @@ def conclude(fitter: ModelFitter, found: SearchResult) -> Conclusion:
     """The verdict on the fits of a search."""
     base, *models = found.summaries(fitter)
     decision = decide(base, models)
-    families = family_probabilities(models, probabilities(base, models))
+    p = probabilities(base, models)
+    families, effects = family_probabilities(models, p), effect_probabilities(models, p)
     # Where no name is believed, the best of the declared effects seldom is there.
     named = (explained(base, m) for m in models if m.named)
     scale = 1.0 if decision.best else (1.0 - CONSTANTS.named_share) * max(named, default=0.0)
-    probability = {
-        e.name: scale * families[family_of(e)] for one in found.fits.values() for e in one.effects
-    }
+    fitted = {e.name: e for one in found.fits.values() for e in one.effects}
+    probability = {name: scale * families[family_of(e)] for name, e in fitted.items()}
+    own = {name: scale * effects[name] for name in fitted}
     if not decision.best:
         return Conclusion(
             decision.verdict,
@@ -73,6 +77,7 @@ def conclude(fitter: ModelFitter, found: SearchResult) -> Conclusion:
             like=_title(found, decision.like),
             reason=_reason(found, decision, base, models),
             probability=probability,
+            own_probability=own,
             models=(base, *models),
         )
     names = dict.fromkeys(n for slugs in (decision.best, *decision.tied) for n in sorted(slugs))
@@ -82,6 +87,7 @@ def conclude(fitter: ModelFitter, found: SearchResult) -> Conclusion:
         tied=tuple(names) if decision.verdict == "ambiguous" else (),
         rest=_rest(found, decision, models),
         probability=probability,
+        own_probability=own,
         models=(base, *models),
     )
 
@@ -136,8 +142,17 @@ def candidates(found: SearchResult, judged: Conclusion) -> tuple[Candidate, ...]
         else:
             part = explained(before, before._replace(J=one.J))
             left, why = math.sqrt(one.J), _why(one, part, judged)
-        probability = judged.probability.get(name, 0.0)
-        listed.append(Candidate(name, part, left, s.screening_R2, why, probability))
+        listed.append(
+            Candidate(
+                name,
+                part,
+                left,
+                s.screening_R2,
+                why,
+                judged.probability.get(name, 0.0),
+                judged.own_probability.get(name, 0.0),
+            )
+        )
     listed.sort(key=lambda c: (c.gap if math.isfinite(c.gap) else 1e9, -c.cosine2))
     listed.sort(key=lambda c: believed.index(c.name) if c.name in believed else len(believed))
     return tuple(listed)

@@ -37,6 +37,8 @@ class Constants(NamedTuple):
     whose noise was overestimated ran 142 rad off."""
     tied: float = 0.3
     """Probability of another family, of the two, from which on the records leave it open."""
+    second: float = 0.5
+    """Probability from which on a second effect's family is named beside the first."""
     effective: float = 60.0
     """Number of independent samples in a probability. From 20 to 60 families said to be there
     with 0.5 to 0.8 are there in 0.75 to 1; more make it overconfident."""

@@ -49,7 +49,7 @@ def decide(base: Model, models: Sequence[Model], c: Constants = CONSTANTS) -> De
     p = probabilities(base, models, c)
     base, *models = relative([base, *models])
     named = [m for m in models if m.named and m.eligible]
-    best = best_of(models, c)
+    best = _supported(best_of(models, c), models, p, c)
     nameless = [m for m in models if not m.named and len(m.names) == 1]
     if best is None:
         like = [m for m in nameless if explained(base, m) >= c.named_share]
@@ -88,6 +88,19 @@ def _tied(
     others = [m for m in others if len(m.names) <= len(best.names) and not m.known_apart]
     close = [m for m in others if p[m.names] > c.tied * (p[m.names] + p[best.names])]
     return tuple(m.names for m in sorted(close, key=lambda m: m.power))
+
+
+def _supported(
+    best: Model | None, models: Sequence[Model], p: Mapping[Slugs, float], c: Constants
+) -> Model | None:
+    """The best model, or of a pair the best without the family that is rather not there."""
+    if best is None or len(best.families) < 2:
+        return best
+    known = family_probabilities(models, p)
+    doubtful = min(best.families, key=lambda family: known[family])
+    if known[doubtful] >= c.second:
+        return best
+    return best_of([m for m in models if doubtful not in m.families], c)
 
 
 def _is_likelier(one: Model, best: Model) -> bool:
@@ -138,6 +151,15 @@ def probabilities(
     L = [n * math.log(m.power + slack) + m.values * math.log(n) for m in all_]
     weight = [math.exp(-0.5 * (one - min(L))) for one in L]
     return {m.names: w / sum(weight) for m, w in zip(all_, weight, strict=True)}
+
+
+def effect_probabilities(models: Sequence[Model], p: Mapping[Slugs, float]) -> dict[str, float]:
+    """Probability that each effect is there, members of a family apart."""
+    found: dict[str, float] = defaultdict(float)
+    for one in models:
+        for name in one.names:
+            found[name] += p[one.names]
+    return found
 
 
 def family_probabilities(models: Sequence[Model], p: Mapping[Slugs, float]) -> dict[str, float]:

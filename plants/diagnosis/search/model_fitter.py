@@ -219,11 +219,12 @@ class ModelFitter:
             record = record_of(f.owner)
             if record is not None:
                 kinds.setdefault(f.name.partition("[")[0], {})[record] = n
-        waves = [f"{e.name}.{name}" for e in effects for name in e.named(Role.PERIODS)]
-        if waves:
+        if any(e.named(Role.PHASE) for e in effects):
             known = {f.name.partition("[")[0] for f in self.base.free}
+            waves = [f"{e.name}.{name}" for e in effects for name in e.named(Role.PERIODS)]
             periods = [n for n, f in enumerate(predictor.free) if f.name in waves]
-            length = 2.0 * math.pi / rows[:, periods[-1]]
+            per_turn = rows[:, periods[-1]] if periods else np.ones(len(rows))
+            length = 2.0 * math.pi / per_turn
             for own in (of for kind, of in kinds.items() if kind not in known):
                 rows = self._shifted(predictor, rows, own, TURNS[None, :] * length[:, None])
         if {Port.CABLE, Port.EYELET} & {port for e in effects for port in e.ports()}:

@@ -105,7 +105,7 @@ class _Probe:
         values = seen.one.values
         # A wave over an angle whose zero each record has for itself, and nothing else tells.
         own = (f.name for f in predictor.free if f.owner.startswith("record "))
-        waves = bool(effect.named(Role.PERIODS))
+        waves = bool(effect.named(Role.PHASE))
         self.loose = waves and any(name not in values for name in own)
         self.off = predictor.row(values)
         for name in self.sizes:
