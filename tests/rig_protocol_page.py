@@ -30,6 +30,7 @@ from estune.remote.state_machine.reply_codes import OF_TRIAL, ReplyCode
 from estune.remote.state_machine.state import Mode
 from estune.remote.state_machine.trials import TABLE, TrialEvent, TrialState
 from estune.remote.zenoh import rig_connection, zenoh_session
+from estune.support.state_table import IMPOSSIBLE, printed, sentence_of
 from estune.trial import (
     SETPOINT_S,
     Feedback,
@@ -158,15 +159,9 @@ def modes() -> Iterator[str]:
     """Modes of a rig, and the effect of each event in each mode."""
     yield from _table(("mode", "meaning"), ((f"`{mode}`", mode.sentence) for mode in Mode))
     yield "\n"
-    for event, row in rig.TABLE.items():
-        name = event.__name__.removesuffix("Event")
-        yield f"**{name}**: {_title(event)}\n\n"
-        by_handler: dict[rig.Handler, list[str]] = {}
-        for mode, handler in row.items():
-            by_handler.setdefault(handler, []).append(f"`{mode}`")
-        rows = ((", ".join(found), _title(handler)) for handler, found in by_handler.items())
-        yield from _table(("in mode", "then"), rows)
-        yield "\n"
+    yield from printed(
+        rig.TABLE, lambda kind: f"**{kind.__name__.removesuffix('Event')}**: {_title(kind)}"
+    )
 
 
 UNKNOWN = TrialState.UNKNOWN
@@ -248,7 +243,8 @@ def trials() -> Iterator[str]:
     """States of a trial id in the ledger, and the reply to a submit or Inquire."""
     rows = []
     for trial in TrialState:
-        cells = (f"{TABLE[trial].get(event, 'impossible')}" for event in TrialEvent)
+        moves = (TABLE.cell(event, trial) for event in TrialEvent)
+        cells = (move if isinstance(move, str) else f"{move(trial)}" for move in moves)
         reply = "the frame" if trial is TrialState.ENDED else f"`{OF_TRIAL[trial]}`"
         reply += ", with the error in the ledger" if trial is TrialState.FAILED else ""
         rows.append((f"`{trial}`", *cells, reply))
@@ -259,8 +255,9 @@ def clients() -> Iterator[str]:
     """Transitions of a client."""
     stages = [stage for stage in ClientStage if stage is not ClientStage.OVER]
     rows = []
-    for heard, row in client.TABLE.items():
-        cells = ("impossible" if s is None else f"{s.action} (`{s.stage}`)" for s in row)
+    for heard, row in client.TABLE.rows.items():
+        moves = (row[stage] for stage in stages)
+        cells = (IMPOSSIBLE if isinstance(m, str) else sentence_of(m) for m in moves)
         meaning = heard.sentence if isinstance(heard, ClientInput) else f"`{heard}`"
         rows.append((meaning, *cells))
     yield from _table(("input", *stages), rows)

@@ -12,7 +12,7 @@ from estune.hardware.config import RigConfig, config_from
 from estune.hardware.controller import PlainController
 from estune.hardware.driver import Reading
 from estune.hardware.loop_messages import Begin
-from estune.hardware.reel_state_machine import ReelStateMachine
+from estune.hardware.reel_machine.machine import ReelStateMachine
 from estune.hardware.shared_memory import Memory, MotionPhase, SensorLevels, Word, make_file
 from plants.emulator import RIG_FILE
 from plants.emulator.board import Electronics, EmulatedBoard

@@ -214,7 +214,8 @@ def test_live_gains_follow_the_drum_without_a_jump(tmp_path):
     loop.ask(own, step)
     loop.until(lambda: loop.machine.phase is MotionPhase.TRIAL)
     loop.step()
-    assert loop.machine._controller._coefficients == pidf.coefficients(rig.settings(), own)
+    reel, control = loop.machine._reel, loop.machine._reel.control
+    assert control._controller._coefficients == pidf.coefficients(rig.settings(), own)
     loop.answer()
     for _ in range(300):
         loop.step()
@@ -222,19 +223,19 @@ def test_live_gains_follow_the_drum_without_a_jump(tmp_path):
     for k in range(400):  # the drum unwinds 0.3 m over the samples
         gauge, encoder = loop.board.read(loop.time_s)
         paid_out = -round(0.3 / 0.025 * k / 400 * 8192 / (2.0 * math.pi))
-        before, state = machine._controller._coefficients, machine._controller._state
+        before, state = control._controller._coefficients, control._controller._state
         loop.step(Reading(loop.time_s + 1 / 632, gauge, encoder + paid_out))
-        after = machine._controller._coefficients
+        after = control._controller._coefficients
         if after == before:
             continue
         live_gains.add(after)
-        _, stayed, _ = pidf.step(before, state, machine._setpoint_N, loop.tension_N[-1])
-        assert machine._effort_N == pytest.approx(stayed, rel=0.0, abs=1e-11)
+        _, stayed, _ = pidf.step(before, state, reel.setpoint.tension_N, loop.tension_N[-1])
+        assert reel.effort_N == pytest.approx(stayed, rel=0.0, abs=1e-11)
     assert len(live_gains) > 100
     assert machine.phase is MotionPhase.HOLD
     angle = (loop.board.read(loop.time_s)[1] + paid_out) * rig.plan().radians_per_count
     expected = SCHEDULE.gains(0.8 - 0.025 * angle, 15.0)
-    now = machine._live.coefficients
+    now = control._live.coefficients
     assert pytest.approx(expected.P, rel=1e-3) == now.P
     assert pytest.approx(expected.I / 632.0, rel=2e-3) == now.I_per_sample
 

@@ -9,7 +9,6 @@ from hypothesis import strategies as st
 
 from estune.daemon.supervisor_state import (
     COMMANDS,
-    TABLE,
     GainSet,
     Goal,
     InvalidTransition,
@@ -46,12 +45,6 @@ def moves():
         after = outcome(state, event)
         if after is not None:
             yield state, event, after
-
-
-def test_table_has_a_cell_for_every_event_and_mode():
-    assert set(TABLE) == set(SupervisorEvent)
-    assert all(set(row) == set(SupervisorMode) for row in TABLE.values())
-    assert {state.mode for state in STATES} == set(SupervisorMode)
 
 
 def test_events_all_lead_to_valid_states():

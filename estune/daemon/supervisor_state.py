@@ -9,13 +9,14 @@ which the rig restores its live gains even if the daemon dies. It becomes the no
 is accepted. So at every instant the rig runs gains that the operator or the file has approved.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from enum import StrEnum
-from types import MappingProxyType
-from typing import Any, Self
+from typing import Any
 
+from estune.core.sentence_enum import SentenceEnum
 from estune.errors import EstuneError, InvalidInput
+from estune.support.state_table import IMPOSSIBLE, Row, StateTable, described
 
 
 class GainSet(StrEnum):
@@ -52,18 +53,8 @@ class Shutdown(StrEnum):
     STOPPED = "stopped"
 
 
-class SupervisorMode(StrEnum):
+class SupervisorMode(SentenceEnum):
     """The supervisor's activities: the columns of the table, in this order."""
-
-    sentence: str
-    """Description of the mode for the operator."""
-
-    def __new__(cls, value: str, sentence: str) -> Self:
-        """The mode with its description."""
-        mode = str.__new__(cls, value)
-        mode._value_ = value
-        mode.sentence = sentence
-        return mode
 
     WAITING = "waiting", "waiting for the rig"
     RETRYING = "retrying", "an operation failed; trying again after a while"
@@ -175,7 +166,7 @@ def next_state(
         InvalidInput: the command is not allowed in this state; nothing is changed.
         InvalidTransition: the event cannot occur in this state.
     """
-    cell = TABLE[event][state.mode]
+    cell = TABLE.cell(event, state.mode)
     if isinstance(cell, str):
         if event in COMMANDS:
             raise InvalidInput(f"cannot {event}: {cell}")
@@ -184,22 +175,27 @@ def next_state(
 
 
 _Transition = Callable[[SupervisorState, str], SupervisorState]
-_Cell = _Transition | str
-"""A transition, or why there is none."""
 
 
-def _set(**changes: Any) -> _Transition:
+def _set(sentence: str, **changes: Any) -> _Transition:
     """Transition that replaces these fields."""
-    return lambda state, _: replace(state, **changes)
+
+    @described(sentence)
+    def change(state: SupervisorState, _: str) -> SupervisorState:
+        return replace(state, **changes)
+
+    return change
 
 
 def _boot(state: SupervisorState, _: str) -> SupervisorState:
+    """Wait for the rig; a tuning under way continues from its journal."""
     # The result of a confirmation is not stored: its run is continued, and decided again.
     started = replace(_back_to_tuning(state), ending=Shutdown.NO)
     return replace(started, link=RigLink.AWAY, failures=0, trouble="")
 
 
 def _failure(link: RigLink) -> _Transition:
+    @described("Wait for the rig." if link is RigLink.AWAY else "Try again after a while.")
     def fail(state: SupervisorState, reason: str) -> SupervisorState:
         failures = state.failures + 1
         return replace(_back_to_tuning(state), link=link, failures=failures, trouble=reason)
@@ -218,61 +214,78 @@ def _check_gains(state: SupervisorState, _: str = "") -> SupervisorState:
 
 
 def _pause(state: SupervisorState, reason: str) -> SupervisorState:
+    """Pause, with the reason."""
     return replace(_back_to_tuning(state), paused=reason)
 
 
 def _revert(state: SupervisorState, reason: str) -> SupervisorState:
+    """Make the original gains the nominal ones, and pause."""
     original = replace(state, goal=Goal.TUNE, home=GainSet.ORIGINAL, why=reason, paused=reason)
     return _check_gains(original)
 
 
 def _adopt(state: SupervisorState, reason: str) -> SupervisorState:
+    """Make the candidate the nominal gains, and watch them."""
     return _check_gains(replace(state, goal=Goal.WATCH, home=GainSet.ACCEPTED, why=reason))
 
 
 def _inherit(state: SupervisorState, reason: str) -> SupervisorState:
+    """Watch the gains that another daemon had accepted."""
     return replace(state, goal=Goal.WATCH, home=GainSet.ACCEPTED, why=reason)
 
 
 def _accept(state: SupervisorState, reason: str) -> SupervisorState:
+    """Make the candidate the nominal gains, if there is one."""
     if state.goal is not Goal.HOLD:
         raise InvalidInput(f"cannot accept: {_NO_CANDIDATE}")
     return _adopt(state, reason)
 
 
 def _reject(state: SupervisorState, _: str) -> SupervisorState:
+    """Drop the candidate, if there is one, and watch the nominal gains."""
     if state.goal is not Goal.HOLD:
         raise InvalidInput(f"cannot reject: {_NO_CANDIDATE}")
     return replace(state, goal=Goal.WATCH)
 
 
 def _pause_once(state: SupervisorState, reason: str) -> SupervisorState:
+    """Pause, if it is not paused."""
     if state.paused:
         raise InvalidInput(f"cannot pause: it is paused already ({state.paused})")
     return _pause(state, reason)
 
 
 def _resume(state: SupervisorState, _: str) -> SupervisorState:
+    """Continue, after a check of the rig's gains."""
     # Others may have changed the rig's gains meanwhile.
     return _check_gains(replace(state, paused="", failures=0))
 
 
 def _resume_if_paused(state: SupervisorState, reason: str) -> SupervisorState:
+    """Continue, if it is paused."""
     if not state.paused:
         raise InvalidInput(f"cannot resume: {_NOT_PAUSED}")
     return _resume(state, reason)
 
 
 def _stop(state: SupervisorState, reason: str) -> SupervisorState:
+    """Restore the nominal gains, then end."""
     stays = state.home is GainSet.ACCEPTED
     gains = "the accepted gains stay" if stays else "the rig's own gains are restored"
     return replace(_back_to_tuning(state), ending=Shutdown.STOPPING, why=f"{reason}; {gains}")
 
 
 def _end(state: SupervisorState, reason: str) -> SupervisorState:
+    """End."""
     return replace(state, ending=Shutdown.STOPPED, trouble=reason)
 
 
+_STAY = _set("Change nothing.")
+_FOUND = _set("Check the rig's gains.", link=RigLink.FOUND)
+_READY = _set("Go on with the goal.", link=RigLink.READY, failures=0, trouble="")
+_HOLD = _set("Hold the candidate until it is accepted or rejected.", goal=Goal.HOLD)
+_WATCH = _set("Keep the nominal gains, and watch them.", goal=Goal.WATCH)
+_TUNE = _set("Tune again.", goal=Goal.TUNE)
 _NO_CANDIDATE = "there are no candidate gains to decide on"
 _NOT_PAUSED = "it is not paused"
 
@@ -282,48 +295,64 @@ _ACTIVE = tuple(_MODE_OF_GOAL.values())
 _RUNNING = (*_ABSENT, SupervisorMode.READYING, *_ACTIVE, SupervisorMode.PAUSED)
 
 
-def _row(
-    *cells: tuple[tuple[SupervisorMode, ...], _Cell], otherwise: str = "impossible"
-) -> Mapping[SupervisorMode, _Cell]:
-    row: dict[SupervisorMode, _Cell] = dict.fromkeys(SupervisorMode, otherwise)
-    for modes, cell in cells:
-        row |= dict.fromkeys(modes, cell)
-    return MappingProxyType(row)
+_RowOf = Row[SupervisorMode, _Transition]
+
+
+def _row(*cells: tuple[tuple[SupervisorMode, ...], _Transition]) -> _RowOf:
+    return Row(IMPOSSIBLE, *((cell, modes) for modes, cell in cells))
 
 
 def _command(
-    *cells: tuple[tuple[SupervisorMode, ...], _Cell], stopping: _Cell = "it is being stopped"
-) -> Mapping[SupervisorMode, _Cell]:
-    return _row(*cells, (_STOPPING, stopping), otherwise="it has ended; start the daemon again")
+    *cells: tuple[tuple[SupervisorMode, ...], _Transition | str],
+    stopping: _Transition | str = "it is being stopped",
+) -> _RowOf:
+    others = ((cell, modes) for modes, cell in (*cells, (_STOPPING, stopping)))
+    return Row("it has ended; start the daemon again", *others)
 
 
-TABLE: Mapping[SupervisorEvent, Mapping[SupervisorMode, _Cell]] = MappingProxyType(
+TABLE: StateTable[SupervisorEvent, SupervisorMode, _Transition] = StateTable(
+    SupervisorMode,
     {
         SupervisorEvent.BOOT: _row((tuple(SupervisorMode), _boot)),
-        SupervisorEvent.FOUND: _row(((*_ABSENT, *_STOPPING), _set(link=RigLink.FOUND))),
+        SupervisorEvent.FOUND: _row(
+            ((*_ABSENT, *_STOPPING), _set("Check the rig's gains.", link=RigLink.FOUND))
+        ),
         # Another daemon had the rig before, and left it other gains.
         SupervisorEvent.INHERITED: _row(((SupervisorMode.READYING,), _inherit)),
         SupervisorEvent.READIED: _row(
-            ((SupervisorMode.READYING,), _set(link=RigLink.READY, failures=0, trouble=""))
+            (
+                (SupervisorMode.READYING,),
+                _set("Go on with the goal.", link=RigLink.READY, failures=0, trouble=""),
+            )
         ),
         # The rig runs other gains than the nominal ones: restarted, or changed by others.
         SupervisorEvent.CHANGED: _row((_ACTIVE, _check_gains)),
         SupervisorEvent.LOST: _row(((*_RUNNING, *_STOPPING), _failure(RigLink.AWAY))),
         SupervisorEvent.FAILED: _row(((*_RUNNING, *_STOPPING), _failure(RigLink.FAILED))),
         # Operator action is required. The rig keeps the nominal gains.
-        SupervisorEvent.TROUBLE: _row((_RUNNING, _pause), (_STOPPING, _set())),
+        SupervisorEvent.TROUBLE: _row((_RUNNING, _pause), (_STOPPING, _STAY)),
         # The nominal gains are no longer safe: the original ones are the best alternative.
         SupervisorEvent.UNSAFE: _row(
             ((SupervisorMode.TUNING, SupervisorMode.CONFIRMING, SupervisorMode.WATCHING), _revert),
         ),
         SupervisorEvent.SEARCHED: _row(
-            ((SupervisorMode.TUNING,), _set(goal=Goal.CONFIRM)),
-            ((SupervisorMode.CONFIRMING,), _set()),
+            ((SupervisorMode.TUNING,), _set("Confirm the best gains.", goal=Goal.CONFIRM)),
+            ((SupervisorMode.CONFIRMING,), _STAY),
         ),
-        SupervisorEvent.PROPOSED: _row(((SupervisorMode.CONFIRMING,), _set(goal=Goal.HOLD))),
+        SupervisorEvent.PROPOSED: _row(
+            (
+                (SupervisorMode.CONFIRMING,),
+                _HOLD,
+            )
+        ),
         SupervisorEvent.ADOPTED: _row(((SupervisorMode.CONFIRMING,), _adopt)),
-        SupervisorEvent.KEPT: _row(((SupervisorMode.CONFIRMING,), _set(goal=Goal.WATCH))),
-        SupervisorEvent.DRIFTED: _row(((SupervisorMode.WATCHING,), _set(goal=Goal.TUNE))),
+        SupervisorEvent.KEPT: _row(
+            (
+                (SupervisorMode.CONFIRMING,),
+                _WATCH,
+            )
+        ),
+        SupervisorEvent.DRIFTED: _row(((SupervisorMode.WATCHING,), _TUNE)),
         SupervisorEvent.ENDED: _row((_STOPPING, _end)),
         SupervisorEvent.ACCEPT: _command((_RUNNING, _accept)),
         SupervisorEvent.REJECT: _command((_RUNNING, _reject)),
@@ -334,6 +363,6 @@ TABLE: Mapping[SupervisorEvent, Mapping[SupervisorMode, _Cell]] = MappingProxyTy
             ((SupervisorMode.READYING, SupervisorMode.PAUSED), _resume_if_paused),
             (_ACTIVE, _NOT_PAUSED),
         ),
-        SupervisorEvent.STOP: _command((_RUNNING, _stop), stopping=_set()),
-    }
+        SupervisorEvent.STOP: _command((_RUNNING, _stop), stopping=_STAY),
+    },
 )

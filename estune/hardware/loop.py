@@ -38,7 +38,7 @@ from estune.hardware.loop_messages import (
     SetLiveGains,
 )
 from estune.hardware.real_time import request_priority
-from estune.hardware.reel_state_machine import ReelStateMachine
+from estune.hardware.reel_machine.machine import ReelStateMachine
 from estune.hardware.shared_memory import BINS, BIN_s, Memory, Word
 
 _BIN_ns = BIN_s * 1e9

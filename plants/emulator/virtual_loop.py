@@ -21,7 +21,7 @@ from estune.hardware.loop_messages import (
     ResetEstop,
     SetLiveGains,
 )
-from estune.hardware.reel_state_machine import ReelStateMachine
+from estune.hardware.reel_machine.machine import ReelStateMachine
 from estune.hardware.rig import HardwareRig
 from estune.hardware.shared_memory import Memory, make_file
 from plants.emulator.settings import make_board

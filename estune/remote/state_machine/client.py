@@ -12,14 +12,14 @@ if the ledger has no entry. A trial that the rig has confirmed is never submitte
 interrupted trial is reported as such: the caller decides whether to run it again.
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from enum import StrEnum
-from types import MappingProxyType
 
 from estune.core.sentence_enum import SentenceEnum
 from estune.errors import ProtocolError
 from estune.remote.state_machine.reply_codes import ReplyCode
+from estune.support.state_table import IMPOSSIBLE, Row, StateTable, described
 
 PATIENCE_S = 30.0
 """Time for which a client waits for a rig that does not reply, by default, s."""
@@ -69,56 +69,75 @@ class ClientTransition:
     action: Action
 
 
-def _after(stage: ClientStage, *actions: Action) -> tuple[ClientTransition, ...]:
-    return tuple(ClientTransition(stage, action) for action in actions)
+Move = Callable[[], ClientTransition]
+
+
+def _after(stage: ClientStage, action: Action) -> Move:
+    transition = ClientTransition(stage, action)
+
+    @described(f"{action} (`{stage}`)")
+    def move() -> ClientTransition:
+        return transition
+
+    return move
 
 
 START = ClientTransition(ClientStage.FRESH, Action.SUBMIT)
 """Start of each trial; the rig consults its ledger before it accepts a submit."""
 
-_RESUBMIT, _ASK_SENT, _WAIT_SENT, _LEASE = _after(
-    ClientStage.SENT, Action.SUBMIT, Action.INQUIRE, Action.WAIT, Action.LEASE
-)
-_ASK_IN_HAND, _WAIT_IN_HAND = _after(ClientStage.IN_HAND, Action.INQUIRE, Action.WAIT)
-_RECORD, _INTERRUPTED, _NOTHING_RAN = _after(
-    ClientStage.OVER, Action.RECORD, Action.INTERRUPTED, Action.NOTHING_RAN
-)
-_FAIL, _GONE, _AMBIGUOUS = _after(ClientStage.OVER, Action.FAIL, Action.GONE, Action.AMBIGUOUS)
+_FRESH, _SENT, _IN_HAND = (ClientStage.FRESH,), (ClientStage.SENT,), (ClientStage.IN_HAND,)
+_START = _after(ClientStage.FRESH, Action.SUBMIT)
+_RESUBMIT = _after(ClientStage.SENT, Action.SUBMIT)
+_ASK_SENT = _after(ClientStage.SENT, Action.INQUIRE)
+_WAIT_SENT = _after(ClientStage.SENT, Action.WAIT)
+_LEASE = _after(ClientStage.SENT, Action.LEASE)
+_ASK_IN_HAND = _after(ClientStage.IN_HAND, Action.INQUIRE)
+_WAIT_IN_HAND = _after(ClientStage.IN_HAND, Action.WAIT)
+_RECORD = _after(ClientStage.OVER, Action.RECORD)
+_INTERRUPTED = _after(ClientStage.OVER, Action.INTERRUPTED)
+_NOTHING_RAN = _after(ClientStage.OVER, Action.NOTHING_RAN)
+_FAIL = _after(ClientStage.OVER, Action.FAIL)
+_GONE = _after(ClientStage.OVER, Action.GONE)
+_AMBIGUOUS = _after(ClientStage.OVER, Action.AMBIGUOUS)
 
-TABLE: Mapping[ReplyCode | ClientInput, tuple[ClientTransition | None, ...]] = MappingProxyType(
+
+def _row(fresh: Move | str, sent: Move | str, in_hand: Move | str) -> Row[ClientStage, Move]:
+    return Row(IMPOSSIBLE, (fresh, _FRESH), (sent, _SENT), (in_hand, _IN_HAND))
+
+
+TABLE: StateTable[ReplyCode | ClientInput, ClientStage, Move] = StateTable(
+    ClientStage,
     {
-        # by stage: fresh, sent, in hand; None is impossible
-        ClientInput.RECORD: (None, _RECORD, _RECORD),
-        ClientInput.SILENCE: (None, _ASK_SENT, _ASK_IN_HAND),
-        ClientInput.LEASED: (START, _RESUBMIT, _ASK_IN_HAND),
-        ClientInput.RESTARTED: (START, _ASK_SENT, _ASK_IN_HAND),
-        ClientInput.EMPTIED: (START, START, START),
-        ClientInput.REPLACED: (_GONE, _AMBIGUOUS, _AMBIGUOUS),
-        ClientInput.GONE: (_GONE, _AMBIGUOUS, _AMBIGUOUS),
-        ReplyCode.ACCEPTED: (None, _WAIT_IN_HAND, _WAIT_IN_HAND),
-        ReplyCode.RUNNING: (None, _WAIT_IN_HAND, _WAIT_IN_HAND),
-        ReplyCode.ENDED: (None, _ASK_IN_HAND, _ASK_IN_HAND),
-        ReplyCode.NEVER_STARTED: (None, _NOTHING_RAN, _NOTHING_RAN),
-        ReplyCode.INTERRUPTED: (None, _INTERRUPTED, _INTERRUPTED),
-        ReplyCode.VOID: (None, _NOTHING_RAN, _AMBIGUOUS),
-        ReplyCode.UNKNOWN: (None, _RESUBMIT, _AMBIGUOUS),
+        # by stage: fresh, sent, in hand; nothing more is heard once it is over
+        ClientInput.RECORD: _row(IMPOSSIBLE, _RECORD, _RECORD),
+        ClientInput.SILENCE: _row(IMPOSSIBLE, _ASK_SENT, _ASK_IN_HAND),
+        ClientInput.LEASED: _row(_START, _RESUBMIT, _ASK_IN_HAND),
+        ClientInput.RESTARTED: _row(_START, _ASK_SENT, _ASK_IN_HAND),
+        ClientInput.EMPTIED: _row(_START, _START, _START),
+        ClientInput.REPLACED: _row(_GONE, _AMBIGUOUS, _AMBIGUOUS),
+        ClientInput.GONE: _row(_GONE, _AMBIGUOUS, _AMBIGUOUS),
+        ReplyCode.ACCEPTED: _row(IMPOSSIBLE, _WAIT_IN_HAND, _WAIT_IN_HAND),
+        ReplyCode.RUNNING: _row(IMPOSSIBLE, _WAIT_IN_HAND, _WAIT_IN_HAND),
+        ReplyCode.ENDED: _row(IMPOSSIBLE, _ASK_IN_HAND, _ASK_IN_HAND),
+        ReplyCode.NEVER_STARTED: _row(IMPOSSIBLE, _NOTHING_RAN, _NOTHING_RAN),
+        ReplyCode.INTERRUPTED: _row(IMPOSSIBLE, _INTERRUPTED, _INTERRUPTED),
+        ReplyCode.VOID: _row(IMPOSSIBLE, _NOTHING_RAN, _AMBIGUOUS),
+        ReplyCode.UNKNOWN: _row(IMPOSSIBLE, _RESUBMIT, _AMBIGUOUS),
         # Busy with this very trial while the ledger is being written, else with another's.
-        ReplyCode.BUSY: (None, _WAIT_SENT, _WAIT_IN_HAND),
-        ReplyCode.HELD: (_FAIL, _FAIL, _ASK_IN_HAND),
-        ReplyCode.NO_LEASE: (_LEASE, _LEASE, _ASK_IN_HAND),
-        ReplyCode.SAFE: (_FAIL, _FAIL, _ASK_IN_HAND),
-        ReplyCode.REFUSED: (_FAIL, _FAIL, _FAIL),
-    }
+        ReplyCode.BUSY: _row(IMPOSSIBLE, _WAIT_SENT, _WAIT_IN_HAND),
+        ReplyCode.HELD: _row(_FAIL, _FAIL, _ASK_IN_HAND),
+        ReplyCode.NO_LEASE: _row(_LEASE, _LEASE, _ASK_IN_HAND),
+        ReplyCode.SAFE: _row(_FAIL, _FAIL, _ASK_IN_HAND),
+        ReplyCode.REFUSED: _row(_FAIL, _FAIL, _FAIL),
+    },
 )
 """Transition by input and stage."""
-
-_COLUMN = {ClientStage.FRESH: 0, ClientStage.SENT: 1, ClientStage.IN_HAND: 2}
 
 
 def sent(step: ClientTransition) -> ClientTransition:
     """The transition once its message was sent: a fresh trial is fresh no longer."""
     if step.action is Action.SUBMIT and step.stage is ClientStage.FRESH:
-        return _RESUBMIT
+        return _RESUBMIT()
     return step
 
 
@@ -136,8 +155,8 @@ def next_transition(
         ProtocolError: the input is impossible in this stage: the rig violates the protocol.
     """
     if heard is ReplyCode.BUSY and not own:
-        return _FAIL
-    following = None if stage is ClientStage.OVER else TABLE[heard][_COLUMN[stage]]
-    if following is None:
+        return _FAIL()
+    move = TABLE.cell(heard, stage)
+    if isinstance(move, str):
         raise ProtocolError(f"the rig replies {heard!s} to a trial that is {stage!s}")
-    return following
+    return move()

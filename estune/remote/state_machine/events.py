@@ -1,6 +1,7 @@
-"""Events that change the state of a rig: commands of clients, and what happens inside the rig."""
+"""Events that change the state of a rig, and the actions that its server must then execute."""
 
 from dataclasses import dataclass
+from enum import StrEnum
 
 from estune.remote.state_machine.trials import TrialState
 
@@ -135,3 +136,15 @@ Event = (
     | End
     | Close
 )
+
+
+class RigAction(StrEnum):
+    """Action that the server must execute after a transition."""
+
+    TAKE_IN = "take in"
+    STOP = "stop"
+    ESTOP = "estop"
+    CLEAR = "clear"
+    APPLY = "apply"
+    FOLLOW = "follow"
+    TOMBSTONE = "tombstone"

@@ -6,22 +6,23 @@ its cells are the functions of this module. A refused command changes nothing; a
 the rig that is impossible in a mode raises an error and changes nothing.
 """
 
-from collections.abc import Callable, Mapping
-from types import MappingProxyType
+from collections.abc import Callable
+from typing import Any
 
 from estune.errors import ProtocolError
 from estune.remote.state_machine import events
+from estune.remote.state_machine.events import RigAction
 from estune.remote.state_machine.reply_codes import OF_TRIAL, ReplyCode
 from estune.remote.state_machine.state import (
     LEASE_S,
     AcceptedTrial,
     GrantedLease,
     Mode,
-    RigAction,
     RigState,
     Transition,
 )
 from estune.remote.state_machine.trials import TrialState
+from estune.support.state_table import IMPOSSIBLE, Row, StateTable
 
 
 def step(state: RigState, event: events.Event, now_s: float) -> Transition:
@@ -30,12 +31,19 @@ def step(state: RigState, event: events.Event, now_s: float) -> Transition:
     Raises:
         ProtocolError: the event comes from inside the rig and is impossible; nothing changes.
     """
-    expired = TABLE[events.Expire][state.mode](state, events.Expire(), now_s)
+    expired = _move(state, events.Expire(), now_s)
     if isinstance(event, events.Expire):
         return expired
-    after = expired.state
-    move = TABLE[type(event)][after.mode](after, event, now_s)
+    move = _move(expired.state, event, now_s)
     return move._replace(orders=expired.orders + move.orders)
+
+
+def _move(state: RigState, event: events.Event, now_s: float) -> Transition:
+    cell = TABLE.cell(type(event), state.mode)
+    if isinstance(cell, str):
+        name = type(event).__name__.lower()
+        raise ProtocolError(f"a rig that is {state.mode} cannot {name}; nothing was done")
+    return cell(state, event, now_s)
 
 
 # --- lease ---
@@ -255,12 +263,6 @@ def stay(state: RigState, _event: events.Event, _now_s: float) -> Transition:
     return Transition(state)
 
 
-def fail(state: RigState, event: events.Event, _now_s: float) -> Transition:
-    """Impossible: an error."""
-    name = type(event).__name__.lower()
-    raise ProtocolError(f"a rig that is {state.mode} cannot {name}; nothing was done")
-
-
 # --- shared ---
 
 
@@ -315,57 +317,46 @@ def _safe(state: RigState) -> Transition:
 
 # --- table ---
 
-Handler = Callable[[RigState, events.Event, float], Transition]
+Handler = Callable[[RigState, Any, float], Transition]
 
 _UNSTOPPED = (Mode.TAKING, Mode.ACCEPTED, Mode.RUNNING)
 _ACTIVE = (*_UNSTOPPED, Mode.ABORTING)
 _SAFE, _CLOSED = (Mode.SAFE,), (Mode.CLOSED,)
 
 
-def _row(
-    usual: Callable[..., Transition], *others: tuple[Callable[..., Transition], tuple[Mode, ...]]
-) -> Mapping[Mode, Handler]:
-    """Handler of each mode: the usual one, but for the modes of the others."""
-    row = dict.fromkeys(Mode, usual)
-    for handler, modes in others:
-        row |= dict.fromkeys(modes, handler)
-    return MappingProxyType(row)
-
-
-TABLE: Mapping[type[events.Event], Mapping[Mode, Handler]] = MappingProxyType(
+TABLE: StateTable[type[events.Event], Mode, Handler] = StateTable(
+    Mode,
     {
-        events.Acquire: _row(lease, (refuse_closed, _CLOSED)),
-        events.Renew: _row(renew, (refuse_closed, _CLOSED)),
-        events.Release: _row(release, (release_and_stop, _UNSTOPPED), (stay, _CLOSED)),
-        events.Expire: _row(
+        events.Acquire: Row(lease, (refuse_closed, _CLOSED)),
+        events.Renew: Row(renew, (refuse_closed, _CLOSED)),
+        events.Release: Row(release, (release_and_stop, _UNSTOPPED), (stay, _CLOSED)),
+        events.Expire: Row(
             expire, (expire_and_stop, _UNSTOPPED), (stay, (Mode.IDLE, Mode.CLOSED))
         ),
-        events.SubmitEvent: _row(
+        events.SubmitEvent: Row(
             accept,
             (submit_while_busy, _ACTIVE),
             (submit_while_safe, _SAFE),
             (submit_while_closed, _CLOSED),
         ),
-        events.CancelEvent: _row(
+        events.CancelEvent: Row(
             cancel_without_trial, (cancel, _UNSTOPPED), (cancel_again, (Mode.ABORTING,))
         ),
-        events.VoidEvent: _row(
-            void, (void_while_taking, (Mode.TAKING,)), (refuse_closed, _CLOSED)
-        ),
-        events.SetGainsEvent: _row(
+        events.VoidEvent: Row(void, (void_while_taking, (Mode.TAKING,)), (refuse_closed, _CLOSED)),
+        events.SetGainsEvent: Row(
             apply, (busy_with_trial, _ACTIVE), (held_safe, _SAFE), (refuse_closed, _CLOSED)
         ),
-        events.FollowEvent: _row(
+        events.FollowEvent: Row(
             follow, (busy_with_trial, _ACTIVE), (held_safe, _SAFE), (refuse_closed, _CLOSED)
         ),
-        events.EstopEvent: _row(estop, (estop_trial, _ACTIVE)),
-        events.ClearEvent: _row(clear, (clear_while_busy, _ACTIVE), (refuse_closed, _CLOSED)),
-        events.Noted: _row(fail, (noted, (Mode.TAKING, Mode.ABORTING))),
-        events.Begin: _row(
-            fail, (begin, (Mode.TAKING, Mode.ACCEPTED)), (refuse_begin, (Mode.ABORTING,))
+        events.EstopEvent: Row(estop, (estop_trial, _ACTIVE)),
+        events.ClearEvent: Row(clear, (clear_while_busy, _ACTIVE), (refuse_closed, _CLOSED)),
+        events.Noted: Row(IMPOSSIBLE, (noted, (Mode.TAKING, Mode.ABORTING))),
+        events.Begin: Row(
+            IMPOSSIBLE, (begin, (Mode.TAKING, Mode.ACCEPTED)), (refuse_begin, (Mode.ABORTING,))
         ),
-        events.End: _row(fail, (end, _ACTIVE)),
-        events.Close: _row(close, (close_trial, _ACTIVE), (stay, _CLOSED)),
-    }
+        events.End: Row(IMPOSSIBLE, (end, _ACTIVE)),
+        events.Close: Row(close, (close_trial, _ACTIVE), (stay, _CLOSED)),
+    },
 )
 """Handler by event and mode."""

@@ -1,9 +1,9 @@
-"""State of a rig in the protocol, and the actions that its transitions require."""
+"""State of a rig in the protocol, and the result of an event."""
 
-from enum import StrEnum
 from typing import NamedTuple
 
 from estune.core.sentence_enum import SentenceEnum
+from estune.remote.state_machine.events import RigAction
 from estune.remote.state_machine.reply_codes import ReplyCode
 
 LEASE_S = 1.0
@@ -81,18 +81,6 @@ class RigState(NamedTuple):
         if self.latched:
             return Mode.SAFE
         return Mode.IDLE if self.lease is None else Mode.LEASED
-
-
-class RigAction(StrEnum):
-    """Action that the server must execute after a transition."""
-
-    TAKE_IN = "take in"
-    STOP = "stop"
-    ESTOP = "estop"
-    CLEAR = "clear"
-    APPLY = "apply"
-    FOLLOW = "follow"
-    TOMBSTONE = "tombstone"
 
 
 class Transition(NamedTuple):

@@ -14,11 +14,11 @@ changes nothing (`submit`, `void` and `boot` of a trial in the ledger) or is imp
 a trial that has begun). So no id starts twice, however often and in whatever order messages come.
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable
 from enum import StrEnum
-from types import MappingProxyType
 
 from estune.errors import ProtocolError
+from estune.support.state_table import IMPOSSIBLE, Row, StateTable, described
 
 
 class TrialState(StrEnum):
@@ -50,34 +50,44 @@ class TrialEvent(StrEnum):
     BOOT = "boot"
 
 
-_UNCHANGING = (TrialEvent.SUBMIT, TrialEvent.VOID, TrialEvent.BOOT)
+Transition = Callable[[TrialState], TrialState]
 
-TABLE: Mapping[TrialState, Mapping[TrialEvent, TrialState]] = MappingProxyType(
-    {
-        TrialState.UNKNOWN: {
-            TrialEvent.SUBMIT: TrialState.ACCEPTED,
-            TrialEvent.VOID: TrialState.VOID,
-            TrialEvent.BOOT: TrialState.UNKNOWN,
-        },
-        TrialState.ACCEPTED: {
-            TrialEvent.SUBMIT: TrialState.ACCEPTED,
-            TrialEvent.START: TrialState.RUNNING,
-            TrialEvent.END: TrialState.ENDED,
-            TrialEvent.FAIL: TrialState.FAILED,
-            TrialEvent.VOID: TrialState.ACCEPTED,
-            TrialEvent.BOOT: TrialState.NEVER_STARTED,
-        },
-        TrialState.RUNNING: {
-            TrialEvent.SUBMIT: TrialState.RUNNING,
-            TrialEvent.END: TrialState.ENDED,
-            TrialEvent.FAIL: TrialState.FAILED,
-            TrialEvent.VOID: TrialState.RUNNING,
-            TrialEvent.BOOT: TrialState.INTERRUPTED,
-        },
-        **{s: dict.fromkeys(_UNCHANGING, s) for s in TrialState if s.is_final},
-    }
+
+def stay(state: TrialState) -> TrialState:
+    """Change nothing."""
+    return state
+
+
+def _become(following: TrialState) -> Transition:
+    @described(f"It is {following}.")
+    def become(_: TrialState) -> TrialState:
+        return following
+
+    return become
+
+
+_UNKNOWN, _ACCEPTED, _RUNNING = (
+    (TrialState.UNKNOWN,),
+    (TrialState.ACCEPTED,),
+    (TrialState.RUNNING,),
 )
-"""Next state by state and event; a missing event is impossible in that state."""
+
+TABLE: StateTable[TrialEvent, TrialState, Transition] = StateTable(
+    TrialState,
+    {
+        TrialEvent.SUBMIT: Row(stay, (_become(TrialState.ACCEPTED), _UNKNOWN)),
+        TrialEvent.START: Row(IMPOSSIBLE, (_become(TrialState.RUNNING), _ACCEPTED)),
+        TrialEvent.END: Row(IMPOSSIBLE, (_become(TrialState.ENDED), _ACCEPTED + _RUNNING)),
+        TrialEvent.FAIL: Row(IMPOSSIBLE, (_become(TrialState.FAILED), _ACCEPTED + _RUNNING)),
+        TrialEvent.VOID: Row(stay, (_become(TrialState.VOID), _UNKNOWN)),
+        TrialEvent.BOOT: Row(
+            stay,
+            (_become(TrialState.NEVER_STARTED), _ACCEPTED),
+            (_become(TrialState.INTERRUPTED), _RUNNING),
+        ),
+    },
+)
+"""Next state by event and state."""
 
 
 def after(state: TrialState, event: TrialEvent) -> TrialState:
@@ -86,7 +96,7 @@ def after(state: TrialState, event: TrialEvent) -> TrialState:
     Raises:
         ProtocolError: the event is impossible in that state.
     """
-    try:
-        return TABLE[state][event]
-    except KeyError:
-        raise ProtocolError(f"a trial that is {state} cannot {event}; nothing was done") from None
+    cell = TABLE.cell(event, state)
+    if isinstance(cell, str):
+        raise ProtocolError(f"a trial that is {state} cannot {event}; nothing was done")
+    return cell(state)

@@ -30,9 +30,10 @@ from estune.remote.messages import (
 )
 from estune.remote.messages.codec import Message
 from estune.remote.state_machine import events
+from estune.remote.state_machine.events import RigAction
 from estune.remote.state_machine.reply_codes import OF_TRIAL, ReplyCode
 from estune.remote.state_machine.setpoint_age import SetpointAge
-from estune.remote.state_machine.state import RigAction, Transition
+from estune.remote.state_machine.state import Transition
 from estune.remote.state_machine.trials import TrialEvent, TrialState
 from estune.remote.zenoh.trial_execution import (
     ActiveTrial,

@@ -20,8 +20,9 @@ from estune.remote.ledger import Ledger, LedgerEntry
 from estune.remote.messages import Answer, check_name, refusal
 from estune.remote.state_machine import events
 from estune.remote.state_machine import rig as machine
+from estune.remote.state_machine.events import RigAction
 from estune.remote.state_machine.reply_codes import OF_TRIAL, ReplyCode
-from estune.remote.state_machine.state import RigAction, RigState, Transition
+from estune.remote.state_machine.state import RigState, Transition
 from estune.remote.state_machine.trials import TrialEvent, TrialState
 from estune.trial import (
     OPTIONAL_COLUMNS,

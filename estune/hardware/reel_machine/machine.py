@@ -1,0 +1,156 @@
+"""The reel's behaviour, one sample at a time."""
+
+from estune.core.pidf import Coefficients
+from estune.hardware.compensation.runtime import Compensation
+from estune.hardware.controller import Controller
+from estune.hardware.driver import Reading
+from estune.hardware.hybrid_control import HybridControl
+from estune.hardware.loop_messages import Begin, Ended, LoopPlan, Refused
+from estune.hardware.reel_machine.reel import Reel
+from estune.hardware.reel_machine.transitions import TABLE, Change, MotionEvent
+from estune.hardware.shared_memory import Memory, MotionPhase, Word
+from estune.reel.guard import Sample
+from estune.trial import GUARD, LATE, SATURATED, Outcome
+
+_CLOSED = frozenset((MotionPhase.HOLD, MotionPhase.TRIAL))
+
+
+class ReelStateMachine:
+    """The reel's behaviour, one sample at a time."""
+
+    def __init__(
+        self,
+        plan: LoopPlan,
+        memory: Memory,
+        controller: Controller,
+        compensation: Compensation,
+        hybrid: HybridControl | None = None,
+    ) -> None:
+        self._plan, self._memory = plan, memory
+        self._reel = Reel(plan, memory, controller, compensation, hybrid)
+
+    @property
+    def phase(self) -> MotionPhase:
+        """Current phase."""
+        return self._reel.phase
+
+    @property
+    def powered(self) -> bool:
+        """Whether the amplifier must have power."""
+        if self.phase is MotionPhase.STOPPED:
+            return self._plan.safe.effort_N != 0.0
+        return self.phase is not MotionPhase.OFF
+
+    @property
+    def at_rest(self) -> bool:
+        """Whether the loop may end."""
+        return self.phase in (MotionPhase.OFF, MotionPhase.STOPPED)
+
+    @property
+    def answer(self) -> Ended | Refused | None:
+        """Result of the requested trial; the loop takes and resets it."""
+        return self._reel.answer
+
+    @answer.setter
+    def answer(self, answer: Ended | Refused | None) -> None:
+        self._reel.answer = answer
+
+    def begin(self, trial: Begin) -> None:
+        """Accepts a trial, or refuses it."""
+        reel = self._reel
+        if reel.latched or self._memory.words[Word.ESTOP]:
+            why = self._memory.reason or "emergency stop"
+            reel.answer = Refused(f"it has stopped ({why}); check it, then clear it")
+            return
+        cell = self._cell(MotionEvent.BEGIN)
+        if isinstance(cell, str):
+            reel.answer = Refused(cell)
+        else:
+            cell(reel, trial)
+
+    def set_live_gains(self, live: Coefficients) -> None:
+        """Makes gains the live ones, fixed, without a jump of the effort."""
+        self._apply(MotionEvent.SET_GAINS, live)
+
+    def reset(self) -> None:
+        """Clears a latched stop."""
+        self._apply(MotionEvent.CLEAR)
+
+    def shut_down(self, sentence: str) -> None:
+        """Brings the reel to rest, latched."""
+        self._apply(MotionEvent.STOP, Outcome.INTERRUPTED, sentence)
+
+    def sample(self, reading: Reading, silence_s: float, *, late: bool) -> int:
+        """One sample; the current command, counts.
+
+        Args:
+            reading: What the driver read.
+            silence_s: Time since the rig's last heartbeat, s.
+            late: Whether the sample began late.
+        """
+        plan, memory, reel, time_s = self._plan, self._memory, self._reel, reading.time_s
+        gauge = plan.gauge.force_N(reading.gauge_counts)
+        angle = reading.encoder_counts * plan.radians_per_count
+        recorded, k = reel.phase is MotionPhase.TRIAL, reel.trial.k
+        terms = reel.control.compensate(
+            *(time_s, gauge, angle, reel.setpoint.far_end_m_s),
+            is_open=recorded and reel.trial.under_way.open_loop,
+        )
+        tension = gauge - terms.gravity_N
+        flags = LATE if late else 0
+        self._take_orders(time_s)
+        trip = self._cell(MotionEvent.TRIP)
+        if not isinstance(trip, str):
+            commanded_A = reel.effort_N / plan.newtons_per_ampere
+            counts = reading.gauge_counts
+            seen = Sample(time_s, gauge, counts, commanded_A, angle, late, silence_s)
+            if (stop := reel.guard.check(reel.phase, seen, reel.trial.k)) is not None:
+                flags |= GUARD
+                trip(reel, stop, time_s, tension)
+        reel.angle_rad = angle
+        reel.control.limited = False
+        reel.effort_N = self._apply(MotionEvent.SAMPLE, time_s, tension)
+        reel.control.note_setpoint(closed=reel.phase in _CLOSED)
+        current = reel.effort_N / plan.newtons_per_ampere
+        if recorded:
+            memory.record(
+                k,
+                time_s=time_s - reel.trial.first_s,
+                tension_N=tension,
+                current_A=current,
+                angle_rad=angle,
+                drum_velocity_rad_s=terms.velocity_rad_s,
+                gravity_N=terms.gravity_N,
+                friction_A=terms.friction_N / plan.newtons_per_ampere,
+                inertia_A=terms.inertia_N / plan.newtons_per_ampere,
+                flags=flags | (SATURATED if reel.control.limited else 0),
+            )
+        memory.publish(
+            reel.phase,
+            latched=reel.latched,
+            in_position=reel.control.in_position,
+            levels=(
+                *(time_s, reel.setpoint.tension_N, tension, current, angle),
+                *reel.control.operating_point,
+            ),
+        )
+        return plan.current.counts(current)
+
+    def _take_orders(self, time_s: float) -> None:
+        """Stop, abort and setpoints that others have written to the shared memory."""
+        memory, reel, request = self._memory, self._reel, self._reel.trial.request
+        if memory.words[Word.ESTOP] and not reel.latched:
+            sentence = f"emergency stop: {memory.estop_reason}"
+            self._apply(MotionEvent.STOP, Outcome.CANCELLED, sentence)
+        elif request is not None and memory.words[Word.ABORT] == request.number:
+            self._apply(MotionEvent.ABORT)
+        if reel.setpoint.take(time_s):
+            self._apply(MotionEvent.SETPOINTS)
+
+    def _cell(self, event: MotionEvent) -> Change | str:
+        return TABLE.cell(event, self._reel.phase)
+
+    def _apply(self, event: MotionEvent, *brings: object) -> float:
+        """Does what the table says of an event without a reason against it."""
+        cell = self._cell(event)
+        return 0.0 if isinstance(cell, str) else cell(self._reel, *brings)

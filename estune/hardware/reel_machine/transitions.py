@@ -1,0 +1,266 @@
+"""What each event does to a reel in each of its phases."""
+
+from collections.abc import Callable
+from enum import StrEnum
+from typing import Any
+
+from estune.core.pidf import Coefficients
+from estune.hardware.loop_messages import Begin, Refused
+from estune.hardware.reel_machine.reel import Reel
+from estune.hardware.shared_memory import MotionPhase, Word
+from estune.reel.guard import GuardTrip, Reason
+from estune.support.state_table import Row, StateTable
+from estune.trial import Outcome
+
+_TRANSIENT = frozenset((Reason.HEARTBEAT, Reason.LATE))
+"""Faults that end when the computer keeps its time again."""
+
+_SENSOR_FAULTS = frozenset((Reason.READING, Reason.FROZEN, Reason.CLOCK))
+"""Faults that only a person can judge."""
+
+
+class MotionEvent(StrEnum):
+    """What happens to a reel: the rows of the table."""
+
+    BEGIN = "begin"
+    SET_GAINS = "set gains"
+    CLEAR = "clear"
+    STOP = "stop"
+    ABORT = "abort"
+    SETPOINTS = "setpoints"
+    TRIP = "trip"
+    SAMPLE = "sample"
+
+
+# --- a trial is requested: (reel, trial) ---
+
+
+def begin_from_rest(reel: Reel, trial: Begin) -> None:
+    """Take up the cable, then begin the trial."""
+    reel.trial.note(trial)
+    reel.begin_take_up()
+
+
+def begin_from_hold(reel: Reel, trial: Begin) -> None:
+    """Move to the preload, then begin the trial."""
+    reel.trial.note(trial)
+
+
+# --- gains become the live ones: (reel, gains) ---
+
+
+def set_gains(reel: Reel, live: Coefficients) -> None:
+    """Use them from the next sample on, without a jump of the effort."""
+    reel.control.fix_live(live)
+    reel.control.use_live()
+
+
+def set_gains_later(reel: Reel, live: Coefficients) -> None:
+    """Use them when the trial has ended."""
+    reel.control.fix_live(live)
+
+
+# --- a latched stop is cleared: (reel) ---
+
+
+def clear(reel: Reel) -> None:
+    """Take trials again, unless the emergency stop is still pressed."""
+    if not reel.memory.words[Word.ESTOP]:
+        reel.latched = False
+        reel.memory.words[Word.LATCHED] = False
+        reel.memory.reason = ""
+
+
+# --- an emergency stop, or the end of the rig's program: (reel, outcome, sentence) ---
+
+
+def stop_trial(reel: Reel, outcome: Outcome, sentence: str) -> None:
+    """End the trial, latch, and bring the effort to that of the safe state."""
+    reel.end_trial(outcome, sentence, reel.trial.k + 1)
+    reel.latch(sentence)
+    reel.begin_ramp()
+
+
+def stop_moving(reel: Reel, outcome: Outcome, sentence: str) -> None:
+    """Refuse a requested trial, latch, and bring the effort to that of the safe state."""
+    stop_at_rest(reel, outcome, sentence)
+    reel.begin_ramp()
+
+
+def stop_at_rest(reel: Reel, outcome: Outcome, sentence: str) -> None:
+    """Refuse a requested trial, and latch."""
+    reel.refuse_trial(outcome, sentence)
+    reel.latch(sentence)
+
+
+# --- the requested trial is aborted: (reel) ---
+
+
+def abort_trial(reel: Reel) -> None:
+    """End the trial, and hold the reel by the live gains."""
+    outcome = Outcome.CANCELLED
+    reel.end_trial(outcome, outcome.sentence, reel.trial.k + 1)
+
+
+def abort_request(reel: Reel) -> None:
+    """Drop the trial, which has not begun."""
+    reel.refuse_trial(Outcome.CANCELLED, Outcome.CANCELLED.sentence)
+
+
+# --- a stream of setpoints begins: (reel) ---
+
+
+def follow_from_rest(reel: Reel) -> None:
+    """Take up the cable, unless a stop is latched."""
+    if not reel.latched:
+        reel.begin_take_up()
+
+
+def follow(_: Reel) -> None:
+    """Follow it once no trial is requested."""
+
+
+# --- the guard trips: (reel, trip, time in s, tension in N) ---
+
+
+def trip_in_trial(reel: Reel, trip: GuardTrip, time_s: float, tension_N: float) -> None:
+    """End the trial; the live gains hold the reel where they can, else ramp."""
+    reel.memory.reason = trip.sentence
+    by_gains = trip.reason.is_caused_by_gains
+    outcome = Outcome.GUARD if by_gains else Outcome.INTERRUPTED
+    reel.end_trial(outcome, trip.sentence, reel.trial.k + 1)
+    if _holds(reel, trip):
+        reel.guard.relax_until(time_s + reel.plan.safe.recover_s)
+        reel.setpoint.start_at(tension_N)
+        reel.control.rest(tension_N, reel.setpoint.tension_N)
+        return
+    reel.latched = trip.reason in _SENSOR_FAULTS
+    reel.begin_ramp()
+
+
+def trip_in_hold(reel: Reel, trip: GuardTrip, _time_s: float, _tension_N: float) -> None:
+    """Refuse a trial; ramp, unless only the heartbeat is lost; latch, but for a late computer."""
+    _refuse(reel, trip)
+    if _holds(reel, trip) and trip.reason in _TRANSIENT:
+        return  # this is the safe state
+    # A late computer ramps, and is not latched.
+    reel.latched = trip.reason not in _TRANSIENT
+    reel.begin_ramp()
+
+
+def trip_in_take_up(reel: Reel, trip: GuardTrip, _time_s: float, _tension_N: float) -> None:
+    """Refuse a requested trial and ramp; latch, but for a stalled computer."""
+    _refuse(reel, trip)
+    reel.latched = trip.reason not in _TRANSIENT
+    reel.begin_ramp()
+
+
+def _refuse(reel: Reel, trip: GuardTrip) -> None:
+    reel.memory.reason = trip.sentence
+    by_gains = trip.reason.is_caused_by_gains
+    reel.refuse_trial(Outcome.GUARD if by_gains else Outcome.INTERRUPTED, trip.sentence)
+
+
+def _holds(reel: Reel, trip: GuardTrip) -> bool:
+    return reel.plan.safe.hold and trip.reason.leaves_control
+
+
+# --- the effort of a sample: (reel, time in s, tension in N), effort in N ---
+
+
+def rest(_reel: Reel, _time_s: float, _tension_N: float) -> float:
+    """No effort."""
+    return 0.0
+
+
+def take_up(reel: Reel, time_s: float, tension_N: float) -> float:
+    """A constant effort until the cable is taut; then hold."""
+    motion = reel.plan.motion
+    if not tension_N >= motion.taut_N:
+        return motion.take_up_N
+    reel.phase = MotionPhase.HOLD
+    reel.control.close(tension_N, reel.effort_N)
+    reel.setpoint.start_at(tension_N)
+    return hold(reel, time_s, tension_N)
+
+
+def hold(reel: Reel, _time_s: float, tension_N: float) -> float:
+    """The live gains; the trial begins once the reel has settled at its preload."""
+    trial, setpoint = reel.trial, reel.setpoint
+    setpoint.move(trial.preload_N)
+    effort = reel.control.hold(
+        *(setpoint, tension_N, reel.angle_rad, reel.effort_N),
+        tension_only=trial.request is not None,
+    )
+    if trial.request is not None:
+        settled = trial.is_settled(setpoint.tension_N, tension_N)
+        if isinstance(settled, Refused):
+            trial.request, reel.answer = None, settled
+        elif settled:  # the next sample is the trial's first
+            reel.phase, trial.k = MotionPhase.TRIAL, 0
+            reel.guard.begin_trial(trial.request)
+            reel.control.use_trial(trial.request)
+    return effort
+
+
+def run(reel: Reel, time_s: float, tension_N: float) -> float:
+    """The gains of the trial, until its last sample; then hold."""
+    trial = reel.trial.under_way
+    setpoint_N = reel.trial.next_setpoint(time_s)
+    effort = reel.control.run(trial, setpoint_N, tension_N, reel.effort_N)
+    if reel.trial.k == trial.samples:
+        reel.end_trial(Outcome.DONE, "", trial.samples)
+    return effort
+
+
+def ramp(reel: Reel, _time_s: float, _tension_N: float) -> float:
+    """A ramp to the effort of the safe state; then stopped."""
+    target, step = reel.plan.safe.effort_N, reel.ramp_step_N
+    effort = reel.effort_N + step
+    if step == 0.0 or (target - effort) * step <= 0.0:
+        reel.phase = MotionPhase.STOPPED
+        return target
+    return effort
+
+
+def stay_safe(reel: Reel, _time_s: float, _tension_N: float) -> float:
+    """The effort of the safe state."""
+    return reel.plan.safe.effort_N
+
+
+# --- table ---
+
+Change = Callable[..., Any]
+"""A function of the reel and of what its event brings; that of a sample returns its effort."""
+
+_HOLD, _TRIAL, _TAKE_UP = (MotionPhase.HOLD,), (MotionPhase.TRIAL,), (MotionPhase.TAKE_UP,)
+_AT_REST = (MotionPhase.OFF, MotionPhase.STOPPED)
+
+TABLE: StateTable[MotionEvent, MotionPhase, Change] = StateTable(
+    MotionPhase,
+    {
+        MotionEvent.BEGIN: Row(
+            begin_from_rest, (begin_from_hold, _HOLD), ("a trial is running", _TRIAL)
+        ),
+        MotionEvent.SET_GAINS: Row(set_gains, (set_gains_later, _TRIAL)),
+        MotionEvent.CLEAR: Row(clear),
+        MotionEvent.STOP: Row(stop_at_rest, (stop_trial, _TRIAL), (stop_moving, _TAKE_UP + _HOLD)),
+        MotionEvent.ABORT: Row(abort_request, (abort_trial, _TRIAL)),
+        MotionEvent.SETPOINTS: Row(follow, (follow_from_rest, _AT_REST)),
+        MotionEvent.TRIP: Row(
+            "the guard only watches a reel that is moved",
+            (trip_in_take_up, _TAKE_UP),
+            (trip_in_hold, _HOLD),
+            (trip_in_trial, _TRIAL),
+        ),
+        MotionEvent.SAMPLE: Row(
+            rest,
+            (take_up, _TAKE_UP),
+            (hold, _HOLD),
+            (run, _TRIAL),
+            (ramp, (MotionPhase.RAMP,)),
+            (stay_safe, (MotionPhase.STOPPED,)),
+        ),
+    },
+)
+"""Function, or the reason why there is none, by event and phase."""
