@@ -17,8 +17,9 @@ from estune.remote import messages
 from estune.remote.messages import Answer, Description, Inquire, commands
 from estune.remote.state_machine import events
 from estune.remote.state_machine import rig as machine
+from estune.remote.state_machine.events import RigAction
 from estune.remote.state_machine.reply_codes import ReplyCode
-from estune.remote.state_machine.state import Mode, RigAction, RigState, Transition
+from estune.remote.state_machine.state import Mode, RigState, Transition
 from estune.remote.zenoh.listening_session import ListeningSession, Reply
 from estune.remote.zenoh.request_handler import Handled, RequestHandler
 from estune.trial import Rig, TrialRecord, TrialRequest
