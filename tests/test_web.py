@@ -16,6 +16,7 @@ from estune import tune
 from estune.errors import InvalidInput
 from estune.remote.zenoh import connect
 from estune.run.journal import Journal
+from estune.support.user import user_at_host
 from estune.web.board import Board, Seen
 from estune.web.reader import Reader
 from estune.web.rig_reader import RigReader
@@ -83,7 +84,11 @@ def test_numbers_that_are_not_finite_are_sent_as_null():
 def server():
     done = []
     view = View(
-        "reel", "rig", Board(), [], commands={"estop": lambda who: done.append(who) or "asked"}
+        "reel",
+        "rig",
+        Board(),
+        [],
+        commands={"estop": lambda who, _given: done.append(who) or "asked"},
     )
     server = PageServer(lambda: [view], may_command=True)
     server.done = done
@@ -131,7 +136,7 @@ def test_command_needs_the_key_and_a_known_name(server):
     assert server.done == []
     answer = ask(server, "/api/command", "POST", body, **with_key)
     assert json.loads(answer.text) == {"done": True, "sentence": "asked"}
-    assert server.done == ["the live page"]
+    assert server.done == [f"{user_at_host()} on the live page"]
 
 
 def test_server_without_leave_to_command_has_no_key_and_refuses():

@@ -20,7 +20,9 @@ from starlette.routing import Route
 from starlette.types import ASGIApp, Receive, Scope, Send
 
 from estune.errors import EstuneError, InvalidInput
+from estune.support.user import user_at_host
 from estune.web.board import Seen, to_json
+from estune.web.rig_actions import form
 from estune.web.views import View, Views
 
 UPDATE_S = 0.1
@@ -29,7 +31,8 @@ BEAT_S = 0.5
 """Interval at which a page is told that the server is there, and the age of the data."""
 PAGES_MAX = 100
 """Pages open at a time; browsers that were left behind are refused beyond it."""
-COMMAND_MAX_BYTES = 1024
+COMMAND_MAX_BYTES = 4096
+_LOCAL = ("127.0.0.1", "::1")
 _END_WITHIN_S = 5.0
 
 _TYPES = {"html": "text/html", "js": "text/javascript", "css": "text/css", "svg": "image/svg+xml"}
@@ -118,6 +121,7 @@ class PageServer:
                 Route("/api/views", self._list),
                 Route("/api/events", self._events),
                 Route("/api/tuning", self._tuning),
+                Route("/api/form", _form),
                 Route("/api/command", self._command, methods=["POST"]),
             ]
         )
@@ -176,21 +180,24 @@ class PageServer:
 
     async def _command(self, request: Request) -> Response:
         """Executes a command; its effect is shown by the state of the rig alone."""
-        given = request.headers.get("authorization", "").removeprefix("Bearer ")
-        if not self._key or not hmac.compare_digest(given.encode(), self._key.encode()):
+        token = request.headers.get("authorization", "").removeprefix("Bearer ")
+        if not self._key or not hmac.compare_digest(token.encode(), self._key.encode()):
             sentence = "this page may not command; start it with --allow-commands"
             return JSONResponse({"done": False, "sentence": sentence}, 403, headers=_HEADERS)
         try:
             asked = json.loads(await _body(request))
             view = await self._view(asked["view"])
             execute = view.commands[asked["command"]] if view is not None else None
-        except (ValueError, KeyError, TypeError):
-            execute = None
+            given = asked.get("arguments") or {}
+        except (ValueError, KeyError, TypeError, AttributeError):
+            execute, given = None, {}
         if execute is None:
             sentence = "there is no such command"
             return JSONResponse({"done": False, "sentence": sentence}, 400, headers=_HEADERS)
         try:
-            sentence = await run_in_threadpool(execute, "the live page")
+            client = request.client.host if request.client else "unknown"
+            name = client if client not in _LOCAL else user_at_host()
+            sentence = await run_in_threadpool(execute, f"{name} on the live page", given)
         except EstuneError as error:
             return JSONResponse({"done": False, "sentence": str(error)}, 409, headers=_HEADERS)
         return JSONResponse({"done": True, "sentence": sentence}, headers=_HEADERS)
@@ -237,6 +244,10 @@ async def _static(name: str, _request: Request) -> Response:
         return Response("there is no such file", 404)
     kind = _TYPES[name.rpartition(".")[2]]
     return Response(content, media_type=kind, headers=_HEADERS)
+
+
+async def _form(_request: Request) -> Response:
+    return JSONResponse(form(), headers=_HEADERS)
 
 
 async def _named_static(request: Request) -> Response:

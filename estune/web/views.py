@@ -4,7 +4,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from functools import partial
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 from estune.errors import InvalidInput, JournalError
 from estune.remote.messages.daemon import (
@@ -25,6 +25,7 @@ from estune.run.targets import is_endpoint
 from estune.web.board import Board
 from estune.web.daemon_reader import DaemonReader
 from estune.web.reader import Reader
+from estune.web.rig_actions import RigActions
 from estune.web.rig_reader import RigReader
 from estune.web.run_reader import RunReader
 from estune.web.tuning_source import TuningSource
@@ -34,8 +35,8 @@ LINK_S = 2.0
 RUNS_MAX = 100
 """Newest runs of a folder that are listed."""
 
-Execute = Callable[[str], str]
-"""Executes a command for somebody named; returns what is being done."""
+Execute = Callable[[str, Mapping[str, Any]], str]
+"""Executes a command for somebody named, with its arguments; returns what is being done."""
 
 
 class View:
@@ -58,8 +59,10 @@ class View:
         *,
         commands: Mapping[str, Execute] | None = None,
         tuning: TuningSource | None = None,
+        actions: RigActions | None = None,
     ) -> None:
         self.name = name
+        self._actions = actions
         self.tuning = tuning or TuningSource()
         self.kind = kind
         self.board = board
@@ -86,7 +89,9 @@ class View:
             old.end()
 
     def close(self) -> None:
-        """Ends the readers."""
+        """Ends the readers, and a tuning that was started on the page."""
+        if self._actions is not None:
+            self._actions.close()
         for reader in tuple(self._readers):
             reader.close()
 
@@ -100,6 +105,7 @@ def run_view(folder: Path, security: Security = OPEN) -> View:
     board = Board()
     readers: list[Reader] = [RunReader(board, folder)]
     commands: dict[str, Execute] = {}
+    actions = None
     with Journal.open(folder) as journal:
         target, rig = journal.fact("target"), journal.fact("rig")["name"]
     if is_endpoint(target):
@@ -107,8 +113,18 @@ def run_view(folder: Path, security: Security = OPEN) -> View:
         run, is_wanted = folder.name, partial(_is_running, board)
         reader = RigReader(board, connect_rig, run=run, is_wanted=is_wanted)
         readers.append(reader)
-        commands["estop"] = reader.estop
-    return View(folder.name, "run", board, readers, commands=commands, tuning=TuningSource(folder))
+        actions = _actions(board, target, rig, security, folder.parent)
+        kept = {name: actions.commands()[name] for name in ("resume", "stop")}
+        commands = {"estop": _stopping(reader), **kept}
+    return View(
+        folder.name,
+        "run",
+        board,
+        readers,
+        commands=commands,
+        tuning=TuningSource(folder),
+        actions=actions,
+    )
 
 
 def folder_views(folder: Path, security: Security = OPEN) -> Views:
@@ -153,8 +169,26 @@ def rig_view(
     board = Board()
     follow = _Follower(runs, rig)
     reader = RigReader(board, _connecting(endpoint, rig, security), on_run=follow)
-    follow.view = View(rig, "rig", board, [reader], commands={"estop": reader.estop})
+    commands: dict[str, Execute] = {"estop": _stopping(reader)}
+    actions = None
+    if runs is not None:
+        actions = _actions(board, endpoint, rig, security, runs)
+        commands |= actions.commands()
+    follow.view = View(rig, "rig", board, [reader], commands=commands, actions=actions)
     return follow.view
+
+
+def _stopping(reader: RigReader) -> Execute:
+    return lambda who, _given: reader.estop(who)
+
+
+def _actions(board: Board, endpoint: str, rig: str, security: Security, runs: Path) -> RigActions:
+    """Actions on a rig by whoever has the page's key."""
+
+    def connect_for(who: str) -> RemoteRig:
+        return connect(endpoint, rig, LINK_S, holder=who, security=security)
+
+    return RigActions(connect_for, board, endpoint, rig, runs, may_tune=security is OPEN)
 
 
 class _Follower:
@@ -237,11 +271,14 @@ def daemon_view(
 
     reader = DaemonReader(board, supervised, follow)
     readers: list[Reader] = [reader]
-    commands: dict[str, Execute] = {verb: partial(reader.command, verb) for verb in DAEMON_VERBS}
+    commands: dict[str, Execute] = {
+        verb: lambda who, _given, verb=verb: reader.command(verb, who)  # type: ignore[misc]
+        for verb in DAEMON_VERBS
+    }
     if is_endpoint(target):
         samples = RigReader(board, _connecting(target, rig, security))
         readers.append(samples)
-        commands["estop"] = samples.estop
+        commands["estop"] = _stopping(samples)
     view = View(rig, "daemon", board, readers, commands=commands)
     return view
 

@@ -20,15 +20,17 @@ function make(tag, properties = {}, ...children) {
 }
 
 export class Tuner {
-  // `data` is as of estune.run.results.tuning_data; `live` are the gains to compare with.
-  constructor(container, data, live = null) {
+  // `data` is as of estune.run.results.tuning_data; `live` are the gains to compare with, `act`
+  // sends a command to the rig where that is allowed.
+  constructor(container, data, live = null, act = null) {
+    this.act = act;
     this.data = data;
     this.container = container;
     this.base = live ?? data.gains.tuned ?? data.gains.initial;
     this.baseName = live ? "live gains" : data.gains.tuned ? "tuned gains" : "initial gains";
     this.limits = { ...data.limits };
     this.effort = 0; // decades of the weight of the effort
-    this.gains = { ...this.base };
+    this.gains = { ...(data.gains.tuned ?? this.base) };
     this.times = []; // of each move until it is drawn, ms
     const { sampling_Hz } = data.controller, { samples, step_index } = data.trial;
     this.time = Float64Array.from({ length: samples }, (_, k) => (k - step_index) / sampling_Hz);
@@ -103,6 +105,9 @@ export class Tuner {
     this.buttons = make("div", { className: "buttons" },
       button("Optimum for these limits", () => this.move(() => this.solve({}))), this.compare,
       button("Copy gains", () => this.copy()), this.form);
+    if (this.act)
+      this.buttons.append(button("Try these gains once", () => this.act("try", { gains: this.gains })),
+        button("Apply\u2026", () => this.confirmed() && this.act("apply", { gains: this.gains, instead_of: this.base })));
     this.numbers = make("table", {});
     const figures = make("div", { className: "grid" });
     const figure = () => figures.appendChild(make("figure", {}));
@@ -240,6 +245,17 @@ export class Tuner {
 
   resampled({ every, ...one }, name) {
     return Array.from(this.time, (_, k) => (k % every ? null : one[name][k / every] ?? null));
+  }
+
+  // Whether somebody agrees to make the gains live, seeing what changes and which limits break.
+  confirmed() {
+    if (this.baseName !== "live gains") {
+      this.said.textContent = "the rig's live gains are not known yet: without a link nothing can be applied";
+      return false;
+    }
+    const lines = NAMES.map((name) => `${this.data.labels[name]}: ${short(this.base[name], 4)} \u2192 ${short(this.gains[name], 4)}`);
+    const warning = this.broken ? "\n\nThe model predicts that these gains break a limit." : "";
+    return confirm(`Make these gains live on the rig?\n\n${lines.join("\n")}${warning}`);
   }
 
   async copy() {

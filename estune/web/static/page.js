@@ -1,5 +1,6 @@
 // The page: follows one view by server-sent events, and draws what has changed.
 
+import { openForm } from "./form.js";
 import { Sections } from "./sections.js";
 import { TuningSection } from "./tuning.js";
 
@@ -148,7 +149,7 @@ const DONE = {
 };
 let pending = null;
 
-async function command(name) {
+async function command(name, given) {
   pending = null;
   text($("answer"), `${name}: sent, not confirmed yet`);
   $("commands").hidden = false;
@@ -157,19 +158,18 @@ async function command(name) {
     const reply = await fetch("api/command", {
       method: "POST",
       headers: { Authorization: `Bearer ${key}`, "Content-Type": "application/json" },
-      body: JSON.stringify({ view, command: name }),
+      body: JSON.stringify({ view, command: name, arguments: given }),
     });
     answer = await reply.json();
   } catch {
     answer = { done: false, sentence: "the page's server does not answer" };
     if (name === "estop") answer.sentence += ": the rig must be taken as not stopped; cut its power";
   }
-  if (!answer.done) {
-    text($("answer"), `${name}: not done: ${answer.sentence}`);
-    return;
-  }
-  text($("answer"), `${name}: ${answer.sentence}; waiting for the rig to confirm`);
-  pending = name;
+  if (!answer.done) text($("answer"), `${name}: not done: ${answer.sentence}`);
+  else if (kind === "daemon" || name === "estop") {
+    text($("answer"), `${name}: ${answer.sentence}; waiting for the rig to confirm`);
+    pending = name;
+  } else text($("answer"), `${name}: ${answer.sentence}`); // the server has asked the rig
 }
 
 function confirm(values) {
@@ -180,15 +180,21 @@ function confirm(values) {
 }
 
 function showCommands() {
-  const others = allowed.filter((name) => name !== "estop");
   $("commands").hidden = !allowed.length;
-  document.querySelector("#commands .buttons").replaceChildren(...others.map((name) => {
+  const label = (name) => (kind === "daemon" ? name[0].toUpperCase() + name.slice(1) : BUTTONS[name]);
+  const shownHere = allowed.filter((name) => name !== "estop" && (name !== "resume" || kind !== "rig") && label(name));
+  document.querySelector("#commands .buttons").replaceChildren(...shownHere.map((name) => {
     const button = document.createElement("button");
-    button.textContent = name[0].toUpperCase() + name.slice(1);
-    button.addEventListener("click", () => command(name));
+    button.textContent = label(name);
+    button.addEventListener("click", () => {
+      if (kind !== "daemon" && name === "tune") openForm((settings) => command("tune", { settings }));
+      else command(name, name === "resume" && kind === "run" ? { run: view } : undefined);
+    });
     return button;
   }));
+  tuning.act = kind !== "daemon" && allowed.includes("try") ? command : null;
 }
+const BUTTONS = { tune: "Start a tuning\u2026", stop: "Stop the tuning", resume: "Resume this run", reset: "Reset the emergency stop" };
 $("estop").addEventListener("click", () => command("estop"));
 
 async function list() {

@@ -6,6 +6,7 @@ const $ = (id) => document.getElementById(id);
 export class TuningSection {
   constructor() {
     this.tuner = null;
+    this.act = null; // sends a command, where the page may
     $("tuning").addEventListener("toggle", () => this.load());
     if (new URLSearchParams(location.search).has("tune")) $("tuning").open = true;
   }
@@ -45,7 +46,7 @@ export class TuningSection {
     $("tuning-text").textContent = answer.reason;
     if (!answer.data || (this.tuner && this.tuner.touched)) return; // nobody's sliders are taken away
     this.tuner?.close();
-    this.tuner = new Tuner($("tuner"), answer.data, this.live);
+    this.tuner = new Tuner($("tuner"), answer.data, this.live, this.act);
     $("tuner").tuner = this.tuner;
   }
 }

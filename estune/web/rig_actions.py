@@ -1,0 +1,245 @@
+"""What a page may do with a rig: try gains, apply them, reset a stop, tune. Each action is noted.
+
+An action is that of any client: it asks the rig for its lease, and is refused where another has
+it. A tuning is the command `estune tune` in a process of its own.
+"""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import threading
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+from estune.core.cost import cost_from
+from estune.core.gains import GAIN_NAMES, Gains
+from estune.errors import EstuneError, InvalidInput, RigError
+from estune.remote.zenoh import RemoteRig
+from estune.run.journal import FILE_NAME, being_written
+from estune.run.toml_tables import COST, LIMITS, SEARCH, STEP
+from estune.support.quantity_text import time_text
+from estune.trial import Outcome, RigDescription, TrialRecord, TrialRequest
+from estune.trial.scoring import cost_of, metrics_of
+from estune.web.board import Board
+from estune.web.run_reader import curve
+
+Arguments = Mapping[str, Any]
+FORM = (("Search", SEARCH), ("Limits", LIMITS), ("Step", STEP), ("Cost", COST))
+"""Settings of a tuning, by the group of the form."""
+NOTES = "actions.jsonl"
+"""File in the folder of runs to which each action adds a line."""
+NAMES = {"preset": "--cost"}
+"""Settings whose option is not their name."""
+_END_WITHIN_S = 10.0
+
+
+@dataclass(eq=False)
+class RigActions:
+    """Actions on one rig, one at a time.
+
+    Attributes:
+        connect: Opens the rig for somebody named.
+        board: The board of the rig's page.
+        endpoint: Address of the rig.
+        rig: Its name.
+        folder: Folder of runs.
+        may_tune: Whether a process of its own could connect: credentials are not handed on.
+    """
+
+    connect: Callable[[str], RemoteRig]
+    board: Board
+    endpoint: str
+    rig: str
+    folder: Path
+    may_tune: bool = True
+    _busy: threading.Lock = field(default_factory=threading.Lock)
+    _tuning: "subprocess.Popen[str] | None" = None
+    _noted: int = 0
+
+    def commands(self) -> dict[str, Callable[[str, Arguments], str]]:
+        """The actions by name."""
+        return {
+            "try": self.try_gains,
+            "apply": self.apply,
+            "reset": self.clear,
+            "tune": self.tune,
+            "stop": self.stop,
+            "resume": self.resume,
+        }
+
+    def try_gains(self, who: str, given: Arguments) -> str:
+        """Runs one trial with some gains; the rig then restores its live ones."""
+        gains = _gains(given.get("gains"))
+
+        def act(rig: RemoteRig) -> str:
+            before = rig.describe()
+            run = f"page-{datetime.now().astimezone():%Y%m%d-%H%M%S}"
+            record = rig.run(TrialRequest(run, 0, gains, before.step))
+            after = rig.describe().gains
+            self.board.put(
+                "curve.tried", curve(record, before) | {"gains": list(gains.as_tuple())}
+            )
+            if after != before.gains:
+                raise RigError(f"the rig runs {after}, not its gains from before: {before.gains}")
+            return f"{_sentence(record, before)}; the rig has its live gains again"
+
+        return self._noted_action("try", who, gains, act)
+
+    def apply(self, who: str, given: Arguments) -> str:
+        """Makes gains live that somebody has confirmed, seeing those that they replace."""
+        gains, seen = _gains(given.get("gains")), _gains(given.get("instead_of"))
+
+        def act(rig: RemoteRig) -> str:
+            before = rig.describe().gains
+            if before != seen:
+                raise RigError(f"the live gains have changed meanwhile, to {before}; look again")
+            rig.apply(gains)
+            after = rig.describe().gains
+            if after != gains:
+                raise RigError(f"the rig runs {after}, not the requested gains; check the rig")
+            return f"the rig confirms: these gains are live, instead of {before}"
+
+        return self._noted_action("apply", who, gains, act)
+
+    def clear(self, who: str, _given: Arguments) -> str:
+        """Resets the emergency stop."""
+
+        def act(rig: RemoteRig) -> str:
+            rig.clear()
+            return "the emergency stop is reset"
+
+        return self._noted_action("reset", who, None, act)
+
+    def tune(self, who: str, given: Arguments) -> str:
+        """Starts a tuning with the settings of a form; empty ones are the rig's or the default."""
+        options = list(_options(given.get("settings") or {}))
+        run = f"page-{datetime.now().astimezone():%Y%m%d-%H%M%S}"
+        named = ("--run", run, "--folder", str(self.folder), "--rig", self.rig)
+        self._start("tune", self.endpoint, *named, "--quiet", *options)
+        return self._note("tune", who, f"run {run} begins {' '.join(options)}".strip())
+
+    def resume(self, who: str, given: Arguments) -> str:
+        """Continues a run that was stopped or interrupted."""
+        folder = self.folder / str(given.get("run", ""))
+        if folder.parent != self.folder or not (folder / FILE_NAME).is_file():
+            raise InvalidInput(f"there is no run {given.get('run')!r} in {self.folder}")
+        if being_written(folder):
+            raise InvalidInput(f"run {folder.name} is running already")
+        self._start("resume", str(folder), "--quiet")
+        return self._note("resume", who, f"run {folder.name} continues")
+
+    def stop(self, who: str, _given: Arguments) -> str:
+        """Stops the tuning that was started here; it can be resumed."""
+        process = self._tuning
+        if process is None or process.poll() is not None:
+            raise InvalidInput(
+                "no tuning was started on this page; stop one in its own terminal with Ctrl-C, or "
+                "the rig with the emergency stop"
+            )
+        process.send_signal(signal.SIGINT)
+        return self._note("stop", who, "the tuning ends, and the rig restores its live gains")
+
+    def close(self) -> None:
+        """Stops the tuning that was started here, and waits until the rig is restored."""
+        process = self._tuning
+        if process is not None and process.poll() is None:
+            process.send_signal(signal.SIGINT)
+            process.wait(_END_WITHIN_S)
+
+    def _noted_action(
+        self, name: str, who: str, gains: Gains | None, act: Callable[[RemoteRig], str]
+    ) -> str:
+        if not self._busy.acquire(blocking=False):
+            raise RigError("another action of this page is under way at the rig; wait for it")
+        try:
+            self._note(name, who, f"asked{f' for {gains}' if gains else ''}")
+            try:
+                with self.connect(who) as rig:
+                    sentence = act(rig)
+            except EstuneError as error:
+                self._note(name, who, f"not done: {error}")
+                raise
+            return self._note(name, who, sentence)
+        finally:
+            self._busy.release()
+
+    def _start(self, *words: str) -> None:
+        if not self.may_tune:
+            raise InvalidInput(
+                "this rig needs credentials; start the tuning in a terminal: estune tune "
+                f"{self.endpoint} --security FILE"
+            )
+        if self._tuning is not None and self._tuning.poll() is None:
+            raise InvalidInput("a tuning that was started here is still running; stop it first")
+        self.folder.mkdir(parents=True, exist_ok=True)
+        command = [sys.executable, "-P", "-m", "estune", *words]
+        self._tuning = subprocess.Popen(  # noqa: S603  our own interpreter and module
+            *(command,), stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True
+        )
+        threading.Thread(target=self._follow, args=(self._tuning,), daemon=True).start()
+
+    def _follow(self, process: "subprocess.Popen[str]") -> None:
+        """Notes how a tuning ended, with the last line that it printed if it failed."""
+        _, text = process.communicate()
+        lines = [line.strip() for line in text.splitlines() if line.strip()]
+        why = f": {lines[-1]}" if lines and process.returncode else ""
+        self._note("tune", "estune", f"the tuning has ended with code {process.returncode}{why}")
+
+    def _note(self, name: str, who: str, sentence: str) -> str:
+        """Adds an action to the file of notes and to the page."""
+        at = datetime.now().astimezone().isoformat(timespec="milliseconds")
+        note = {"at": at, "who": who, "rig": self.rig, "action": name, "sentence": sentence}
+        self.folder.mkdir(parents=True, exist_ok=True)
+        with (self.folder / NOTES).open("a", encoding="utf-8") as file:
+            file.write(json.dumps(note) + "\n")
+            file.flush()
+            os.fsync(file.fileno())
+        self._noted += 1
+        self.board.extend("events", [(self._noted, at, name, f"{who}: {sentence}")])
+        return sentence
+
+
+def form() -> list[dict[str, Any]]:
+    """The settings of a tuning for a form, from their one declaration."""
+    return [
+        {"title": title, "settings": [m.to_json() for m in group.members if m.name != "bounds"]}
+        for title, group in FORM
+    ]
+
+
+def _options(settings: Mapping[str, Any]) -> Iterator[str]:
+    """Settings as options of `estune tune`, which checks their values.
+
+    Raises:
+        InvalidInput: there is no such setting.
+    """
+    known = {m["name"] for group in form() for m in group["settings"]}
+    for name, value in settings.items():
+        if name not in known:
+            raise InvalidInput(f"there is no setting {name!r}; one of: {', '.join(sorted(known))}")
+        if str(value).strip():
+            option = NAMES.get(name, f"--{name.replace('_', '-')}")
+            yield f"{option}={str(value).strip()}"
+
+
+def _gains(given: Any) -> Gains:
+    try:
+        return Gains(*(float(given[name]) for name in GAIN_NAMES))
+    except (TypeError, KeyError, ValueError) as error:
+        raise InvalidInput(f"give a number for each of {', '.join(GAIN_NAMES)}") from error
+
+
+def _sentence(record: TrialRecord, rig: RigDescription) -> str:
+    """How a trial went."""
+    if record.outcome is not Outcome.DONE:
+        return f"the trial ended early: {record.reason or record.outcome}"
+    cost = cost_from("paper", rig.settling_time_s).scaled(rig.effort_scale)
+    shown = cost_of(record, rig.step, cost, rig.newtons_per_ampere)
+    response = metrics_of(record, rig.step)
+    rise = time_text(response.rise_time_s) if response.rise_time_s > 0.0 else "not reached"
+    return f"trial done: cost {shown:.3g}, rise {rise}, overshoot {response.overshoot:.1%}"
