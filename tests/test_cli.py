@@ -341,7 +341,6 @@ QUIET = ("--quiet", "--folder")
         (("--eta-max", "nan"), "eta_max is nan"),
         (("--run", "a/b"), "run name 'a/b'"),
         (("--tuner", "magic"), "the tuners are model_based, "),
-        (("--tuner", "newton"), "is now called safe_bayesian"),
         (("--tolerance", "little"), "tolerance: 'little' is not a number"),
         (("--tolerance", "200%"), "tolerance is 2.0; it must be finite and from 0 to below 1"),
         (("--ask",), "needs a terminal for its prompt"),

@@ -1,7 +1,7 @@
 """The daemon's store: its contents survive reopening, old files open, its size is bounded."""
 
 import shutil
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -52,22 +52,8 @@ def test_store_holds_after_reopening_what_was_written(tmp_path):
         store.close()
 
 
-def test_store_of_the_first_version_is_migrated(tmp_path):
-    store = DaemonStore.open(tmp_path, "drum")
-    state = SupervisorState(Goal.HOLD, GainSet.ACCEPTED, "better")
-    with store.transaction():
-        store.set_fact("life", asdict(state) | {"wanted": "candidate"})
-        for column in ("alarm_low", "alarm_high"):
-            store._file._connection.execute(f"ALTER TABLE check_trial DROP COLUMN {column}")
-        store._file._connection.execute("PRAGMA user_version=1")
-    store.close()
-    store = DaemonStore.open(tmp_path, "drum")
-    assert store.state == state
-    store.close()
-
-
-def test_store_of_a_released_daemon_opens_with_all_it_holds(tmp_path):
-    """Made by the daemon before the layout changed: tuned, accepted, four checks, paused."""
+def test_store_of_version_0_1_0_opens_with_all_it_holds(tmp_path):
+    """Tuned, accepted, four checks, paused."""
     shutil.copy(ASSETS / "daemon_state" / "daemon.sqlite", tmp_path)
     store = DaemonStore.open(tmp_path, "drum")
     accepted = Gains(3.75726, 29.2887, 0.00388863, 0.0040028)

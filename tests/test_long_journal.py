@@ -35,7 +35,6 @@ def frame() -> bytes:
 def test_compressed_frame_is_smaller_and_restored_bit_for_bit(frame):
     assert decompress(compress(frame)) == frame
     assert len(compress(frame)) < 0.6 * len(frame)
-    assert decompress(frame) == frame  # of a journal of the first schema
 
 
 @pytest.mark.parametrize("values", [np.nan, np.inf, -0.0, 5e-324])
@@ -142,15 +141,6 @@ def test_ring_keeps_latest_records_and_all_costs(tmp_path):
         assert [entry.cost for entry in journal.entries()] == [2.0] * 20
         with pytest.raises(JournalError, match="keeps the latest 5"):
             journal.record(request(7).trial_id)
-
-
-def test_old_uncompressed_journal_opens_and_its_records_are_read(tmp_path):
-    shutil.copy(OLD, tmp_path / FILE_NAME)
-    with Journal.open(tmp_path) as journal:
-        entries = journal.entries()
-        assert [entry.margin for entry in entries] == [None] * len(entries)
-        assert journal.stored_trial_ids() == [entry.trial_id for entry in entries]
-        assert all(journal.record(entry.trial_id).time_s.size for entry in entries)
 
 
 @pytest.mark.parametrize("large", [0, 2**40])

@@ -147,9 +147,9 @@ def test_cell_key_depends_on_the_model_but_not_its_folder(tmp_path):
     assert not set(here) & set(keys(tmp_path / "here", "[reel]\ngauge_noise_N = 0.1\n"))
 
 
-def test_stored_sweep_of_an_earlier_version_continues_without_reruns(tmp_path, monkeypatch):
+def test_stored_sweep_of_version_0_1_0_continues_without_reruns(tmp_path, monkeypatch):
     monkeypatch.setattr("estune.studies.sweep.cells.version", lambda _: "0.1.0")
-    shutil.copy(Path(__file__).parent / "assets" / "sweep_v1.sqlite", tmp_path / "sweep.sqlite")
+    shutil.copy(Path(__file__).parent / "assets" / "sweep_0_1_0.sqlite", tmp_path / "sweep.sqlite")
     design = {
         "lengths_m": [0.5, 1.4],
         "rigs": ["tests.support_sweep:fragile"],
@@ -160,7 +160,7 @@ def test_stored_sweep_of_an_earlier_version_continues_without_reruns(tmp_path, m
     rerun: list[CellOutcome] = []
     outcomes = run_sweep(tmp_path, design, watch=rerun.append).outcomes
     assert not rerun
-    assert [o.cell.key for o in outcomes] == ["cb3fa07925f723c2308a", "9d0a29c49ef4b5cdff4c"]
+    assert [o.cell.key for o in outcomes] == ["5e784216e4751fa67ecb", "0733762894063d71cf1d"]
     assert [o.trace.shape for o in outcomes] == [(16, 7), (16, 7)]
 
 

@@ -1,4 +1,4 @@
-"""Tuners by name, and plans stored by this version and by older ones."""
+"""Tuners by name, and their stored form."""
 
 import json
 import math
@@ -87,9 +87,7 @@ def test_page_of_tuners_lists_the_table():
 @pytest.mark.parametrize(
     ("name", "message"),
     [
-        ("newton", "safe_bayesian"),
         ("optuna", "the tuners are model_based, "),
-        ("bobyqa", "the tuners are model_based, "),
         ("nowhere:Thing", "no module 'nowhere'"),
         (f"{__name__}:Nothing", "has no 'Nothing'"),
         (f"{__name__}:NotATuner", "must be a dataclass with the methods start, ask"),
@@ -102,84 +100,9 @@ def test_unknown_tuner_is_refused_with_a_remedy(name, message):
         tuner_class(name)
 
 
-def test_old_plan_of_newton_becomes_safe_bayesian_with_its_settings():
-    old = {
-        "kind": "estune.core.tuners.newton:Newton",
-        "name": "newton",
-        "space": STORED_SPACE,
-        "first_radius": 0.11,
-        "wide_reach": 0.12,
-        "near_reach": 0.13,
-        "near_rise": 0.14,
-        "wide_trials": 8,
-        "wide_curiosity": 2.1,
-        "near_curiosity": 2.2,
-        "last_curiosity": 2.3,
-        "safe_ratio": 1.31,
-        "wide_safe_rise": 1.32,
-        "near_safe_rise": 1.33,
-        "look_reach": 0.15,
-        "look_rise": 0.16,
-        "margin_least": 0.17,
-        "memory": 500,
-    }
-    tuner = tuner_from_stored(old)
-    settings = {k: v for k, v in stored_form(tuner).items() if k not in ("kind", "name", "space")}
-    assert list(settings.values()) == [
-        *(
-            0.11,
-            0.12,
-            0.13,
-            0.14,
-            8,
-            "expected",
-            2.1,
-            2.2,
-            2.3,
-            1.31,
-            1.32,
-            1.33,
-            0.15,
-            0.16,
-            0.17,
-            500,
-        )
-    ]
-    assert tuner.name == tuner_name(old) == "safe_bayesian"
-
-
-@pytest.mark.parametrize(
-    ("kind", "name"),
-    [
-        ("estune.core.tuners.otis:Otis", "otis"),
-        ("estune.core.tuners.killingsworth:Killingsworth", "killingsworth"),
-        ("estune.core.tuners.phase_compensated:PhaseCompensated", "phase_compensated"),
-        (
-            "estune.core.tuners.least_squares_gradient:LeastSquaresGradient",
-            "least_squares_gradient",
-        ),
-        ("estune.tuners.safe_bayesian:SafeBayesianTuner", "safe_bayesian"),
-    ],
-)
-def test_old_plan_by_module_and_class_gives_the_registered_tuner(kind, name):
-    tuner = create_tuner(name, SPACE)
-    if name == "safe_bayesian":
-        tuner = replace(tuner, global_noise="expected")  # as it was then
-    assert tuner_from_stored({"kind": kind, "space": STORED_SPACE}) == tuner
-
-
-def test_old_plan_of_level_seeker_becomes_target_cost_tuner():
-    path = {"names": ["K"], "start": [1.0], "low": [0.05], "high": [1.0], "form": "standard"}
-    old = {"kind": "estune.matching.level_seeker:LevelSeeker", "space": path, "target": 1.5}
-    assert type(tuner_from_stored({**old, "name": "level_seeker"})).__name__ == "TargetCostTuner"
-
-
 @pytest.mark.parametrize(
     ("values", "message"),
     [
-        ({"kind": "estune.outside.optuna_tpe:OptunaTpe", "seed": 0}, "tuner optuna is no longer"),
-        ({"kind": "estune.outside.bobyqa:Bobyqa"}, "tuner bobyqa is no longer"),
-        ({"kind": "estune.joint.schedule_tuner:ScheduleTuner"}, "tuner schedule is no longer"),
         ({"kind": "estune.core.tuners.gone:Gone"}, "another version"),
         ({"kind": "otis", "boldness": 2.0}, "settings of another version: boldness"),
         ({"kind": "otis", "washout_h": 2.0}, "washout_h"),

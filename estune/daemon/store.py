@@ -45,16 +45,10 @@ CREATE TABLE command (
 );
 CREATE TABLE check_trial (
     number INTEGER NOT NULL, attempt INTEGER NOT NULL, asked_at TEXT NOT NULL, outcome TEXT,
-    cost REAL, sign TEXT, told_at TEXT, PRIMARY KEY (number, attempt)
+    cost REAL, sign TEXT, told_at TEXT, alarm_low REAL, alarm_high REAL,
+    PRIMARY KEY (number, attempt)
 ) WITHOUT ROWID;
 CREATE TABLE check_record (number INTEGER PRIMARY KEY, record BLOB NOT NULL)
-""",
-    """
-UPDATE fact SET value = json_remove(value, '$.wanted') WHERE key = 'life'
-""",
-    """
-ALTER TABLE check_trial ADD COLUMN alarm_low REAL;
-ALTER TABLE check_trial ADD COLUMN alarm_high REAL
 """,
 )
 _KIND = FileKind(

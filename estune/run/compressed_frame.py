@@ -26,13 +26,11 @@ def compress(frame: bytes) -> bytes:
 
 
 def decompress(data: bytes) -> bytes:
-    """The record frame of `compress`; frames that are not compressed are returned as they are.
+    """The record frame of `compress`.
 
     Raises:
         ProtocolError: the data are damaged.
     """
-    if data[:3] == record_frame.FAMILY:
-        return data
     stream = zlib.decompressobj()
     try:
         frame = stream.decompress(data, record_frame.MAX_BYTES + 1)

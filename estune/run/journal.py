@@ -21,20 +21,16 @@ from estune.trial import Outcome, TrialRecord, TrialRequest, record_frame
 FILE_NAME = "run.sqlite"
 
 VERSIONS = (
+    # Records have a table of their own, so that the trials are read without them.
     """
 CREATE TABLE run (key TEXT PRIMARY KEY, value TEXT NOT NULL) WITHOUT ROWID;
 CREATE TABLE trial (
     number INTEGER NOT NULL, attempt INTEGER NOT NULL, trial_id TEXT NOT NULL UNIQUE,
     phase TEXT NOT NULL, P REAL NOT NULL, I REAL NOT NULL, D REAL NOT NULL,
     setpoint_filter_s REAL NOT NULL, asked_at TEXT NOT NULL,
-    outcome TEXT, reason TEXT, cost REAL, told_at TEXT, record BLOB,
+    outcome TEXT, reason TEXT, cost REAL, margin REAL, told_at TEXT,
     PRIMARY KEY (number, attempt)
-)
-""",
-    # Records have a table of their own, so that the trials are read without them. Those of the
-    # first schema stay in `trial.record`, as they are.
-    """
-ALTER TABLE trial ADD COLUMN margin REAL;
+);
 CREATE TABLE record (
     number INTEGER NOT NULL, attempt INTEGER NOT NULL, frame BLOB NOT NULL,
     PRIMARY KEY (number, attempt)
@@ -67,7 +63,7 @@ class JournalEntry(NamedTuple):
         outcome: How it ended; None while it is under way.
         reason: The outcome in words.
         cost: Its cost; nan where there is none.
-        margin: Its constraint margin; None where only its record shows it.
+        margin: Its constraint margin; infinite while the trial is under way.
     """
 
     number: int
@@ -78,7 +74,7 @@ class JournalEntry(NamedTuple):
     outcome: Outcome | None = None
     reason: str = ""
     cost: float = math.nan
-    margin: float | None = None
+    margin: float = math.inf
 
     @property
     def gains(self) -> Gains:
@@ -218,7 +214,8 @@ class Journal:
                 skip,
             )
             for n, attempt, name, phase, P, I, D, filter_s, outcome, reason, cost, margin in rows:
-                ending = _OUTCOMES[outcome], reason or "", nan if cost is None else cost, margin
+                numbers = nan if cost is None else cost, math.inf if margin is None else margin
+                ending = _OUTCOMES[outcome], reason or "", *numbers
                 gains = P, I, D, filter_s
                 entries.append(JournalEntry(n, attempt, name, _PHASES[phase], gains, *ending))
         return entries
@@ -230,11 +227,10 @@ class Journal:
             JournalError: the run holds no record of that trial, or a damaged one.
         """
         rows = self._file.rows(
-            "SELECT COALESCE(frame, record) FROM trial LEFT JOIN record USING (number, attempt)"
-            " WHERE trial_id=?",
+            "SELECT frame FROM trial JOIN record USING (number, attempt) WHERE trial_id=?",
             trial_id,
         )
-        if not rows or rows[0][0] is None:
+        if not rows:
             kept = f"; it keeps the latest {self._records_max}" if self._records_max else ""
             raise JournalError(f"{self.folder} holds no record of trial {trial_id}{kept}")
         try:
@@ -248,8 +244,8 @@ class Journal:
     def stored_trial_ids(self) -> list[str]:
         """The ids of the trials of which there is a record, in order."""
         rows = self._file.rows(
-            "SELECT trial_id FROM trial LEFT JOIN record USING (number, attempt)"
-            " WHERE COALESCE(record.rowid, trial.record) IS NOT NULL ORDER BY number, attempt"
+            "SELECT trial_id FROM trial JOIN record USING (number, attempt)"
+            " ORDER BY number, attempt"
         )
         return [trial_id for (trial_id,) in rows]
 

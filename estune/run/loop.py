@@ -166,7 +166,7 @@ def session_after(tuning: TuningRun, entry: JournalEntry, journal: Journal) -> S
     """The session after a trial of the journal; the same if the trial is under way."""
     if entry.outcome is None:
         return tuning.session
-    if tuning.plan.needs_records or entry.margin is None:
+    if tuning.plan.needs_records:
         record = journal.record(entry.trial_id)
         margin = constraint_margin(record, tuning.description)
         return _advanced(tuning, record, entry.cost, margin)

@@ -8,10 +8,9 @@ It is a dataclass with the methods of `Tuner` whose fields all have defaults, bu
     values = tuner_to_stored(tuner)         # {"kind": "otis", "space": {...}, settings ...}
     tuner = tuner_from_stored(values)       # JournalError where that is not possible
 
-The stored kind is the registered name, or "module:Class" of a tuner outside the table. Plans
-stored before tuners had registered names give module and class of that time, and the settings
-names of that time; `tuner_from_stored` reads both. `tuner_name(values)` and `tuner_space(values)`
-work for every stored tuner, also for one that can no longer be made.
+The stored kind is the registered name, or "module:Class" of a tuner outside the table.
+`tuner_name(values)` and `tuner_space(values)` work for every stored tuner, also for one that
+cannot be made here.
 """
 
 import dataclasses
@@ -83,37 +82,6 @@ TUNERS: Final[dict[str, RegisteredTuner]] = {
 DEFAULT_TUNER: Final = "model_based"
 """The tuner of a run for which none is named."""
 
-_RENAMED: Final = {"newton": "safe_bayesian"}
-_REMOVED: Final = {"OptunaTpe": "optuna", "Bobyqa": "bobyqa", "ScheduleTuner": "schedule"}
-_OLD_KINDS: Final = {
-    "Newton": "safe_bayesian",
-    "LevelSeeker": "estune.studies.match.target_cost_tuner:TargetCostTuner",
-    **{entry.kind.__name__: name for name, entry in TUNERS.items()},
-}
-"""Stored kind by the class name in plans that give module and class of a tuner of estune."""
-
-_OLD_SETTINGS: Final = {
-    "safe_bayesian": {
-        "first_radius": "initial_radius",
-        "wide_reach": "global_radius",
-        "near_reach": "local_radius",
-        "near_rise": "local_rise",
-        "wide_trials": "global_trials",
-        "wide_curiosity": "global_exploration",
-        "near_curiosity": "local_exploration",
-        "last_curiosity": "final_exploration",
-        "wide_safe_rise": "global_safe_ratio",
-        "near_safe_rise": "local_safe_ratio",
-        "look_reach": "probe_radius",
-        "look_rise": "probe_rise",
-        "margin_least": "constraint_margin_min",
-    }
-}
-
-
-_SETTINGS_BEFORE: Final = {"safe_bayesian": {"global_noise": "expected"}}
-"""Values of settings before they had a name: plans without them go on as they began."""
-
 
 def tuner_class(name: str) -> type[Any]:
     """The class of a registered tuner, or of a user's own by "module:Class".
@@ -123,8 +91,6 @@ def tuner_class(name: str) -> type[Any]:
     """
     if name in TUNERS:
         return TUNERS[name].kind
-    if name in _RENAMED:
-        raise InvalidInput(f"tuner {name!r} is now called {_RENAMED[name]}; use that name")
     module, colon, attribute = name.partition(":")
     if not colon:
         raise InvalidInput(
@@ -186,14 +152,11 @@ def tuner_from_stored(values: dict[str, Any]) -> Tuner[Any]:
         JournalError: the tuner is not part of this version, or its settings are not.
     """
     stored = dict(values)
-    name = _present_kind(str(stored.pop("kind", "")))
+    name = str(stored.pop("kind", ""))
     try:
         kind = tuner_class(name)
         if name in TUNERS:
             stored.pop("name", None)  # the registered name stands for it
-            renamed = _OLD_SETTINGS.get(name, {})
-            stored = {renamed.get(key, key): value for key, value in stored.items()}
-            stored = {**_SETTINGS_BEFORE.get(name, {}), **stored}
         unknown = stored.keys() - {field.name for field in dataclasses.fields(kind)}
         if unknown:
             raise JournalError(
@@ -217,9 +180,7 @@ def tuner_name(values: dict[str, Any]) -> str:
     kind = values.get("kind")
     if not isinstance(kind, str):
         raise JournalError("the stored plan names no tuner; it is of another version")
-    _, _, class_name = kind.partition(":")
-    name = _OLD_KINDS.get(class_name, kind)
-    return name if name in TUNERS else str(values.get("name", kind))
+    return kind if kind in TUNERS else str(values.get("name", kind))
 
 
 def tuner_space(values: dict[str, Any]) -> SearchSpace:
@@ -234,20 +195,3 @@ def tuner_space(values: dict[str, Any]) -> SearchSpace:
         raise JournalError(
             f"the stored search space cannot be read ({error}); it is of another version"
         ) from error
-
-
-def _present_kind(kind: str) -> str:
-    """The kind that this version stores for the same tuner.
-
-    Raises:
-        JournalError: the tuner is no longer part of estune.
-    """
-    module, colon, class_name = kind.partition(":")
-    if not colon or module.partition(".")[0] != "estune":
-        return kind
-    if class_name in _REMOVED:
-        raise JournalError(
-            f"tuner {_REMOVED[class_name]} is no longer part of estune, so its search cannot go "
-            "on; continue with the version that began it, or begin a new run"
-        )
-    return _OLD_KINDS.get(class_name, kind)

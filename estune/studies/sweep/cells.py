@@ -32,9 +32,6 @@ LENGTH_TOLERANCE_m = 1e-3
 KEY_LENGTH = 20
 """Length of a key."""
 
-_NAME_IN_KEYS = {"safe_bayesian": "newton"}
-"""Tuner names as cell keys have them: keys on disk are older than a tuner's present name."""
-
 
 @dataclass(frozen=True, slots=True)
 class Cell:
@@ -231,8 +228,6 @@ def _places_at(
     step = _step(design, description, tension, cost)
     start = _start(design.start, description, step, cost)
     search = design.search
-    if search["limits"] is None:
-        del search["limits"]  # keys on disk are older
     places = []
     for tuner in design.tuners or [DEFAULT_TUNER]:
         plan = make_plan(
@@ -282,23 +277,11 @@ def _keys(
     """
     (length, tension, tuner), (search, start, step, cost, model) = where, settings
     to_json = json.JSONEncoder(sort_keys=True, default=asdict).encode
-    tuner = _NAME_IN_KEYS.get(tuner, tuner)
     before = to_json([version("estune"), rig.label, rig.rig, source, length, tension, tuner])[:-1]
     start_values = start and asdict(start)
-    after = to_json([search, start_values, stated(step), _cost_in_key(cost), model])[1:]
+    after = to_json([search, start_values, stated(step), asdict(cost), model])[1:]
     texts = (f"{before}, {seed}, {after}" for seed in range(seeds))
     return "".join(hashlib.sha256(text.encode()).hexdigest()[:KEY_LENGTH] for text in texts)
-
-
-def _cost_in_key(cost: StepCost) -> dict[str, Any]:
-    """The settings of a cost: those that are younger than keys on disk only if they are used."""
-    plain = StepCost(cost.settling_time_s)
-    first = ("settling_time_s", "weight", "time_unit", "move_weight")
-    return {
-        name: value
-        for name, value in asdict(cost).items()
-        if name in first or value != getattr(plain, name)
-    }
 
 
 def _file_digest(rig: SweptRig) -> str:
