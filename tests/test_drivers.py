@@ -1,18 +1,20 @@
 """Drivers of a serial board and of an ODrive with a gauge, on the emulated reel behind each."""
 
+import math
 import select
 import socket
 import struct
 import threading
 import time
 from collections import deque
-from contextlib import closing
+from contextlib import closing, suppress
 
+import numpy as np
 import pytest
 
 import plants
 from estune.cli.checks import State, run_file_checks
-from estune.cli.checks.driver_checks import check_exchange
+from estune.cli.checks.driver_checks import check_exchange, check_readings
 from estune.conformance.driver import DriverConformance
 from estune.errors import InvalidInput, RigError
 from estune.hardware import HardwareRig
@@ -23,7 +25,7 @@ from estune.hardware.drivers.can_gauge import CanGauge
 from estune.hardware.drivers.odrive import ODrive
 from estune.hardware.drivers.serial_board import SerialBoard
 from estune.hardware.drivers.serial_port import SerialPort
-from estune.hardware.exchange_timing import measure_exchanges
+from estune.hardware.exchange_timing import ExchangeTiming, measure_exchanges
 from estune.trial import Outcome, TrialRequest
 from plants.emulator import EmulatedDriver
 from plants.emulator.board import Electronics, EmulatedBoard
@@ -368,12 +370,83 @@ def test_frames_on_the_bus_are_counted_against_those_that_are_due(bus):
         with pytest.raises(TimeoutError):
             odrive.position()
         encoder, torque, heartbeat = odrive.messages()
-        assert (encoder.expected, encoder.seen) == (1, 0)
+        assert (encoder.expected, encoder.seen) == (3, 0)
         # 55 + 135 bits asked for, 95 a torque: with a gauge of 95, 380 bits a sample.
         assert encoder.wire_s + torque.wire_s + 95 / 250e3 == pytest.approx(1.52e-3)
         assert heartbeat.seen == 0 < heartbeat.expected
         assert odrive.waited_s > 0.009
     odrive.close()
+
+
+@pytest.mark.parametrize("lost", [1, 2, 3])
+def test_lost_frame_is_asked_for_again(bus, lost):
+    address, listener = bus
+    odrive = ODrive(
+        *(address, 0), newton_metres_per_count=1.0, counts_per_turn=1, answer_within_s=PATIENT_s
+    )
+    drive_port, _ = listener.accept()
+    gauge = CanGauge(address, 0x20, answer_within_s=0.3)
+    gauge_port, _ = listener.accept()
+
+    def answer(port, data):
+        for number in range(3):
+            request = Frame.unpack(port.recv(16))
+            if number >= lost:
+                with suppress(OSError):  # the part has its answer, and is closed
+                    port.send(Frame(request.identifier, data).pack())
+
+    with drive_port, gauge_port:
+        ends = [(drive_port, struct.pack("<ff", 5.0, 0.0)), (gauge_port, struct.pack("<i", 7))]
+        threads = [threading.Thread(target=answer, args=end, daemon=True) for end in ends]
+        for thread in threads:
+            thread.start()
+        odrive.request()
+        gauge.request()
+        if lost < 3:
+            assert (gauge.read().counts, odrive.position()) == (7, 5)
+        else:
+            with pytest.raises(TimeoutError, match="after 3 requests"):
+                gauge.read()
+            with pytest.raises(TimeoutError, match="has not answered 3 requests"):
+                odrive.position()
+        for part in (odrive, gauge):
+            part.request()  # for a thread that still waits for one
+            part.request()
+            part.close()
+        for thread in threads:
+            thread.join()
+
+
+def test_axis_without_heartbeats_ends_motion(bus):
+    address, listener = bus
+    settings = {"newton_metres_per_count": 1.0, "counts_per_turn": 1, "write_within_s": 60.0}
+    odrive = ODrive(address, 0, heartbeat_s=0.02, answer_within_s=PATIENT_s, **settings)
+    port, _ = listener.accept()
+    with port:
+        port.send(Frame(0x01, struct.pack("<IBBBB", 0, 8, 0, 0, 0)).pack())
+        odrive.enable()
+        time.sleep(0.25)
+        odrive.request()
+        port.send(Frame(0x09, struct.pack("<ff", 0.0, 0.0)).pack())
+        with pytest.raises(RigError, match="no heartbeat of the ODrive"):
+            odrive.position()
+    odrive.close()
+
+
+def test_doctor_names_missing_and_invalid_readings_as_what_they_are():
+    def timing(failed, counts):
+        times_s = np.full(len(counts), 1e-4)
+        return ExchangeTiming(632.0, 1.0, times_s, 0.0, 0.0, times_s, np.array(counts), failed, ())
+
+    for found, words in (
+        (timing(1, [1.0] * 99), "1 of 100 readings did not come in time"),
+        (timing(0, [1.0] * 98 + [math.nan] * 2), "2 of 100 readings have no number of the gauge"),
+    ):
+        result = check_readings(found)
+        assert result.state is State.FIX
+        assert words in result.sentence
+        assert "board" not in result.remedy
+        assert check_exchange(found).state is State.FINE
 
 
 def test_missing_interface_and_part_of_the_wrong_kind_are_refused(bus):

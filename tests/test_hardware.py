@@ -259,6 +259,27 @@ def test_failing_driver_ends_motion_and_is_reported(hardware):
         assert rig.run(ask(rig)).outcome is Outcome.DONE
 
 
+def test_reading_that_does_not_come_stops_the_reel_and_ends_nothing(address):
+    stall = {"address": address, "stall_at": 300, "stalled": 2}
+    table = {"use": "tests.support_drivers:StallingDriver", "settings": stall}
+    with HardwareRig(quick(driver=table)) as rig:
+        record = rig.run(ask(rig, step_at_s=0.9, duration_s=1.0))
+        assert record.outcome is Outcome.INTERRUPTED
+        assert "calibration" in record.reason or "reading" in record.reason
+        rig.clear()
+        assert rig.run(ask(rig, 1)).outcome is Outcome.DONE
+
+
+def test_driver_that_falls_silent_for_good_ends_the_loop_with_its_reason(address):
+    stall = {"address": address, "stall_at": 300, "stalled": 10**6}
+    table = {"use": "tests.support_drivers:StallingDriver", "settings": stall}
+    with HardwareRig(quick(driver=table)) as rig:
+        rig.run(ask(rig, step_at_s=0.9, duration_s=1.0))
+        rig.wait()
+        with pytest.raises(RigError, match="did not come"):
+            rig.describe()
+
+
 def test_estop_acts_at_once_and_stays_until_cleared(rig, hardware):
     with in_background(lambda: rig.run(ask(rig, duration_s=8.0))) as results:
         eventually(lambda: loop_state(rig).phase == "trial")

@@ -2,9 +2,12 @@
 
 import copy
 import os
+import signal
 import subprocess
+import sys
 import threading
 import time
+import tomllib
 import tty
 from contextlib import contextmanager
 from dataclasses import replace
@@ -22,9 +25,10 @@ from estune.core.gains import Gains
 from estune.errors import RigError
 from estune.hardware.compensation.plan import KnownMotion
 from estune.hardware.compensation.runtime import PlainCompensation
+from estune.hardware.config import config_from
 from estune.hardware.trial_board.export import board_files
 from estune.hardware.trial_board.rig import BoardRig
-from estune.remote.zenoh import serve
+from estune.remote.zenoh import connect, serve
 from estune.trial import Outcome, TrialRecord, TrialRequest
 from estune.trial.loop_records import recomputed_effort
 from plants.emulator import RIG_FILE
@@ -250,6 +254,40 @@ def test_unstable_gains_trip_the_boards_guard_and_the_next_trial_runs(program):
         assert "tension crossed the board's limit" in record.reason
         assert 0 < record.tension_N.size < 316
         assert rig.run(request(rig, 2)).outcome is Outcome.DONE
+
+
+def test_gauge_that_fails_is_a_fault_of_the_rig_and_not_of_the_gains(program):
+    with board_rig(program) as (rig, process):
+        threading.Timer(0.1, process.send_signal, (signal.SIGUSR1,)).start()
+        record = rig.run(request(rig, 1, step_at_s=1.9, duration_s=2.0))
+        assert record.outcome is Outcome.INTERRUPTED
+        assert "fault of the board's sensors" in record.reason
+        with pytest.raises(RigError, match="could not be measured"):
+            rig.run(request(rig, 2))
+        process.send_signal(signal.SIGUSR1)
+        rig.clear()
+        assert rig.run(request(rig, 3)).outcome is Outcome.DONE
+
+
+@pytest.mark.slow
+def test_served_board_ends_cleanly_when_it_is_told_to(tmp_path):
+    text = RIG_FILE.read_text().replace(
+        'use = "plants.emulator:EmulatedDriver"', 'use = "trial-board"'
+    )
+    quick = compiled(tmp_path, config_from(tomllib.loads(text), "rig.toml"))
+    for _ in range(3):
+        with running(quick, 1500) as (port, _):
+            lines = text.splitlines()
+            (at,) = (k for k, line in enumerate(lines) if line.startswith("settings = { reel"))
+            lines[at] = f'settings = {{ port = "{port}", answer_within_s = 1.0 }}'
+            (tmp_path / "rig.toml").write_text("\n".join(lines))
+            command = [sys.executable, "-m", "estune", "serve-hardware", tmp_path / "rig.toml"]
+            with subprocess.Popen(command, stdout=-1, stderr=-1, text=True) as served:
+                endpoint = served.stdout.readline().split()[-1]
+                with connect(endpoint) as rig:
+                    rig.status()
+                served.send_signal(signal.SIGTERM)
+                assert (served.wait(30), served.stderr.read()) == (0, "")
 
 
 def test_board_comes_to_rest_by_itself_when_the_computer_falls_silent(tmp_path):

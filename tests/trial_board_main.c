@@ -3,6 +3,7 @@
 #define _DEFAULT_SOURCE
 #include <errno.h>
 #include <poll.h>
+#include <signal.h>
 #include <stdlib.h>
 #include <unistd.h>
 
@@ -10,10 +11,16 @@
 
 static int line, powered;
 static double tension, effort;
+static volatile sig_atomic_t unplugged; /* the gauge; SIGUSR1 pulls or plugs it */
+
+static void replug(int number) {
+  (void)number;
+  unplugged = !unplugged;
+}
 
 double board_tension_N(void) {
   tension = 0.5 * tension + 0.5 * (powered ? effort : 0.0);
-  return tension;
+  return unplugged ? NAN : tension;
 }
 double board_angle_rad(void) { return 0.01 * tension; }
 void board_effort_N(double value) { effort = value; }
@@ -33,6 +40,7 @@ void board_send(const unsigned char *bytes, int size) {
 
 int main(int count, char **values) {
   line = count > 1 ? atoi(values[1]) : 0;
+  signal(SIGUSR1, replug);
   estune_board_init();
   for (;;) {
     estune_board_sample();

@@ -2,7 +2,7 @@
 
 import sys
 import threading
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -49,6 +49,7 @@ def serve_hardware(
     config = read_config(file)
     rig = BoardRig if config.driver.use == DRIVER else HardwareRig
     with (
+        ExitStack() as ended,
         rig(config) as hardware,
         suppress(KeyboardInterrupt),
         # The threads that take a stop from the network are started from here on.
@@ -68,7 +69,9 @@ def serve_hardware(
             f"{server.endpoint}    stop with Ctrl-C",
             flush=True,
         )
-        threading.Thread(target=_close_after, args=(hardware, server), daemon=True).start()
+        watch = threading.Thread(target=_close_after, args=(hardware, server), daemon=True)
+        watch.start()
+        ended.callback(watch.join)  # the interpreter must not shut down while it is inside Zenoh
         server.wait()
         hardware.describe()  # raises the failure of its control loop, if that ended the wait
 
@@ -83,6 +86,8 @@ def _example() -> str:
 def _close_after(hardware: "HardwareRig | BoardRig", server: zenoh.RigServer) -> None:
     """Closes the server once the control loop of its rig, or its board, has failed."""
     hardware.wait()
+    if server.closed:
+        return
     try:
         hardware.describe()
     except RigError as error:

@@ -13,6 +13,7 @@ the last 100 us 0, 16, 38. `time.sleep` itself waits for an absolute time on the
 import contextlib
 import ctypes
 import gc
+import math
 import os
 import select
 import signal
@@ -24,7 +25,7 @@ from typing import Any
 from estune.errors import EstuneError, RigError
 from estune.hardware.compensation.runtime import make_compensation
 from estune.hardware.controller import make_controller
-from estune.hardware.driver import Driver, load_driver
+from estune.hardware.driver import Driver, Reading, load_driver
 from estune.hardware.hybrid_control import make_hybrid
 from estune.hardware.loop_messages import (
     Begin,
@@ -42,6 +43,8 @@ from estune.hardware.reel_machine.machine import ReelStateMachine
 from estune.hardware.shared_memory import BINS, BIN_s, Memory, Word
 
 _BIN_ns = BIN_s * 1e9
+_MISSING_MAX_s = 0.5
+"""Time without a reading after which the hardware is given up, s; the reel is at rest by then."""
 _PR_SET_TIMERSLACK = 29
 _MCL_CURRENT, _MCL_FUTURE = 1, 2
 
@@ -70,6 +73,7 @@ class Loop:
         self._ending = False
         self._beat = 0
         self._beat_at_ns = time.monotonic_ns()
+        self._last: Reading | None = None
 
     def end(self, *_: object) -> None:
         """Asks the loop to end; a signal handler."""
@@ -99,13 +103,28 @@ class Loop:
         late = lateness > self._late_ns
         if words[Word.BEAT] != self._beat:
             self._beat, self._beat_at_ns = words[Word.BEAT], now
-        reading = self._driver.read()
+        reading = self._read()
         silence_s = (now - self._beat_at_ns) * 1e-9
         self._driver.write(self._machine.sample(reading, silence_s, late=late))
         words[Word.LATE] += late
         self._memory.lateness[min(int(lateness / _BIN_ns), BINS - 1)] += 1
         turnaround = time.monotonic_ns() - instant
         self._memory.turnaround[min(int(turnaround / _BIN_ns), BINS - 1)] += 1
+
+    def _read(self) -> Reading:
+        """A reading; one that does not come has no tension, and is the guard's to judge.
+
+        Raises:
+            TimeoutError: none has come for `_MISSING_MAX_s`.
+        """
+        try:
+            self._last = self._driver.read()
+        except TimeoutError:
+            now_s = time.monotonic()
+            if self._last is None or now_s - self._last.time_s > _MISSING_MAX_s:
+                raise
+            return Reading(now_s, math.nan, self._last.encoder_counts)
+        return self._last
 
     def _next_instant(self, instant: int) -> int:
         """The next sampling instant; one that has passed already is skipped, not made up for."""

@@ -2,6 +2,8 @@
 
 import math
 
+import numpy as np
+
 from estune.cli.checks.check_result import CheckResult, fine, fix, unknown
 from estune.hardware.exchange_timing import ExchangeTiming
 from estune.hardware.shared_memory import Timing, quantile_s
@@ -62,9 +64,7 @@ def check_exchange(timing: ExchangeTiming) -> CheckResult:
         named = {"adapter": "adapter and device"}
         budget = ", ".join(f"{named.get(name, name)} {ms:.2g} ms" for name, ms in parts.items())
         sentence += f"; on average {budget}"
-    if timing.failed:
-        sentence += f"; {timing.failed} readings did not come in time"
-    if slow_ms <= PERIOD_SHARE_MAX * period_ms and not timing.failed:
+    if slow_ms <= PERIOD_SHARE_MAX * period_ms:
         return fine("time budget", sentence, **figures)
     faster = _FASTER[max(parts, key=lambda name: parts[name])] if parts else "use a faster bus"
     return fix(
@@ -73,6 +73,28 @@ def check_exchange(timing: ExchangeTiming) -> CheckResult:
         f"{faster}, or {TO_THE_BOARD}",
         **figures,
     )
+
+
+def check_readings(timing: ExchangeTiming) -> CheckResult:
+    """Whether every reading came, with a number of the gauge."""
+    asked = timing.exchange_s.size + timing.failed
+    invalid = int(np.isnan(timing.gauge_counts).sum())
+    figures = {"asked": float(asked), "late": float(timing.failed), "invalid": float(invalid)}
+    if timing.failed:
+        return fix(
+            "readings",
+            f"{timing.failed} of {asked} readings did not come in time, repeats included",
+            "check connectors, shield, termination and supply: the bus loses messages",
+            **figures,
+        )
+    if invalid:
+        return fix(
+            "readings",
+            f"{invalid} of {asked} readings have no number of the gauge: overload, or not ready",
+            "unload the gauge and check its wiring and its converter's rate",
+            **figures,
+        )
+    return fine("readings", f"all of {asked} came, each with a number of the gauge", **figures)
 
 
 def check_loop(timing: Timing, sampling_Hz: float) -> CheckResult:

@@ -63,5 +63,6 @@ def _of_driver(config: "RigConfig", seconds: float) -> Iterator[CheckResult]:
     ):
         timing = measure_exchanges(driver, config.sampling_Hz, seconds)
     yield driver_checks.check_messages(timing)
+    yield driver_checks.check_readings(timing)
     yield driver_checks.check_exchange(timing)
     yield trial_checks.check_gauge_rate([timing.gauge_counts], config.sampling_Hz)

@@ -9,6 +9,9 @@ from estune.errors import InvalidInput
 from estune.hardware.driver import GaugeReading, MessageCount
 from estune.hardware.drivers.can_bus import CanSocket, Frame, frame_bits
 
+ATTEMPTS = 3
+"""Requests for a reading within `answer_within_s`."""
+
 
 class CanGauge:
     """A gauge for `estune.hardware.drivers.paired`; implements `estune.hardware.Gauge`.
@@ -18,8 +21,8 @@ class CanGauge:
         identifier: Identifier of the frame with the counts.
         layout: Its data in the notation of Python's `struct`, the counts first.
         requested: Whether the gauge answers remote requests; else it sends by itself.
-        answer_within_s: Time within which a requested frame must have come; of a gauge that sends
-            by itself, the greatest age of its last frame.
+        answer_within_s: Time within which a requested frame must have come, which is asked for
+            three times; of a gauge that sends by itself, the greatest age of its last frame.
         overload: Counts that stand for an overload, or None.
         rate_Hz: Rate to which a gauge that sends by itself was set; `estune doctor` compares it.
         bits_per_s: Rate of the bus, from which `estune doctor` computes the time on the wire.
@@ -77,19 +80,28 @@ class CanGauge:
             self._asked += 1
 
     def read(self) -> GaugeReading:
-        """The newest reading, stamped at its arrival.
+        """The newest reading, stamped at its arrival; a request is repeated.
 
         Raises:
             TimeoutError: it does not come, or is too old.
         """
         self._take(self._bus.waiting())
-        deadline_s = time.monotonic() + self._within_s
-        while self._last is None or self._last.time_s < time.monotonic() - self._within_s:
-            frames = self._bus.until(deadline_s)
-            if not frames:
-                raise TimeoutError(f"no frame of the gauge within {self._within_s:g} s")
-            self._take(frames)
-        return self._last
+        attempts = ATTEMPTS if self._requested else 1
+        for attempt in range(attempts):
+            if attempt:
+                self.request()
+            deadline_s = time.monotonic() + self._within_s / attempts
+            while not self._is_fresh and (frames := self._bus.until(deadline_s)):
+                self._take(frames)
+            if self._last is not None and self._is_fresh:
+                return self._last
+        asked = f" after {attempts} requests" if self._requested else ""
+        raise TimeoutError(f"no frame of the gauge within {self._within_s:g} s{asked}")
+
+    @property
+    def _is_fresh(self) -> bool:
+        last = self._last
+        return last is not None and last.time_s >= time.monotonic() - self._within_s
 
     def close(self) -> None:
         """Closes the interface. May be called again."""

@@ -29,6 +29,14 @@ _ASKED = -1
 """Requests for the encoder among the counted messages, beside the received commands."""
 
 SWITCHED_WITHIN_s = 1.0
+ATTEMPTS = 3
+"""Requests for the encoder within `answer_within_s`."""
+
+HEARTBEATS_MISSED_MAX = 10
+"""Heartbeats in a row that may be missing while the axis has power, before its state is unknown.
+
+Ten of 0.1 s: load on the bus delays them, for they have the lowest of priorities.
+"""
 
 
 class Heartbeat(NamedTuple):
@@ -46,10 +54,12 @@ class ODrive:
         node: The axis's node id.
         newton_metres_per_count: Torque of one count of the current's calibration C1.
         counts_per_turn: Encoder counts per turn in the rig's file; a float32 of turns is finer.
-        answer_within_s: Time within which the encoder's frame must have come.
+        answer_within_s: Time within which the encoder's frame must have come; it is asked for
+            three times.
         write_within_s: Longest time between two commands while enabled. The firmware's watchdog is
             fed by any frame, reading included, so that it cannot see a dead controller.
-        heartbeat_s: Period of the axis's heartbeat; `estune doctor` compares it.
+        heartbeat_s: Period of the axis's heartbeat; `estune doctor` compares it, and an axis with
+            power that sends none for ten periods ends motion.
         bits_per_s: Rate of the bus, from which `estune doctor` computes the time on the wire.
 
     Raises:
@@ -81,6 +91,7 @@ class ODrive:
         self._written_s = 0.0
         self._turns: float | None = None
         self._heartbeat = Heartbeat(0, IDLE)
+        self._beat_at_s = time.monotonic()
         self._heartbeat_s, self._bits_per_s = heartbeat_s, bits_per_s
         self._frames = Counter[int]()
         self._bus = CanSocket(interface, self._node, self._node | 0x1F)
@@ -120,7 +131,7 @@ class ODrive:
                     "calibration and supply, and the bus rate"
                 )
             self._take(self._bus.until(deadline_s))
-        self._written_s = time.monotonic()
+        self._written_s = self._beat_at_s = time.monotonic()
         self._enabled = True
 
     def request(self) -> None:
@@ -130,23 +141,40 @@ class ODrive:
         self._frames[_ASKED] += 1
 
     def position(self) -> int:
-        """The encoder's counts, after a request.
+        """The encoder's counts, after a request, which is repeated.
 
         Raises:
             TimeoutError: they do not come.
-            RigError: the axis has left closed loop, or the controller has stopped writing.
+            RigError: the axis has left closed loop or fallen silent, or the controller has
+                stopped writing.
         """
-        deadline_s = time.monotonic() + self._answer_s
-        while self._turns is None:
-            frames = self._bus.until(deadline_s)
-            if not frames:
-                raise TimeoutError(f"no encoder frame of the ODrive within {self._answer_s:g} s")
-            self._take(frames)
+        turns = self._answered()
         if self._enabled and self._heartbeat != Heartbeat(0, CLOSED_LOOP):
             raise RigError(f"the ODrive has left closed loop ({self._said()}); check the drive")
+        silent_s = time.monotonic() - self._beat_at_s
+        if self._enabled and silent_s > HEARTBEATS_MISSED_MAX * self._heartbeat_s:
+            raise RigError(
+                f"no heartbeat of the ODrive for {silent_s:.1f} s: its state is unknown; check "
+                "the drive and its heartbeat_rate_ms"
+            )
         if self._enabled and time.monotonic() - self._written_s > self._write_s:
             raise RigError(f"no torque was commanded for more than {self._write_s:g} s")
-        return round(self._turns * self._counts)
+        return round(turns * self._counts)
+
+    def _answered(self) -> float:
+        """Turns of the encoder, asked for again where no answer comes."""
+        for attempt in range(ATTEMPTS):
+            if attempt:
+                self.request()
+            deadline_s = time.monotonic() + self._answer_s / ATTEMPTS
+            while self._turns is None and (frames := self._bus.until(deadline_s)):
+                self._take(frames)
+            if self._turns is not None:
+                return self._turns
+        raise TimeoutError(
+            f"the ODrive has not answered {ATTEMPTS} requests for its encoder within "
+            f"{self._answer_s:g} s"
+        )
 
     def write(self, current_counts: int) -> None:
         """Commands a torque."""
@@ -180,6 +208,7 @@ class ODrive:
                 self._turns = _ENCODER.unpack(frame.data)[0]
             elif command == HEARTBEAT and len(frame.data) >= _HEARTBEAT.size:
                 self._heartbeat = Heartbeat(*_HEARTBEAT.unpack_from(frame.data))
+                self._beat_at_s = time.monotonic()
 
     def _said(self) -> str:
         return f"state {self._heartbeat.state}, errors {self._heartbeat.errors:#x}"

@@ -29,7 +29,7 @@ void board_send(const unsigned char *bytes, int size);
 
 enum state { OFF, TAKE_UP, MOVE, HOLD, TRIAL, RAMP };
 enum outcome { NONE, DONE, GUARD, CANCELLED, INTERRUPTED };
-enum reason { NO_REASON, TENSION, TRAVEL, SILENCE, ABORT, ESTOP, NOT_TAUT, NOT_SETTLED };
+enum reason { NO_REASON, TENSION, TRAVEL, SILENCE, ABORT, ESTOP, NOT_TAUT, NOT_SETTLED, SENSOR };
 
 #ifdef ESTUNE_COMPENSATED
 #define TERMS 4 /* velocity, gravity, friction, inertia */
@@ -138,8 +138,9 @@ static void begin_trial(double tension) {
 
 /* A limit of the board's own: that of the tension, or of the travel since the trial was asked. */
 static enum reason crossed(double tension, double angle) {
-  if (!(tension < ESTUNE_TENSION_GUARD)) return TENSION; /* NAN too */
-  if (!(fabs(angle - board.origin) < ESTUNE_TRAVEL_GUARD)) return TRAVEL;
+  if (tension != tension || angle != angle) return SENSOR; /* NAN */
+  if (tension >= ESTUNE_TENSION_GUARD) return TENSION;
+  if (fabs(angle - board.origin) >= ESTUNE_TRAVEL_GUARD) return TRAVEL;
   return NO_REASON;
 }
 
@@ -386,7 +387,8 @@ void estune_board_sample(void) {
   board.silent++;
   if (board.state != OFF && board.state != RAMP) {
     limit = crossed(gauge, angle);
-    if (limit) stop(GUARD, limit, board.state != TRIAL);
+    if (limit == SENSOR) stop(INTERRUPTED, SENSOR, 1); /* says nothing of the gains */
+    else if (limit) stop(GUARD, limit, board.state != TRIAL);
     else if (board.silent > ESTUNE_SILENCE) stop(INTERRUPTED, SILENCE, 0);
   }
   loop(tension, angle);

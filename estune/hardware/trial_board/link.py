@@ -53,13 +53,14 @@ class BoardStatus(NamedTuple):
 
 REASONS = (
     "",
-    "the tension crossed the board's limit, or could not be measured",
+    "the tension crossed the board's limit",
     "the drum turned further than the board allows",
     "the board heard nothing from the computer",
     "stopped",
     "emergency stop",
     "the cable did not become taut",
     "the tension did not settle at the preload",
+    "tension or angle could not be measured: a fault of the board's sensors",
 )
 """Why a trial or motion ended, by number."""
 

@@ -68,7 +68,8 @@ class BoardRig:
         except BaseException:
             self._link.close()
             raise
-        threading.Thread(target=self._beat, name="sign of life", daemon=True).start()
+        self._beating = threading.Thread(target=self._beat, name="sign of life", daemon=True)
+        self._beating.start()
 
     def __enter__(self) -> Self:
         return self
@@ -151,6 +152,8 @@ class BoardRig:
         if not self._failure:
             with stopped_trial(self._trial, self._stop):
                 self._ended.set()
+        # The interpreter must not shut down while a thread is inside the system.
+        self._beating.join()
         self._link.close()
 
     def _stop(self) -> None:

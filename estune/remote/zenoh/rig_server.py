@@ -116,6 +116,11 @@ class RigServer:
             self.close()
             raise
 
+    @property
+    def closed(self) -> bool:
+        """Whether it is closed."""
+        return self._closed.is_set()
+
     def wait(self) -> None:
         """Returns when the server is closed; Ctrl-C interrupts it."""
         self._closed.wait()

@@ -1,0 +1,18 @@
+"""A driver of the emulated reel some of whose readings do not come; loaded by the loop itself."""
+
+from plants.emulator import EmulatedDriver
+
+
+class StallingDriver(EmulatedDriver):
+    """Readings that do not come: from one on, so many in a row."""
+
+    def __init__(self, address, stall_at, stalled):
+        super().__init__(address)
+        self._stalled = range(stall_at, stall_at + stalled)
+        self._number = 0
+
+    def read(self):
+        self._number += 1
+        if self._number in self._stalled:
+            raise TimeoutError(f"reading {self._number} did not come")
+        return super().read()
