@@ -10,13 +10,14 @@ import plants
 from estune.core.cost import StepCost
 from estune.core.gains import Gains
 from estune.core.margins import loop_margins, sample_plant
-from estune.loop_model import identification
 from estune.loop_model.claim import claim
 from estune.loop_model.fitting import fit_loop
-from estune.loop_model.identification import LoopRecord
+from estune.loop_model.intervals import predict_with_intervals
 from estune.loop_model.model import LoopModel, close_loop, robustness
 from estune.loop_model.optimum import RegionSearch, RobustnessLimits
-from estune.loop_model.prediction import StepTrial, predict, predict_with_intervals
+from estune.loop_model.poles import pair_coordinates, polynomial
+from estune.loop_model.prediction import StepTrial, predict
+from estune.loop_model.records import LoopRecord
 from estune.trial.profiles import StepProfile
 from experiments.loop_claims import true_sensitivity
 from plants.effects import CoulombFriction, EyeletFriction
@@ -48,14 +49,13 @@ def exact_model():
     """The plant under zero-order hold; y_k depends on u_{k-1} at the earliest."""
     sampled = control.c2d(SYSTEM, 1.0 / SAMPLING_HZ)
     numerator, denominator = sampled.num[0][0], sampled.den[0][0]
-    return LoopModel(tuple(denominator[1:]), (*numerator[-2:], 0.0), 2)
+    return LoopModel.of_taps(tuple(denominator[1:]), (*numerator[-2:], 0.0), 2)
 
 
 @pytest.mark.parametrize("roots", [(0.9, 0.0), (0.9, 0.5), (0.8 + 0.3j, 0.8 - 0.3j)])
 def test_fit_begins_at_any_earlier_poles_also_at_one_that_decays_within_a_sample(roots):
     denominator = np.real(np.poly(roots))
-    model = LoopModel(tuple(denominator[1:]), (0.1, 0.0, 0.0), 1)
-    found = identification.denominator(identification.pole_coordinates(model))
+    found = polynomial(pair_coordinates(*denominator[1:]))
     assert found == pytest.approx(denominator, abs=1e-9)
 
 
@@ -69,7 +69,8 @@ def record_of(plant, gains, number=0, noise_N=NOISE_N):
     step, rate = plant.profile, plant.controller.sampling_Hz
     noise = NoiseSource(5).draw(number, step.samples(rate), noise_N)
     response = plants.simulate(plant, gains, noise_N=noise)
-    return LoopRecord(response.effort_N, response.tension_N, step.step_N, step.step_index(rate))
+    index = step.step_index(rate)
+    return LoopRecord.of_step(response.effort_N, response.tension_N, step.step_N, index, gains)
 
 
 def cost_of(plant, gains, cost=COST):
@@ -171,11 +172,10 @@ def test_optimum_meets_its_limits_and_beats_all_sampled_gains():
 def test_claim_needs_trials_near_the_gains():
     plant = linear()
     trials = around(GAINS, 6, spread=0.1)
-    fit = fit_loop(
-        [record_of(plant, g, n) for n, g in enumerate(trials)], SAMPLING_HZ, COST.settling_time_s
-    )
-    assert claim(fit, trial_of(plant), GAINS, trials).margins is not None
-    far = claim(fit, trial_of(plant), Gains(4.0, 60.0, 0.1, 0.002), trials)
+    records = [record_of(plant, g, n) for n, g in enumerate(trials)]
+    fit = fit_loop(records, SAMPLING_HZ, COST.settling_time_s)
+    assert claim(fit, records, trial_of(plant), GAINS).margins is not None
+    far = claim(fit, records, trial_of(plant), Gains(4.0, 60.0, 0.1, 0.002))
     assert far.margins is None
     assert "trials near these gains" in far.reason
 
@@ -196,6 +196,6 @@ def test_claim_is_refused_where_friction_in_the_eyelet_leaves_a_misfit():
     trials = around(gains, 6, spread=0.1)
     records = [record_of(reel, g, n, 0.04) for n, g in enumerate(trials)]
     fit = fit_loop(records, reel.controller.sampling_Hz, 0.13)
-    refused = claim(fit, trial_of(reel), gains, trials)
+    refused = claim(fit, records, trial_of(reel), gains)
     assert refused.margins is None
     assert "estune explain" in refused.reason

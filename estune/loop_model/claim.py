@@ -1,7 +1,8 @@
 """Margins that the records of a run allow to be claimed, or the reason why none are.
 
-A linear model fits timid trials whatever the plant is, and then predicts margins that do not hold.
-The misfit rho of trials at the gains in question shows it.
+A linear model fits timid trials whatever the plant is, and then predicts margins that do not hold:
+so trials at the gains in question are needed. Nothing is claimed of a loop in a band that the
+records do not excite, or in which they do not follow the model (`plant_error`).
 """
 
 import math
@@ -12,19 +13,15 @@ import numpy as np
 
 from estune.core.gains import Gains
 from estune.core.quantities import FloatArray
-from estune.loop_model.identification import LoopFit
-from estune.loop_model.prediction import (
-    PredictedMargins,
-    StepTrial,
-    predict,
-    predict_with_intervals,
-)
+from estune.loop_model.intervals import PredictedMargins, predict_with_intervals
+from estune.loop_model.loop_fit import LoopFit
+from estune.loop_model.plant_error import ErrorMargin, error_margin, plant_error, unknown_band
+from estune.loop_model.prediction import StepTrial, predict
+from estune.loop_model.records import LoopRecord
 
-MISFIT_MAX = 0.005
-"""Misfit up to which margins are claimed, as a share of the step."""
-
-TRIALS_MIN = 4
-"""Trials at or near the gains in question that a claim needs."""
+TRIALS_MIN = 2
+"""Trials at or near the gains in question that a claim needs: without any, friction that timid
+trials hide is not seen, and one alone may be disturbed."""
 
 COST_ERROR = 0.02
 """Error of a predicted cost that is always allowed: on the emulated reel the costs of trials up
@@ -81,44 +78,64 @@ class CostCheck(NamedTuple):
 
 def claim(
     fit: LoopFit,
+    records: Sequence[LoopRecord],
     trial: StepTrial,
     gains: Gains,
-    tried: Sequence[Gains],
     check: CostCheck | None = None,
 ) -> Claim:
     """The claims that the fit allows about the loop with these gains.
 
+    The end of the interval of Ms contains what the error of the plant may add to it.
+
     Args:
         fit: The identified loop.
+        records: The records given to the fit.
         trial: The step trial.
         gains: The gains in question.
-        tried: Gains of the records that were fitted, in their order.
         check: The cost of these gains as predicted before they ran; None without a prediction.
     """
-    pairs = zip(fit.misfits, tried, strict=True)
-    near = [rho for rho, other in pairs if _distance(gains, other) < NEAR]
+    near = [
+        rho
+        for i, (rho, record) in enumerate(zip(fit.misfits, records, strict=True))
+        if i not in fit.left_out and record.gains and _distance(gains, record.gains) < NEAR
+    ]
     misfit = float(np.sqrt(np.mean(np.square(near)))) if near else float("nan")
+    settings = trial.controller
     if len(near) < TRIALS_MIN:
-        return Claim(
-            None, f"{len(near)} trials near these gains where {TRIALS_MIN} are needed", misfit
-        )
-    if not misfit <= MISFIT_MAX:
-        return Claim(None, unexplained(misfit), misfit)
-    if not fit.responds:
-        return Claim(None, "the measurement does not follow the effort within a trial", misfit)
-    fault = check.fault(trial, gains) if check and check.costs else ""
-    if fault:
-        return Claim(None, fault, misfit)
-    if not math.isfinite(predict(fit.model, trial, gains).cost):
-        return Claim(None, "the identified loop is unstable with these gains", misfit)
-    return Claim(predict_with_intervals(fit, trial, gains), "", misfit)
+        reason = f"{len(near)} trials near these gains where {TRIALS_MIN} are needed"
+    elif not fit.responds:
+        reason = "the measurement does not follow the effort within a trial"
+    elif not math.isfinite(predict(fit.model, trial, gains).cost):
+        reason = "the identified loop is unstable with these gains"
+    else:
+        margin = error_margin(fit, plant_error(fit, records), gains, settings)
+        reason = _unknown(fit, margin, settings.sampling_Hz)
+        reason = reason or (check.fault(trial, gains) if check and check.costs else "")
+        if not reason:
+            return Claim(_widened(predict_with_intervals(fit, trial, gains), margin), "", misfit)
+    return Claim(None, reason, misfit)
+
+
+def _unknown(fit: LoopFit, margin: ErrorMargin, sampling_Hz: float) -> str:
+    """A sentence on the band in which the loop is not known; empty without one."""
+    if margin.unknown is None:
+        return ""
+    band = unknown_band(margin.unknown, sampling_Hz)
+    if margin.excited:
+        return f"the loop is not known {band}: {unexplained(fit.misfit)}"
+    return f"nothing is known {band}: the records do not excite it"
+
+
+def _widened(margins: PredictedMargins, margin: ErrorMargin) -> PredictedMargins:
+    Ms = margins.sensitivity
+    return margins._replace(sensitivity=Ms._replace(high=max(Ms.high, margin.sensitivity)))
 
 
 def unexplained(misfit: float) -> str:
-    """A sentence on a misfit that allows no claim."""
+    """A sentence on what a model leaves of the records."""
     return (
-        f"a linear model leaves {misfit:.1%} of the step unexplained, more than {MISFIT_MAX:.1%}; "
-        "find what is missing with estune explain"
+        f"the model leaves {misfit:.1%} of the step unexplained beyond the noise; find what is "
+        "missing with estune explain"
     )
 
 

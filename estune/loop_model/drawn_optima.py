@@ -8,10 +8,10 @@ from typing import NamedTuple
 import numpy as np
 
 from estune.core.quantities import FloatArray
-from estune.loop_model.identification import LoopFit
+from estune.loop_model.intervals import parameter_deviations
+from estune.loop_model.loop_fit import LoopFit
 from estune.loop_model.model import LoopModel
 from estune.loop_model.optimum import Optimum, RegionSearch
-from estune.loop_model.prediction import parameter_deviations
 
 DRAWS = 6
 ITERATIONS = 3

@@ -1,10 +1,27 @@
-"""The loop model that records identify: linear, and with dry friction where they ask for it."""
+"""The loop model that records identify."""
 
+import math
 from collections.abc import Sequence
 
-from estune.loop_model.friction import fit_with_friction
-from estune.loop_model.identification import LoopFit, LoopRecord, fit_linear_loop
+import numpy as np
+
+from estune.core.quantities import FloatArray
+from estune.loop_model.friction import fit_with_friction, friction_of, less_friction
+from estune.loop_model.identification import (
+    START_NOISES,
+    PoleFit,
+    cold_start,
+    searched_dead_time,
+)
+from estune.loop_model.least_squares import Signals, Solution, signals_of
+from estune.loop_model.loop_fit import NUISANCE, LoopFit, Residuals, summarise
 from estune.loop_model.model import LoopModel
+from estune.loop_model.order import criterion, select_order
+from estune.loop_model.records import LoopRecord
+
+STARTED_BY = 2
+SAMPLES_STARTED_BY = 3000
+"""Records, and samples of each, by which the starts of a search are compared."""
 
 FRICTION_FROM = 0.002
 """Misfit of the linear model from which dry friction is tried. Timid trials of the reference reel
@@ -14,30 +31,162 @@ TRIED_WITH = (1, 2, 4, 8)
 """Numbers of records with which friction is tried again where it was not found with fewer: it
 takes half a second."""
 
-FRICTION_GAIN = 0.8
-"""Residual over that of the linear model up to which friction is kept."""
+APART = 3.0
+"""Residual of a record, predicted by the others, over the largest of theirs, from which it is left
+out; records of loops that no linear model explains differ by less, for their trials grow step by
+step."""
+
+OTHERS = 3
+"""Records that have to agree against each one that is left out."""
 
 
 def fit_loop(
     records: Sequence[LoopRecord],
     sampling_Hz: float,
     settling_time_s: float,
-    last: LoopModel | None = None,
+    last: LoopFit | None = None,
 ) -> LoopFit:
     """The loop model that fits records best.
 
+    A record that the others contradict is left out: a trial that was disturbed spoils the fit.
+
     Args:
-        records: At least one; all of one step trial.
+        records: At least one, of any setpoints, lengths and gains.
         sampling_Hz: Sampling rate.
         settling_time_s: Settling time asked for, which sets the scale of the search.
-        last: Model of an earlier fit to start from.
+        last: An earlier fit to start from.
     """
-    linear = fit_linear_loop(records, sampling_Hz, settling_time_s, last)
-    earlier = last if last is not None and last.friction_N else None
-    again = earlier is not None or last is None or len(records) in TRIED_WITH
-    if not (linear.misfit > FRICTION_FROM and again):
+    again = last is None or len(records) in TRIED_WITH
+    fit = _fit(records, sampling_Hz, settling_time_s, last, again=again)
+    out: tuple[int, ...] = ()
+    while (len(records) - len(out)) > OTHERS * (len(out) + 1):
+        kept = [i for i in range(len(records)) if i not in out]
+        worst = kept[int(np.argmax([_power(fit.errors[i]) for i in kept]))]
+        if not _stands_out(fit, kept, worst):
+            break
+        others = [i for i in kept if i != worst]
+        kept_records = [records[i] for i in others]
+        without = _fit(kept_records, sampling_Hz, settling_time_s, fit, again=False)
+        powers = [_power(e) for e in without.errors]
+        error = prediction_error(without, records[worst])
+        if not _power(error) > APART**2 * max(powers):
+            break
+        out = (*out, worst)
+        fit = _with_all(without, records, others, out)
+    return fit
+
+
+def _stands_out(fit: LoopFit, kept: list[int], worst: int) -> bool:
+    """Whether a record has the largest residual by far, beyond what chance gives."""
+    others = [_power(fit.errors[i]) for i in kept if i != worst]
+    chance = 1.0 + 5.0 * math.sqrt(2.0 / fit.errors[worst].size)
+    return _power(fit.errors[worst]) > chance * max(others)
+
+
+def _power(errors: FloatArray) -> float:
+    return float(errors @ errors) / max(int(np.count_nonzero(errors)), 1)
+
+
+def prediction_error(fit: LoopFit, record: LoopRecord) -> FloatArray:
+    """Prediction error of a fit on a record that was not fitted, shape (samples,)."""
+    model = fit.model
+    signals = signals_of([record], fit.settling_samples, model.dead_samples)
+    forces = friction_of(model, signals, record)
+    at = Solution.at(
+        less_friction(signals, forces),
+        np.array(model.coordinates),
+        model.dead_samples,
+        fit.noise,
+        np.array(model.numerator),
+    )
+    return np.concatenate([np.zeros(record.samples - at.residual.size), at.residual])
+
+
+def _with_all(
+    fit: LoopFit, records: Sequence[LoopRecord], fitted: list[int], out: tuple[int, ...]
+) -> LoopFit:
+    """The fit with the records that it leaves out."""
+    misfits = [math.nan] * len(records)
+    unexplained, errors = [np.zeros(0)] * len(records), [np.zeros(0)] * len(records)
+    for i, number in enumerate(fitted):
+        misfits[number], errors[number] = fit.misfits[i], fit.errors[i]
+        unexplained[number] = fit.unexplained[i]
+    for number in out:
+        error, span = prediction_error(fit, records[number]), records[number].span_N
+        unexplained[number] = errors[number] = error
+        beyond = max(_power(error) - fit.residual_N**2, 0.0)
+        misfits[number] = math.sqrt(beyond) / max(span, 1e-300)
+    return fit._replace(
+        misfits=tuple(misfits), unexplained=tuple(unexplained), errors=tuple(errors), left_out=out
+    )
+
+
+def _fit(
+    records: Sequence[LoopRecord],
+    sampling_Hz: float,
+    settling_time_s: float,
+    last: LoopFit | None,
+    *,
+    again: bool,
+) -> LoopFit:
+    """The model of all records: of low order if that explains them, else by the criterion."""
+    signals = signals_of(records, settling := settling_time_s * sampling_Hz, round(settling))
+    first = searched_dead_time(signals, _start(records, settling, last))
+    low = _summarised(records, signals, first)
+    earlier = last if last is not None and last.model.has_friction else None
+    # What did not help with a record less will hardly help now.
+    if low.is_white or not (again or earlier or (last and last.is_white)):
+        return low
+    found = fit_with_friction(records, low, earlier) if earlier else None
+    if found is not None and found.misfit < FRICTION_FROM:
+        return found
+    linear = _summarised(records, signals, select_order(signals, first))
+    if linear.is_white or not (low.misfit > FRICTION_FROM and (again or earlier)):
         return linear
-    found = fit_with_friction(records, linear, sampling_Hz, settling_time_s, earlier)
-    if found is None or found.residual_N >= FRICTION_GAIN * linear.residual_N:
+    found = found or fit_with_friction(records, low)
+    if found is None or _criterion(found, signals) >= _criterion(linear, signals):
         return linear
     return found
+
+
+def _criterion(fit: LoopFit, signals: Signals) -> float:
+    errors, model = _errors(fit, signals), fit.model
+    further = bool(model.friction_N) + bool(model.friction_share)
+    return criterion(signals, float(errors @ errors), fit.order, fit.noise, further)
+
+
+def _errors(fit: LoopFit, signals: Signals) -> FloatArray:
+    """Prediction errors in the order of the signals."""
+    return np.concatenate(
+        [fit.errors[i][group.history :] for group in signals.groups for i in group.members]
+    )
+
+
+def _start(records: Sequence[LoopRecord], settling: float, last: LoopFit | None) -> PoleFit:
+    """The fit that a search begins from."""
+    if last is not None:
+        model = last.model
+        return PoleFit(0.0, np.array(model.coordinates), model.dead_samples, last.noise)
+    few = signals_of([_shortened(r) for r in records[:STARTED_BY]], settling, round(settling))
+    return cold_start(few, START_NOISES[: 1 if all(r.at_rest for r in records) else None])
+
+
+def _shortened(record: LoopRecord) -> LoopRecord:
+    part = slice(0, SAMPLES_STARTED_BY)
+    return record._replace(
+        effort_N=record.effort_N[part],
+        measurement_N=record.measurement_N[part],
+        setpoint_N=record.setpoint_N[part],
+    )
+
+
+def _summarised(records: Sequence[LoopRecord], signals: Signals, found: PoleFit) -> LoopFit:
+    at = Solution.at(signals, found.coordinates, found.dead, found.noise)
+    model = LoopModel(tuple(at.coordinates.tolist()), tuple(at.numerator.tolist()), found.dead)
+    left = Residuals(
+        at.residual,
+        at.slopes(signals),
+        float(np.abs(at.regressors @ at.numerator).max()),
+        NUISANCE,
+    )
+    return summarise(records, signals, model, found.noise, left)

@@ -1,15 +1,15 @@
-"""Output-error identification of a loop with dry friction.
+"""Identification of a loop with dry friction.
 
-The two poles are a mass on a spring, of position x and unit gain, and friction of constant size F
-takes off what it can of each step (a proximal step: Moreau, Numerical aspects of the sweeping
-process, 1999), so that it opposes every motion and sticks exactly:
+The first pair of poles is a mass on a spring, of position x and unit gain, and friction takes off
+what it can of each step (a proximal step: Moreau, Numerical aspects of the sweeping process,
+1999), so that it opposes every motion and sticks exactly:
 
-    x(k+1) = x(k) + s - clip(s, -a F, a F),     a = 1 + a1 + a2
+    x(k+1) = x(k) + s - a f(k),     a f(k) = clip(s, -a F(k), a F(k)),     a = 1 + a1 + a2
     s = -(1 + a1) x(k) - a2 x(k-1) + a u(k)
-    y(k) = (b0 x(k-d) + b1 x(k-d-1) + b2 x(k-d-2))/a
+    F(k) = F + c |y(k)| / |G(1)|      (constant, and in proportion to the load)
 
-A record begins at rest with friction of an unknown size, the same in all. For given poles,
-friction and start the output is linear in the numerator; these four numbers are searched.
+so that y = q^-(d+1) B/A (u - f) + H e is linear in u - f (`least_squares`). A record begins at
+rest with friction of an unknown size, the same in all. Searched are the poles, F, c and that size.
 """
 
 import math
@@ -20,282 +20,315 @@ from typing import NamedTuple
 import numpy as np
 
 from estune.core.quantities import FloatArray
-from estune.loop_model.identification import (
-    LoopFit,
-    LoopRecord,
-    PoleFit,
-    by_cost,
-    delayed,
-    denominator,
-    pole_coordinates,
-    search_dead_time,
-    summarise,
-)
+from estune.loop_model.identification import PoleFit, by_cost, search_dead_time
+from estune.loop_model.least_squares import Signals, Solution, signals_of
+from estune.loop_model.loop_fit import NUISANCE, LoopFit, Residuals, summarise
 from estune.loop_model.model import LoopModel
+from estune.loop_model.noise_model import NoiseModel
+from estune.loop_model.poles import sections_of
+from estune.loop_model.records import LoopRecord
 
 SHARES = (0.01, 0.03, 0.1, 0.25)
 """Sizes of friction that a search begins from, over the effort of a step."""
 
 SCREENED = 2
-STARTS = 3
+STARTS = 2
 """Records by which the starts of a search are compared and improved, which with few reversals has
 fewer local minima, and number of those that all records then improve."""
 
 DIFFERENCE = 1e-4
 """Half the distance of the points of a numerical slope, in each coordinate."""
 
-
 MISFIT_DONE = 0.001
 """Misfit from which an earlier fit is not all that a search begins from. Local minima leave 0.17 %
 and more, the fits of the reference reel with its own friction 0.05 to 0.09 %."""
 
 KNOWN_MAX = 4
-"""Coordinates whose positions are kept: searches at other dead times begin from them."""
+"""Coordinates whose forces are kept: searches at other dead times begin from them."""
 
 FRICTION_MIN = 1e-9
 """Least size of friction, over the effort of a step."""
 
 DIVERGED_N = 1e9
-"""Position in place of one that is not a number, of a mass whose poles are unstable."""
+"""Force in place of one that is not a number, of a mass whose poles are unstable."""
 
 
-class _Signals(NamedTuple):
-    """The records.
+class _Motion(NamedTuple):
+    """Records with what the mass needs beside their deviations.
 
     Attributes:
-        effort: Effort, shape (records, samples).
-        measurement: Measurement without its mean, shape (records, samples).
-        rest: Position before the step less its mean, in N of effort, shape (records,).
+        signals: The records.
+        records: The same.
+        gain: Static gain of the plant, about.
+        rest: Of each group the position before the record less its mean, in N of effort.
         rest_effort: Mean effort before the step.
         scale: Effort that a step needs, N.
-        known: Positions at the last coordinates, by their bytes.
+        poles: Number of poles.
+        noise: The noise.
+        proportional: Whether a friction in proportion to the load is searched, too.
+        known: Forces at the last coordinates, by their bytes.
     """
 
-    effort: FloatArray
-    measurement: FloatArray
-    rest: FloatArray
+    signals: Signals
+    records: tuple[LoopRecord, ...]
+    gain: float
+    rest: tuple[FloatArray, ...]
     rest_effort: float
     scale: float
-    known: dict[bytes, FloatArray]
+    poles: int
+    noise: NoiseModel
+    proportional: bool
+    known: dict[bytes, list[FloatArray]]
 
     @classmethod
-    def of(cls, records: Sequence[LoopRecord], gain: float) -> "_Signals":
-        """The signals of records of a plant of about this gain."""
-        rest = np.array([r.measurement_N[: max(r.step_index, 1)].mean() for r in records])
-        measurement = np.array([r.measurement_N for r in records])
+    def of(
+        cls, records: Sequence[LoopRecord], like: LoopFit, *, proportional: bool = False
+    ) -> "_Motion":
+        """The motion of records of a plant like an earlier fit."""
+        gain, settling = like.model.static_gain, like.settling_samples
+        signals = signals_of(records, settling, round(settling))
+        rests = [float(r.measurement_N[: max(r.step_index, 1)].mean()) for r in records]
+        mean = float(np.mean(rests))
         return cls(
-            np.array([r.effort_N for r in records]),
-            measurement - measurement.mean(axis=1, keepdims=True),
-            (rest - rest.mean()) / gain,
-            float(np.mean([r.rest_effort_N for r in records])),
-            abs(records[0].step_N / gain),
-            {},
+            signals=signals,
+            records=tuple(records),
+            gain=gain,
+            rest=tuple(
+                np.array([(rests[i] - mean) / gain for i in group.members])
+                for group in signals.groups
+            ),
+            rest_effort=float(np.mean([r.rest_effort_N for r in records])),
+            scale=abs(records[0].span_N / gain),
+            poles=like.order,
+            noise=like.noise,
+            proportional=proportional,
+            known={},
         )
+
+    def split(self, x: FloatArray) -> tuple[FloatArray, float, float, float]:
+        """Poles, F in N, c, and the force that holds at rest as an area tangent."""
+        n = self.poles
+        share = abs(float(x[n + 2])) if self.proportional else 0.0
+        return x[:n], self.scale * abs(float(x[n])), share, float(x[n + 1])
 
 
 def fit_with_friction(
-    records: Sequence[LoopRecord],
-    linear: LoopFit,
-    sampling_Hz: float,
-    settling_time_s: float,
-    last: LoopModel | None = None,
+    records: Sequence[LoopRecord], linear: LoopFit, last: LoopFit | None = None
 ) -> LoopFit | None:
     """The loop model with dry friction that fits records best; None where none was found.
 
     Args:
-        records: At least one; all of one step trial.
+        records: At least one.
         linear: The linear model of least squares.
-        sampling_Hz: Sampling rate.
-        settling_time_s: Settling time asked for, which sets the scale of the search.
-        last: Model with friction of an earlier fit to start from.
+        last: An earlier fit with friction to start from.
     """
-    gain = (last or linear.model).static_gain
+    gain = (last or linear).model.static_gain
     if not (math.isfinite(gain) and gain != 0.0):
         return None
-    signals = _Signals.of(records, gain)
-    search, warm = partial(_search, signals), None
+    warm = None
     if last is not None:
-        x = np.array([*pole_coordinates(last), last.friction_N / signals.scale, 0.0])
-        best = search_dead_time(search, search(x, last.dead_samples))
-        warm = _summarise(records, signals, best)
+        motion = _Motion.of(records, last, proportional=bool(last.model.friction_share))
+        model = last.model
+        x = np.array([*model.coordinates, model.friction_N / motion.scale, 0.0])
+        x = np.append(x, [model.friction_share] * bool(model.friction_share))
+        search = partial(_search, motion)
+        start = search(PoleFit(math.inf, x, model.dead_samples), model.dead_samples)
+        warm = _summarise(motion, search_dead_time(search, start))
         if warm.misfit < MISFIT_DONE:
             return warm
-    screened = _Signals.of(records[:SCREENED], gain)
-    starts = _starts(screened, linear.model, settling_time_s * sampling_Hz)
-    few = sorted((_search(screened, x, dead) for x, dead in starts), key=by_cost)
-    found = (search(one.coordinates, one.dead) for one in few[:STARTS])
-    best = search_dead_time(search, min(found, key=by_cost))
-    cold = _summarise(records, signals, best)
+    two = linear._replace(model=_two_poles(linear.model))
+    motion, screened = _Motion.of(records, two), _Motion.of(records[:SCREENED], two)
+    few = sorted((_search(screened, one, one.dead) for one in _starts(screened, two)), key=by_cost)
+    search = partial(_search, motion)
+    best = search_dead_time(search, min((search(f, f.dead) for f in few[:STARTS]), key=by_cost))
+    cold = _summarise(motion, best)
     return warm if warm is not None and warm.residual_N <= cold.residual_N else cold
 
 
-def _starts(
-    signals: _Signals, linear: LoopModel, settling_samples: float
-) -> list[tuple[FloatArray, int]]:
+def _two_poles(model: LoopModel) -> LoopModel:
+    """The model of the first pair alone, with the same gain."""
+    if model.order == 2:
+        return model
+    coordinates = (model.coordinates * 2)[:2] if model.order == 1 else model.coordinates[:2]
+    unit = float(sections_of(coordinates)[0].powers[0])
+    return LoopModel(coordinates, (model.static_gain * unit, 0.0, 0.0), model.dead_samples)
+
+
+def _starts(motion: _Motion, linear: LoopFit) -> list[PoleFit]:
     """The best of a coarse grid of poles and friction, at each dead time and of each size."""
-    w = 2.0 * math.pi / settling_samples
-    poles = [pole_coordinates(linear)]
+    w = 2.0 * math.pi / linear.settling_samples
+    poles = [np.array(linear.model.coordinates)]
     poles += [np.log([w * f, z]) for f in (0.3, 0.7, 1.5) for z in (0.2, 0.7)]
     grid = [np.array([*pole, share, 0.0]) for pole in poles for share in SHARES]
-    positions = _positions(signals, grid)
+    forces = _forces(motion, grid)
     # What sticks until the effort has grown looks like dead time to a linear model.
-    delays = sorted({1, 2, 4, linear.dead_samples // 3, linear.dead_samples})
+    dead_samples = linear.model.dead_samples
+    delays = sorted({1, 2, 4, dead_samples // 3, dead_samples})
     tried = [
-        (_Output.of(signals, x, dead).cost, i, dead)
-        for i, x in enumerate(positions)
+        (_solution(motion, x, [force[i] for force in forces], dead).cost, i, dead)
+        for i, x in enumerate(grid)
         for dead in delays
     ]
-    best = {min(one for one in tried if one[2] == dead) for dead in delays}
-    best |= {min(t for t in tried if t[1] % len(SHARES) == n) for n in range(len(SHARES))}
-    return [(grid[i], dead) for _, i, dead in sorted(best)]
+    best = {min(t for t in tried if t[1] % len(SHARES) == n) for n in range(len(SHARES))}
+    best.add(min(one for one in tried if one[2] == dead_samples))
+    return [PoleFit(cost, grid[i], dead) for cost, i, dead in sorted(best)]
 
 
-def _search(signals: _Signals, start: FloatArray, dead: int) -> PoleFit:
+def _search(motion: _Motion, start: PoleFit, dead: int) -> PoleFit:
     """Least squares from a start, by Levenberg and Marquardt."""
     from scipy.optimize import least_squares  # noqa: PLC0415  slow to import
 
-    def residual_of(x: FloatArray, positions: FloatArray) -> FloatArray:
+    def residual_of(x: FloatArray, forces: list[FloatArray]) -> FloatArray:
         # Without a reversal only the change of the friction shows: then it holds nothing at rest.
-        held_N = signals.scale * x[2] * math.tanh(x[3])
-        return np.append(_Output.of(signals, positions, dead).residual.ravel(), held_N)
+        _, friction_N, _, held = motion.split(x)
+        left = _solution(motion, x, forces, dead).residual
+        return np.append(left, friction_N * math.tanh(held))
 
     def jacobian(x: FloatArray) -> FloatArray:
-        moved = zip(_beside(x), _about(signals, x)[1:], strict=True)
-        ends = [residual_of(*pair) for pair in moved]
+        about = _about(motion, x)
+        ends = [
+            residual_of(moved, [force[i] for force in about])
+            for i, moved in enumerate(_beside(x), 1)
+        ]
         pairs = zip(ends[::2], ends[1::2], strict=True)
         return np.stack([(up - down) / (2.0 * DIFFERENCE) for up, down in pairs], axis=1)
 
     def residual(x: FloatArray) -> FloatArray:
-        return residual_of(x, _about(signals, x)[0])
+        return residual_of(x, [force[0] for force in _about(motion, x)])
 
     found = least_squares(
-        residual, start, jac=jacobian, method="lm", xtol=1e-5, ftol=1e-6, max_nfev=25
+        residual, start.coordinates, jac=jacobian, method="lm", xtol=1e-5, ftol=1e-6, max_nfev=15
     )
     return PoleFit(float(found.cost), found.x, dead)
 
 
-def _about(signals: _Signals, x: FloatArray) -> FloatArray:
-    """Positions at a point and to both sides of it along each coordinate, all in one run."""
+def _solution(motion: _Motion, x: FloatArray, forces: list[FloatArray], dead: int) -> Solution:
+    """Best numerator for given forces of each group, shape (records, samples)."""
+    driven = less_friction(motion.signals, forces)
+    return Solution.at(driven, motion.split(x)[0], dead, motion.noise)
+
+
+def less_friction(signals: Signals, forces: list[FloatArray]) -> Signals:
+    """The records with the friction taken off their effort."""
+    groups = (
+        group._replace(effort=group.effort - (force - force[:, :1]))
+        for group, force in zip(signals.groups, forces, strict=True)
+    )
+    return signals._replace(groups=tuple(groups))
+
+
+def friction_of(model: LoopModel, signals: Signals, record: LoopRecord) -> list[FloatArray]:
+    """The friction of a model on one record, which begins without any."""
+    a = model.sections[0].taps[np.newaxis]
+    load = np.abs(record.measurement_N) * model.friction_share / abs(model.static_gain or 1.0)
+    most = (model.friction_N + load)[np.newaxis, np.newaxis]
+    if not model.has_friction:
+        return [np.zeros((1, record.samples)) for _ in signals.groups]
+    rest = np.array([[record.rest_effort_N]])
+    return [friction_force(record.effort_N[np.newaxis], a, most, rest)[0]]
+
+
+def _about(motion: _Motion, x: FloatArray) -> list[FloatArray]:
+    """Forces at a point and to both sides of it along each coordinate, all in one run."""
     key = x.tobytes()
-    if key not in signals.known:
-        if len(signals.known) >= KNOWN_MAX:
-            del signals.known[next(iter(signals.known))]
-        signals.known[key] = _positions(signals, [x, *_beside(x)])
-    return signals.known[key]
+    if key not in motion.known:
+        if len(motion.known) >= KNOWN_MAX:
+            del motion.known[next(iter(motion.known))]
+        motion.known[key] = _forces(motion, [x, *_beside(x)])
+    return motion.known[key]
 
 
 def _beside(x: FloatArray) -> list[FloatArray]:
     """Points to both sides along each coordinate."""
-    return [x + s * e for e in DIFFERENCE * np.eye(4) for s in (1, -1)]
+    return [x + s * e for e in DIFFERENCE * np.eye(x.size) for s in (1, -1)]
 
 
-def _positions(signals: _Signals, coordinates: Sequence[FloatArray]) -> FloatArray:
-    """Position x less its value at rest, shape (coordinates, records, samples).
+def _forces(motion: _Motion, coordinates: Sequence[FloatArray]) -> list[FloatArray]:
+    """Friction of each group at several coordinates, shape (coordinates, records, samples)."""
+    parts = [motion.split(x) for x in coordinates]
+    a = np.array([sections_of(poles)[0].taps for poles, *_ in parts])
+    friction = np.array([size for _, size, _, _ in parts])
+    share = np.array([share for _, _, share, _ in parts]) / abs(motion.gain)
+    held = friction * np.tanh([part[3] for part in parts])
+    found = []
+    for group, rest in zip(motion.signals.groups, motion.rest, strict=True):
+        effort = np.array([motion.records[i].effort_N for i in group.members])
+        load = np.abs([motion.records[i].measurement_N for i in group.members])
+        most = friction[:, np.newaxis, np.newaxis] + share[:, np.newaxis, np.newaxis] * load
+        start = motion.rest_effort + held[:, np.newaxis] + rest
+        found.append(friction_force(effort, a, most, start))
+    return found
 
-    Coordinates are the logarithms of natural frequency and damping ratio, the size of friction
-    over the effort of a step, and the share of it that holds at rest, as an area tangent.
-    """
-    a = np.array([denominator(x[:2]) for x in coordinates])
-    friction = signals.scale * np.abs([x[2] for x in coordinates])
-    held = friction * np.tanh([x[3] for x in coordinates])
-    rest = signals.rest_effort + held[:, np.newaxis] + signals.rest
-    return simulate(signals.effort, a, friction, rest) - rest[..., np.newaxis]
 
-
-def simulate(
-    effort: FloatArray, a: FloatArray, friction: FloatArray, rest: FloatArray
+def friction_force(
+    effort: FloatArray, a: FloatArray, most: FloatArray, rest: FloatArray
 ) -> FloatArray:
-    """Positions of masses on springs with dry friction, shape (masses, records, samples).
+    """Friction on masses on springs, N, shape (masses, records, samples).
 
     Args:
         effort: Shape (records, samples).
         a: Denominators of the two poles, shape (masses, 3).
-        friction: Sizes of the friction, N, shape (masses,).
+        most: Greatest friction, N, shape (masses, records, samples).
         rest: Position before the first sample, N, shape (masses, records).
     """
     unit = a.sum(axis=1)[:, np.newaxis]
     first, second = -(1.0 + a[:, 1:2]), -a[:, 2:3]
-    most = unit * friction[:, np.newaxis]
+    limits = np.ascontiguousarray(np.moveaxis(most * unit[..., np.newaxis], 2, 0))
     columns = np.multiply.outer(effort.T, unit[:, 0]).transpose(0, 2, 1)
-    x = np.empty((effort.shape[1], *rest.shape))
+    taken = np.empty((effort.shape[1], *rest.shape))
     now = before = rest
     with np.errstate(over="ignore", invalid="ignore"):
         for k, push in enumerate(columns):
-            x[k] = now
             step = first * now + second * before + push
-            before, now = now, now + step - np.minimum(np.maximum(step, -most), most)
-    x = np.nan_to_num(x, nan=DIVERGED_N, posinf=DIVERGED_N, neginf=-DIVERGED_N)
-    return x.transpose(1, 2, 0)
+            off = np.minimum(np.maximum(step, -limits[k]), limits[k])
+            taken[k] = off
+            before, now = now, now + step - off
+        taken /= unit
+    taken = np.nan_to_num(taken, nan=DIVERGED_N, posinf=DIVERGED_N, neginf=-DIVERGED_N)
+    return taken.transpose(1, 2, 0)
 
 
-class _Output(NamedTuple):
-    """Best numerator for given positions.
-
-    Attributes:
-        numerator: Over the sum of the denominator, shape (3,).
-        regressors: Positions at the three delays without their means, (3, records, samples).
-        residual: Shape (records, samples).
-    """
-
-    numerator: FloatArray
-    regressors: FloatArray
-    residual: FloatArray
-
-    @classmethod
-    def of(cls, signals: _Signals, x: FloatArray, dead: int) -> "_Output":
-        """The output of positions, shape (records, samples), at this dead time."""
-        regressors = np.stack([delayed(x, dead + j) for j in range(3)])
-        regressors -= regressors.mean(axis=2, keepdims=True)
-        flat, y = regressors.reshape(3, -1).T, signals.measurement
-        b = np.asarray(np.linalg.lstsq(flat, y.ravel(), rcond=1e-10)[0], float)
-        return cls(b, regressors, y - (flat @ b).reshape(y.shape))
-
-    @property
-    def cost(self) -> float:
-        """Half the sum of squared residuals."""
-        return 0.5 * float(np.vdot(self.residual, self.residual))
-
-
-def _summarise(records: Sequence[LoopRecord], signals: _Signals, best: PoleFit) -> LoopFit:
+def _summarise(motion: _Motion, best: PoleFit) -> LoopFit:
     """The fit with its covariances and its misfit."""
     x = best.coordinates
-    at = _Output.of(signals, _positions(signals, [x])[0], best.dead)
-    a1, a2 = denominator(x[:2])[1:].tolist()
-    b0, b1, b2 = (at.numerator * (1.0 + a1 + a2)).tolist()
-    friction_N = max(signals.scale * abs(float(x[2])), FRICTION_MIN * signals.scale)
-    model = LoopModel((a1, a2), (b0, b1, b2), best.dead, friction_N)
-    return summarise(
-        records,
-        model,
-        _slopes(signals, model, held_N=friction_N * math.tanh(x[3])),
-        at.residual,
-        response_N=float(np.abs(np.tensordot(at.numerator, at.regressors, 1)).max()),
-        nuisance=1,
+    at = _solution(motion, x, [f[0] for f in _about(motion, x)], best.dead)
+    poles, friction_N, share, _ = motion.split(x)
+    model = LoopModel(
+        tuple(poles.tolist()),
+        tuple(at.numerator.tolist()),
+        best.dead,
+        max(friction_N, FRICTION_MIN * motion.scale),
+        share,
     )
+    left = Residuals(
+        at.residual,
+        _slopes(motion, x, at, best.dead),
+        float(np.abs(at.regressors @ at.numerator).max()),
+        NUISANCE,
+    )
+    return summarise(motion.records, motion.signals, model, motion.noise, left)
 
 
-def _slopes(signals: _Signals, model: LoopModel, held_N: float) -> FloatArray:
-    """Slopes of the output along the model's parameters, shape (records, samples, 6).
+def _slopes(motion: _Motion, x: FloatArray, at: Solution, dead: int) -> FloatArray:
+    """Slopes of the residual along the model's parameters, shape (residuals of all, parameters).
 
     What holds at rest counts as known: without a reversal it cannot be told from the friction.
     """
-    values = model.parameters
-    # Small against what the poles leave of their sum: it makes the gain.
-    unit = abs(1.0 + sum(model.poles))
-    sizes = 1e-3 * np.array([unit, unit, *np.maximum(np.abs(values[2:]), 1e-6)])
-
-    def output(theta: FloatArray) -> FloatArray:
-        a, friction = np.array([1.0, *theta[:2]]), theta[5:6]
-        rest = signals.rest_effort + held_N + signals.rest
-        x = simulate(signals.effort, a[np.newaxis], friction, rest[np.newaxis])[0]
-        taps = [delayed(x - rest[:, np.newaxis], model.dead_samples + j) for j in range(3)]
-        return np.asarray(np.tensordot(theta[2:5] / a.sum(), np.array(taps), 1))
-
-    columns = np.array(
-        [
-            (output(values + size * axis) - output(values - size * axis)) / (2.0 * size)
-            for size, axis in zip(sizes, np.eye(6), strict=True)
-        ]
-    )
-    columns -= columns.mean(axis=2, keepdims=True)
-    return columns.transpose(1, 2, 0)
+    about = _about(motion, x)
+    ends = [
+        Solution.at(
+            less_friction(motion.signals, [force[i] for force in about]),
+            motion.split(moved)[0],
+            dead,
+            motion.noise,
+            at.numerator,
+        ).residual
+        for i, moved in enumerate(_beside(x), 1)
+    ]
+    moved = [
+        (up - down) / (2.0 * DIFFERENCE) for up, down in zip(ends[::2], ends[1::2], strict=True)
+    ]
+    n = motion.poles
+    sign = math.copysign(1.0, x[n])
+    friction = [sign * moved[n] / motion.scale, *moved[n + 2 :]]
+    return np.concatenate([np.stack(moved[:n], 1), -at.regressors, np.stack(friction, 1)], axis=1)

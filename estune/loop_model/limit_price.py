@@ -9,7 +9,7 @@ import numpy as np
 
 from estune.core.gains import Gains
 from estune.core.quantities import FloatArray
-from estune.loop_model.identification import LoopFit
+from estune.loop_model.loop_fit import LoopFit
 from estune.loop_model.optimum import Optimum, RegionSearch, RobustnessLimits
 from estune.loop_model.prediction import StepTrial
 

@@ -10,8 +10,9 @@ import numpy as np
 from estune.core.gains import Gains
 from estune.core.quantities import FloatArray
 from estune.core.setting import Setting, check_settings, documented
+from estune.loop_model.intervals import Interval, PredictedMargins
 from estune.loop_model.model import LoopModel
-from estune.loop_model.prediction import Interval, PredictedMargins, Prediction, StepTrial, predict
+from estune.loop_model.prediction import Prediction, StepTrial, predict
 
 SENSITIVITY_MAX = 1.6
 """Largest Ms by default; 1.4 is robust, 2 aggressive."""

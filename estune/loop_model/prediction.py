@@ -12,26 +12,8 @@ from estune.core.gains import Gains
 from estune.core.pidf import ControllerSettings
 from estune.core.quantities import FloatArray
 from estune.core.response import StepShape
-from estune.loop_model.identification import LoopFit
 from estune.loop_model.model import ClosedLoop, LoopModel, close_loop, robustness
 from estune.loop_model.sampled_loop import sampled_response
-
-INFLATION = 1.5
-"""Factor on the wider of the two standard errors of the fit: with it intervals of Ms hold the
-true value in 1.00 of 42 fits on seven families, without it in 0.83 to 0.95."""
-
-
-GRID_ERROR = 2e-3
-"""Error of Ms between the angles of the grid, against 200 000 angles, relative to it."""
-
-
-MISFIT_ERROR = 20.0
-"""Error of Ms per misfit, relative to it. Reels and loops outside the class whose misfit is below
-0.5 % are off by 7 (five lags) to 35 times it (stiffening)."""
-
-FRICTION_ERROR = 0.015
-"""Error of Ms where friction was identified, relative to it: up to 1.2 % on the reference reel
-with 0.005 to 0.05 N m, whose friction acts between the samples."""
 
 
 @dataclass(frozen=True)
@@ -116,8 +98,8 @@ def _response(
 ) -> tuple[FloatArray, FloatArray]:
     """Output and effort as deviations; by samples only with friction, or where limits act."""
     settings = trial.controller
-    if not model.friction_N:
-        output, effort = loop.step_response(trial.setpoint_N)
+    if not model.has_friction:
+        output, effort = loop.setpoint_response(trial.setpoint_N)
         if trial.step.load:
             loaded = loop.load_response(trial.loads_N)
             output, effort = output + loaded[0], effort + loaded[1]
@@ -164,86 +146,3 @@ def _noise_cost(loop: ClosedLoop, trial: StepTrial, noise_N: float) -> float:
     return (noise_N / trial.step.size_N) ** 2 * (
         trial.error_weight * error + trial.cost.move_weight * after * move
     )
-
-
-class Interval(NamedTuple):
-    """An estimate with its 95 % interval."""
-
-    value: float
-    low: float
-    high: float
-
-
-class PredictedMargins(NamedTuple):
-    """Predictions with intervals.
-
-    Attributes:
-        cost: Expected cost.
-        overshoot: As a share of the step.
-        sensitivity: Ms.
-        phase_margin_deg: Degrees.
-    """
-
-    cost: Interval
-    overshoot: Interval
-    sensitivity: Interval
-    phase_margin_deg: Interval
-
-
-def predict_with_intervals(fit: LoopFit, trial: StepTrial, gains: Gains) -> PredictedMargins:
-    """Predictions of an identified loop with 95 % intervals by linear propagation of errors.
-
-    Cost and Ms are propagated as logarithms. The standard error is the wider of the white and the
-    between-record estimate, times `INFLATION`. An interval is NaN where the loop is unstable at
-    both ends of an error: no slope is known there.
-    """
-    at = predict(fit.model, trial, gains, fit.noise_N)
-    centre = _transformed(at)
-    theta = fit.model.parameters
-    white, clustered = (
-        np.linalg.cholesky(_positive(cov)) for cov in (fit.covariance, fit.clustered)
-    )
-    widths = []
-    for factor, quantile in ((white, 1.96), (clustered, fit.quantile)):
-        moved = []
-        for column in factor.T:
-            ends = [
-                _transformed(
-                    predict(
-                        fit.model.with_parameters(theta + s * column), trial, gains, fit.noise_N
-                    )
-                )
-                for s in (0.5, -0.5)
-            ]
-            with np.errstate(invalid="ignore"):
-                moved.append(ends[0] - ends[1])
-        widths.append(quantile * np.sqrt(np.sum(np.square(moved), axis=0)))
-    half = INFLATION * np.fmax(*widths)
-    half[2] = math.hypot(half[2], MISFIT_ERROR * fit.misfit)
-    half[2] = math.hypot(half[2], FRICTION_ERROR if fit.model.friction_N else GRID_ERROR)
-    with np.errstate(invalid="ignore"):
-        low, high = centre - half, centre + half
-    return PredictedMargins(
-        Interval(at.cost, float(np.exp(low[0])), float(np.exp(high[0]))),
-        Interval(at.overshoot, max(float(low[1]), 0.0), float(high[1])),
-        Interval(at.sensitivity, float(np.exp(low[2])), float(np.exp(high[2]))),
-        Interval(at.phase_margin_deg, float(low[3]), float(high[3])),
-    )
-
-
-def parameter_deviations(fit: LoopFit) -> FloatArray:
-    """A factor F of the inflated covariance F F' of the model's n parameters, shape (n, n)."""
-    return np.asarray(INFLATION * np.linalg.cholesky(_positive(fit.covariance)))
-
-
-def _transformed(p: Prediction) -> FloatArray:
-    return np.array([math.log(p.cost), p.overshoot, math.log(p.sensitivity), p.phase_margin_deg])
-
-
-def _positive(covariance: FloatArray) -> FloatArray:
-    """A covariance with rounding errors removed, so that it has a Cholesky factor."""
-    scale = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
-    correlation = covariance / np.outer(scale, scale)
-    values, vectors = np.linalg.eigh((correlation + correlation.T) / 2.0)
-    fixed = (vectors * np.maximum(values, 1e-12)) @ vectors.T
-    return np.asarray(fixed * np.outer(scale, scale))

@@ -59,14 +59,14 @@ def problem(models: Sequence[LoopModel], trial: StepTrial, noise_N: float) -> di
 
 
 def _model(model: LoopModel) -> dict[str, Any]:
-    a1, a2 = model.poles
-    b0, b1, b2 = model.zeros
-    # A polynomial in q^-1 as one in 1 - q^-1.
+    share = model.friction_share
     return {
-        "sections": [[1.0 + a1 + a2, -(a1 + 2.0 * a2), a2]],
-        "numerator": [b0 + b1 + b2, -(b1 + 2.0 * b2), b2],
+        "sections": [np.resize([*s.powers, 0.0], 3).tolist() for s in model.sections],
+        "numerator": list(model.numerator),
         "dead_samples": model.dead_samples,
         "friction": model.friction_N,
+        "friction_share": share,
+        "friction_over_gain": share / model.static_gain if share else 0.0,
     }
 
 

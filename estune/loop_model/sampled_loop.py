@@ -9,7 +9,7 @@ from estune.core import pidf
 from estune.core.gains import Gains
 from estune.core.pidf import ControllerSettings
 from estune.core.quantities import FloatArray
-from estune.loop_model.model import LoopModel
+from estune.loop_model.model import LoopModel, exchanged
 
 
 def sampled_response(
@@ -31,10 +31,21 @@ def sampled_response(
         load_N: Added to the effort on its way to the plant, shape (samples,).
         rest_effort_N: Effort at rest, by which the controller's limits are judged.
     """
-    coefficients = pidf.coefficients(settings, gains)
-    fixed = np.array([*coefficients, *model.poles, *model.zeros, model.friction_N, rest_effort_N])
-    run = _loop(model.dead_samples, setpoint_N.size)
-    first = np.zeros(3 + model.dead_samples + 3)
+    share = model.friction_share
+    friction = [model.friction_N, share, share / model.static_gain if share else 0.0]
+    sections = model.sections
+    taps = np.concatenate([np.resize(s.taps, 3)[1:] * [1.0, s.taps.size > 2] for s in sections])
+    fixed = np.concatenate(
+        [
+            pidf.coefficients(settings, gains),
+            taps,
+            exchanged(np.array(model.numerator)),
+            [rest_effort_N],
+            friction,
+        ]
+    )
+    run = _loop(len(sections), len(model.numerator), model.dead_samples, setpoint_N.size)
+    first = np.zeros(run.size1_in(0))
     first[0] = rest_effort_N
     columns = np.vstack([setpoint_N, load_N, np.tile(fixed[:, np.newaxis], setpoint_N.size)])
     _, signals = run(first, columns)
@@ -43,24 +54,35 @@ def sampled_response(
 
 
 @lru_cache(maxsize=8)
-def _loop(dead: int, samples: int) -> Any:
-    """The loop as a function of first state and columns; its states are x/a, the latest first.
+def _loop(sections: int, terms: int, dead: int, samples: int) -> Any:
+    """The loop as a function of first state and columns.
 
-    The position x of the two poles is divided by a = 1 + a1 + a2, so that integrators have one.
+    States: of the controller; the position x/a of the first pair and that before; the last two
+    outputs of each further section; the last values of the last one, of which B takes a sum. The
+    position is divided by a = 1 + a1 + a2, so that integrators have one.
     """
     import casadi as ca  # noqa: PLC0415  slow to import
 
     ca.GlobalOptions.setNumpyMode(1)  # or it prints a notice
-    state, column = ca.SX.sym("state", 6 + dead), ca.SX.sym("column", 2 + 9 + 7)
+    further = sections - 1
+    state = ca.SX.sym("state", 3 + 2 + 2 * further + dead + terms)
+    column = ca.SX.sym("column", 2 + 9 + 2 * sections + terms + 4)
     setpoint, load = column[0], column[1]
     c = pidf.Coefficients(*(column[2 + i] for i in range(9)))
-    a1, a2, b0, b1, b2, friction, rest = (column[11 + i] for i in range(7))
+    taps, zeros = column[11 : 11 + 2 * sections], column[11 + 2 * sections : -4]
+    rest, friction, share, over_gain = (column[-4 + i] for i in range(4))
     controller = pidf.PidfState(state[0], state[1], state[2])
-    x = state[3:]
-    output = b0 * x[dead] + b1 * x[dead + 1] + b2 * x[dead + 2]
+    x, between, last = state[3:5], state[5 : 5 + 2 * further], state[5 + 2 * further :]
+    output = ca.dot(zeros, last[dead : dead + terms])
     following, effort, _ = pidf.step(c, controller, setpoint, output)
-    step = -(1.0 + a1) * x[0] - a2 * x[1] + effort - rest + load
-    moved = x[0] + step - ca.fmin(ca.fmax(step, -friction), friction)
-    after = ca.vertcat(*following, moved, x[:-1])
+    step = -(1.0 + taps[0]) * x[0] - taps[1] * x[1] + effort - rest + load
+    most = friction + ca.fabs(share * rest + over_gain * output)
+    moved = x[0] + step - ca.fmin(ca.fmax(step, -most), most)
+    signal, kept = moved, []
+    for i in range(further):
+        own = between[2 * i : 2 * i + 2]
+        signal = signal - taps[2 + 2 * i] * own[0] - taps[3 + 2 * i] * own[1]
+        kept += [signal, own[0]]
+    after = ca.vertcat(*following, moved, x[0], *kept, signal, last[:-1])
     one = ca.Function("one", [state, column], [after, ca.vertcat(output, effort)])
     return one.mapaccum("loop", samples)

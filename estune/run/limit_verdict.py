@@ -8,8 +8,8 @@ import numpy as np
 
 from estune.core.gains import Gains
 from estune.loop_model.claim import Claim
+from estune.loop_model.intervals import Interval
 from estune.loop_model.optimum import RobustnessLimits
-from estune.loop_model.prediction import Interval
 from estune.run.ending import RunEnding
 from estune.run.plan import Plan
 from estune.trial import Outcome, TrialRecord

@@ -13,10 +13,11 @@ from estune.core.metrics import STEADY_SHARE, step_metrics
 from estune.core.quantities import FloatArray
 from estune.loop_model.claim import Claim, CostCheck, claim
 from estune.loop_model.fitting import fit_loop
-from estune.loop_model.identification import LoopFit, LoopRecord
+from estune.loop_model.intervals import PredictedMargins
 from estune.loop_model.limit_price import LimitPrice, price_of
+from estune.loop_model.loop_fit import LoopFit
 from estune.loop_model.optimum import RobustnessLimits
-from estune.loop_model.prediction import PredictedMargins
+from estune.loop_model.records import LoopRecord
 from estune.run.limit_verdict import LimitVerdict, limit_verdict
 from estune.run.loop import TuningRun
 from estune.run.plan import Plan
@@ -95,9 +96,9 @@ def claim_from(loop: IdentifiedLoop, plan: Plan, rig: RigDescription, gains: Gai
     check = None
     if earlier:
         rate, asked_s = rig.controller.sampling_Hz, plan.cost.settling_time_s
-        before = fit_loop(loop.signals[:earlier], rate, asked_s, loop.fit.model)
+        before = fit_loop(loop.signals[:earlier], rate, asked_s, loop.fit)
         check = CostCheck(before, tuple(c for c, at in zip(loop.costs, here, strict=True) if at))
-    return claim(loop.fit, step_trial(rig, plan.step, plan.cost), gains, loop.tried, check)
+    return claim(loop.fit, loop.signals, step_trial(rig, plan.step, plan.cost), gains, check)
 
 
 def limit_price(

@@ -15,7 +15,7 @@ from typing import Any
 
 from estune.core.comparison import InterleavedRepeats, repeatability, repeats_needed
 from estune.core.gains import Gains
-from estune.loop_model.identification import LoopRecord
+from estune.loop_model.records import LoopRecord
 from estune.run.plan import CONFIRMATION_REPEATS_MAX, Plan
 from estune.trial import Outcome, TrialRequest
 from estune.tuners.interface import CostPrediction, PredictingTuner

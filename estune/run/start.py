@@ -14,10 +14,11 @@ from estune.core.sensitivity import largest_sensitivity
 from estune.errors import InvalidInput, UnsafeStart
 from estune.interop import model_gains, sampled_model
 from estune.loop_model.fitting import fit_loop
-from estune.loop_model.identification import LoopFit, LoopRecord
+from estune.loop_model.loop_fit import LoopFit
 from estune.loop_model.model import robustness
 from estune.loop_model.optimum import RegionSearch, RobustnessLimits
 from estune.loop_model.prediction import StepTrial
+from estune.loop_model.records import LoopRecord
 from estune.trial import RigDescription
 
 SENSITIVITY_MAX = 2.0
@@ -165,7 +166,7 @@ def _simulated_step(plant: SampledPlant, trial: StepTrial, gains: Gains) -> Loop
         past = [float(effort), *past[:-1]]
         x = _moved(plant, x, past)
         efforts[k], outputs[k] = effort, y
-    return LoopRecord(efforts, outputs, trial.step.size_N, trial.step.sample)
+    return LoopRecord(efforts, outputs, trial.setpoint_N, gains, at_rest=True)
 
 
 def _moved(plant: SampledPlant, x: FloatArray, past: list[float]) -> FloatArray:

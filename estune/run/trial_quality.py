@@ -6,7 +6,7 @@ import numpy as np
 
 from estune.core.cost import StepCost
 from estune.errors import InvalidInput
-from estune.loop_model.identification import FEWEST_BEFORE, LoopFit
+from estune.loop_model.loop_fit import LoopFit
 from estune.run.plan import Plan
 from estune.trial import RigDescription, TrialRecord
 
@@ -22,6 +22,9 @@ a lower cost, 11 % on the reference reel with a step of 250 times the noise."""
 SAMPLES_MIN, SAMPLES_LOW = 10.0, 25.0
 """Samples in the settling time below which a trial is refused, and warned of: the tuned reel has
 Ms 14, 6.2, 4.7 at 5, 8, 10 samples, and 2.7, 2.1, 1.9 at 16, 24, 40."""
+
+FEWEST_BEFORE = 8
+"""Samples before the step that are enough to tell the noise of the effort."""
 
 SETTLING_LEAST = 0.7
 """Asked settling time over the period 2 pi/omega of the plant's poles, below which a run warns.

@@ -11,7 +11,7 @@ import numpy as np
 
 from estune.core.controller_equation import unlimited_effort
 from estune.core.quantities import FloatArray
-from estune.loop_model.identification import LoopRecord
+from estune.loop_model.records import LoopRecord
 from estune.trial.description import RigDescription
 from estune.trial.profiles import StepProfile
 from estune.trial.records import SATURATED, Outcome, TrialRecord
@@ -54,9 +54,9 @@ def loop_signals(record: TrialRecord, step: StepProfile, rig: RigDescription) ->
             return LoopSignals(None, reason)
         # The first sample's level has its noise, which the derivative makes many times as large.
         effort = effort + float(np.median(logged - effort))
-    shape = step.shape(record.sampling_Hz)
-    effort = effort + shape.loads(effort.size)
-    return LoopSignals(LoopRecord(effort, record.tension_N, shape.size_N, shape.sample))
+    effort = effort + step.shape(record.sampling_Hz).loads(effort.size)
+    columns = effort, record.tension_N, record.setpoint_N
+    return LoopSignals(LoopRecord(*columns, record.gains, at_rest=True))
 
 
 def recomputed_effort(record: TrialRecord, rig: RigDescription, first_N: float) -> FloatArray:
@@ -87,7 +87,10 @@ def _mismatch(recomputed: FloatArray, logged: FloatArray) -> str:
         fits.append(float(shifted @ base) / max(float(scale), 1e-300))
     best = int(np.argmax(fits))
     if fits[best] < ALIKE:
-        return "the logged effort does not follow from setpoint, measurement and gains"
+        return (
+            "the logged effort does not follow from setpoint, measurement and gains; check that "
+            "the rig applies the gains of a trial"
+        )
     if LAGS[best] != 0:
         late = "late" if LAGS[best] > 0 else "early"
         return f"the logged effort is {abs(LAGS[best])} sample(s) {late}"

@@ -22,10 +22,12 @@ import numpy as np
 from estune.core.quantities import FloatArray
 from estune.loop_model.drawn_optima import draw_optima
 from estune.loop_model.fitting import fit_loop
-from estune.loop_model.identification import LoopFit, LoopRecord
+from estune.loop_model.intervals import parameter_deviations
+from estune.loop_model.loop_fit import LoopFit
 from estune.loop_model.model import LoopModel
 from estune.loop_model.optimum import TOLERANCE, Optimum, RegionSearch, RobustnessLimits
-from estune.loop_model.prediction import Prediction, StepTrial, parameter_deviations, predict
+from estune.loop_model.prediction import Prediction, StepTrial, predict
+from estune.loop_model.records import LoopRecord
 from estune.tuners.identified_loop_state import IdentifiedLoopState
 from estune.tuners.interface import ConvergenceEstimate, CostPrediction
 from estune.tuners.observation import Observation, log_cost
@@ -213,7 +215,7 @@ class IdentifiedLoopTuner:
             records,
             self.trial.controller.sampling_Hz,
             self.trial.cost.settling_time_s,
-            last.model if last else None,
+            last,
         )
         state = state._replace(
             records=records,

@@ -2,7 +2,8 @@
 
 from typing import Any, NamedTuple
 
-from estune.loop_model.identification import LoopFit, LoopRecord
+from estune.loop_model.loop_fit import LoopFit
+from estune.loop_model.records import LoopRecord
 from estune.tuners.interface import ConvergenceEstimate
 from estune.tuners.residual_surface import ResidualSurface
 from estune.tuners.search_space import Coordinates, Point

@@ -4,7 +4,7 @@ import math
 from typing import NamedTuple
 
 from estune.errors import InvalidInput
-from estune.loop_model.identification import LoopRecord
+from estune.loop_model.records import LoopRecord
 
 
 class Observation(NamedTuple):

@@ -10,8 +10,8 @@ import plants
 from estune.core.gains import Gains
 from estune.loop_model.claim import TRIALS_MIN, claim
 from estune.loop_model.fitting import fit_loop
-from estune.loop_model.identification import LoopRecord
 from estune.loop_model.prediction import StepTrial
+from estune.loop_model.records import LoopRecord
 from estune.tuners import Observation, SearchSpace
 from estune.tuners.identified_loop import IdentifiedLoopTuner
 from experiments.loop_claims.cases import LoopCase
@@ -72,7 +72,6 @@ def search(case: LoopCase, optimum: Truth, noise: float, seed: int, trials_max: 
     tuner = IdentifiedLoopTuner(space, trial)
     state, start_cost = tuner.start(), run(case.start, 0)[0]
     unsafe = settled = k = 0
-    tried: list[Gains] = []
     near: list[bool] = []
     while k < trials_max and settled < tuner.settled_trials:
         k += 1
@@ -82,8 +81,6 @@ def search(case: LoopCase, optimum: Truth, noise: float, seed: int, trials_max: 
         noisy = eta * math.exp(noise * rng.standard_normal())
         censored = not eta < 3.0 * start_cost
         state = tuner.tell(state, Observation(noisy, censored, record=record))
-        if not censored:
-            tried.append(gains)
         at = true.at(space.gains(tuner.recommend(state)))
         near.append(at.cost < (1.0 + WITHIN) * optimum.cost and _kept(at))
         estimate = tuner.convergence(state)
@@ -93,16 +90,12 @@ def search(case: LoopCase, optimum: Truth, noise: float, seed: int, trials_max: 
     at = true.at(gains)
     repeats = [run(gains, k + n)[1] for n in range(1, TRIALS_MIN + 1)]
     stable = [record for record in repeats if record is not None]
-    records, tried = [*state.records, *stable], [*tried, *[gains] * len(stable)]
+    records = [*state.records, *stable]
     claimed, misfit = (math.nan, math.nan), math.nan
     if records:
-        last = state.fit.model if state.fit else None
-        made = claim(
-            fit_loop(records, rate, cost.settling_time_s, last),
-            trial,
-            gains,
-            tried[-len(records) :],
-        )
+        last = state.fit
+        fit = fit_loop(records, rate, cost.settling_time_s, last)
+        made = claim(fit, records, trial, gains)
         misfit = made.misfit
         if made.margins:
             claimed = made.margins.sensitivity.low, made.margins.sensitivity.high
@@ -129,7 +122,7 @@ def _trials(case: LoopCase, seed: int) -> Callable[[Gains, int], tuple[float, Lo
     """A function that runs the trial of some gains with its number."""
     plant, step, source = case.plant, case.plant.profile, NoiseSource(seed)
     rate = plant.controller.sampling_Hz
-    index, samples = step.step_index(rate), step.samples(rate)
+    samples = step.samples(rate)
 
     def run(gains: Gains, number: int) -> tuple[float, LoopRecord | None]:
         noise = source.draw(number, samples, plant.noise_rms_N)
@@ -138,6 +131,6 @@ def _trials(case: LoopCase, seed: int) -> Callable[[Gains, int], tuple[float, Lo
             return math.inf, None
         columns = r.setpoint_N, r.tension_N, r.effort_N
         eta = float(case.cost.evaluate(rate, step.shape(rate), *columns))
-        return eta, LoopRecord(r.effort_N, r.tension_N, step.step_N, index)
+        return eta, LoopRecord(r.effort_N, r.tension_N, r.setpoint_N, gains, at_rest=True)
 
     return run

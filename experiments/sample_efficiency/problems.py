@@ -12,8 +12,8 @@ import plants
 from estune.core.cost import StepCost, default_cost
 from estune.core.gains import Gains
 from estune.core.quantities import FloatArray
-from estune.loop_model.identification import LoopRecord
 from estune.loop_model.prediction import StepTrial
+from estune.loop_model.records import LoopRecord
 from estune.trial.profiles import StepProfile
 from estune.tuners.search_space import Coordinates, SearchSpace
 from plants.models.linear_plant import LinearPlant
@@ -91,7 +91,9 @@ class Problem:
         profile, rate = self.plant.profile, self.plant.controller.sampling_Hz
         noise_N = self.plant.noise_rms_N if self.gauge_noise else 0.0
         r = self._response(coordinates, seed, number, noise_N)
-        return LoopRecord(r.effort_N, r.tension_N, profile.step_N, profile.step_index(rate))
+        gains = Gains(*np.exp(coordinates).tolist())
+        index = profile.step_index(rate)
+        return LoopRecord.of_step(r.effort_N, r.tension_N, profile.step_N, index, gains)
 
     @property
     def trial(self) -> StepTrial:

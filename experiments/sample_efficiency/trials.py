@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from estune.core.quantities import FloatArray
-from estune.loop_model.identification import LoopRecord
+from estune.loop_model.records import LoopRecord
 from estune.tuners.search_space import Coordinates, SearchSpace
 from experiments.sample_efficiency.optimum import optimum, warm_start
 from experiments.sample_efficiency.problems import ALL_PROBLEMS

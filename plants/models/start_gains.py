@@ -16,8 +16,8 @@ from estune.core.gains import Gains
 from estune.core.quantities import FloatArray
 from estune.errors import UnsafeStart
 from estune.loop_model.fitting import fit_loop
-from estune.loop_model.identification import LoopRecord
 from estune.loop_model.model import robustness
+from estune.loop_model.records import LoopRecord
 from plants.simulation.plant import Plant, TrialSetpoint, drive_of
 
 MOVED = 0.1
@@ -122,7 +122,7 @@ def _doublet(plant: Plant, rest_effort_N: float) -> LoopRecord:
                 raise _unknown("it runs away once it has moved: it is unstable by itself")
             if away[index + third - 1] * (effort[index] - rest_effort_N) < 0.0:
                 raise _unknown("more effort lowers the measurement; turn the sign of the effort")
-            return LoopRecord(effort, measured, step.step_N, index)
+            return LoopRecord.of_step(effort, measured, step.step_N, index)
     raise _unknown(f"an effort of {EFFORT_SHARE:.0%} of the controller's range does not move it")
 
 

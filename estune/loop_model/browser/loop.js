@@ -4,7 +4,7 @@
 // The controller is R u = T F r - S y; S and T are sums over P, I, D and I D / P.
 
 const FEATURES = (g) => [g.P, g.I, g.D, (g.I * g.D) / g.P];
-const GRID_POINTS = 250, LOWEST = 1e-4, PER_TURN = 24;
+const GRID_POINTS = 250, LOWEST = 1e-4, PER_TURN = 24, ZOOMED = 25;
 
 // The controller's polynomials in q^-1 with some gains.
 function controller(c, gains) {
@@ -64,7 +64,7 @@ export function simulate(problem, model, gains, { setpoint, load, noise }, limit
   const act = controlLaw(c, gains, problem.rest);
   const sections = model.sections.map((p) => ({ p, unit: p[0] + p[1] + p[2], x: 0, dx: 0 }));
   const B = model.numerator, dead = model.dead_samples, past = new Float64Array(n + dead + B.length + 1);
-  const differences = new Float64Array(B.length), friction = model.friction ?? 0;
+  const differences = new Float64Array(B.length), friction = model.friction ?? 0, share = model.friction_share ?? 0;
   const origin = dead + B.length; // past[k + origin] is the plant's last state at sample k
   for (let k = 0; k < n; k++) {
     // B at the state d + 1 samples ago: its backward differences, of all orders.
@@ -80,7 +80,10 @@ export function simulate(problem, model, gains, { setpoint, load, noise }, limit
     for (let m = 0; m < sections.length; m++) {
       const s = sections[m];
       let step = (signal - s.p[0] * s.x + s.p[2] * s.dx) / s.unit;
-      if (m === 0 && friction) step -= Math.min(Math.max(step, -friction), friction);
+      if (m === 0 && (friction || share)) {
+        const most = friction + Math.abs(share * problem.rest + model.friction_over_gain * output);
+        step -= Math.min(Math.max(step, -most), most);
+      }
       s.dx = step;
       s.x += step;
       signal = s.x;
@@ -90,17 +93,23 @@ export function simulate(problem, model, gains, { setpoint, load, noise }, limit
   return { y, u };
 }
 
-// exp(-i theta) and 1 - exp(-i theta) on a grid of angles up to half the sampling rate, by dead time.
-const grids = new Map();
-function grid(dead) {
-  if (grids.has(dead)) return grids.get(dead);
+// Angles up to half the sampling rate, finer for the dead time of a model and about its resonances.
+function grid(model) {
+  if (model.angles) return model.angles;
+  const dead = model.dead_samples;
   const turns = (PER_TURN * (dead + 2)) >> 1, theta = [];
   for (let n = 0; n < GRID_POINTS; n++) theta.push(LOWEST * (Math.PI / LOWEST) ** (n / (GRID_POINTS - 1)));
   for (let n = 1; n < turns; n++) theta.push((Math.PI * n) / (turns - 1));
+  for (const [c0, c1, c2] of model.sections) {
+    const a1 = -(c1 + 2 * c2), angle = Math.acos(-a1 / (2 * Math.sqrt(c2))); // NaN of real poles
+    for (let n = -1; n < 7.5 && angle; n += 0.5) {
+      for (const side of [-1, 1]) theta.push(angle + side * 2 ** n * Math.max(-0.5 * Math.log(c2), 1e-6));
+    }
+    if (angle) theta.push(angle);
+  }
   theta.sort((x, y) => x - y);
-  const unique = Float64Array.from(theta.filter((x, n) => !n || x - theta[n - 1] > 1e-12));
-  grids.set(dead, unique);
-  return unique;
+  const inside = theta.filter((x, n) => x >= LOWEST && x <= Math.PI && (!n || x - theta[n - 1] > 1e-12));
+  return (model.angles = Float64Array.from(inside));
 }
 
 const mul = (x, y) => [x[0] * y[0] - x[1] * y[1], x[0] * y[1] + x[1] * y[0]];
@@ -125,7 +134,10 @@ function plantAt(model, theta) {
 // What a model is at given angles, computed once: G, its product of sections, R and q^-1.
 function known(problem, model, name, angles) {
   const kept = (model.known ??= {});
-  if (kept[name]?.angles === angles) return kept[name];
+  return kept[name]?.angles === angles ? kept[name] : (kept[name] = evaluated(problem, model, angles));
+}
+
+function evaluated(problem, model, angles) {
   const columns = ["cos", "sin", "Gr", "Gi", "Ar", "Ai", "Rr", "Ri"];
   const k = { angles, ...Object.fromEntries(columns.map((c) => [c, new Float64Array(angles.length)])) };
   angles.forEach((theta, n) => {
@@ -135,7 +147,7 @@ function known(problem, model, name, angles) {
     [k.Ar[n], k.Ai[n]] = A;
     [k.Rr[n], k.Ri[n]] = at(problem.controller.R, later);
   });
-  return (kept[name] = k);
+  return k;
 }
 
 // The loop gain G S / R at known angles: lists of real and imaginary parts.
@@ -157,10 +169,10 @@ export function loopGain(problem, model, gains, angles) {
 }
 
 // Ms and the phase margin in degrees; infinite and NaN where the loop is unstable: where its
-// characteristic polynomial turns about the origin.
+// characteristic polynomial turns about the origin, or is not above zero at q^-1 = 1.
 export function robustness(problem, model, gains) {
-  const k = known(problem, model, "grid", grid(model.dead_samples));
-  const { re, im } = gainOf(k, controller(problem.controller, gains).S);
+  const k = known(problem, model, "grid", grid(model));
+  const { S } = controller(problem.controller, gains), { re, im } = gainOf(k, S);
   const size = new Float64Array(re.length);
   let least = 0, total = 0, margin = Infinity, cr = 1, ci = 0;
   for (let n = 0; n < re.length; n++) {
@@ -177,8 +189,17 @@ export function robustness(problem, model, gains) {
     const step = Math.atan2(im[n] * re[n - 1] - re[n] * im[n - 1], re[n] * re[n - 1] + im[n] * im[n - 1]);
     margin = Math.min(margin, Math.abs(Math.atan2(-im[n - 1], -re[n - 1]) + share * step));
   }
-  if (!Number.isFinite(total) || Math.abs(total) > Math.PI / 2) return { Ms: Infinity, phase_margin_deg: NaN };
-  return { Ms: 1 / refined(size, least), phase_margin_deg: (margin * 180) / Math.PI };
+  const wrong = gains.I && model.numerator[0] * S.reduce((sum, s) => sum + s, 0) <= 0;
+  if (wrong || !Number.isFinite(total) || Math.abs(total) > Math.PI / 2) return { Ms: Infinity, phase_margin_deg: NaN };
+  return { Ms: 1 / zoomed(problem, model, S, k.angles, size, least), phase_margin_deg: (margin * 180) / Math.PI };
+}
+
+// The least |1 + L| by a second grid about that of the first.
+function zoomed(problem, model, S, angles, size, n) {
+  if (!(n > 0 && n < size.length - 1)) return size[n];
+  const near = Float64Array.from({ length: ZOOMED }, (_, m) => angles[n - 1] + ((angles[n + 1] - angles[n - 1]) * m) / (ZOOMED - 1));
+  const { re, im } = gainOf(evaluated(problem, model, near), S), values = re.map((x, m) => Math.hypot(1 + x, im[m]));
+  return refined(values, values.indexOf(Math.min(...values)));
 }
 
 // Minimum of a parabola through the logarithms of the least value and its neighbours.

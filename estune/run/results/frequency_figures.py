@@ -13,8 +13,8 @@ from estune.core.margins import controller_response
 from estune.core.pidf import ControllerSettings
 from estune.core.quantities import ComplexArray, FloatArray
 from estune.interop import sampled_model
-from estune.loop_model.identification import LoopFit
-from estune.loop_model.prediction import parameter_deviations
+from estune.loop_model.intervals import parameter_deviations
+from estune.loop_model.loop_fit import LoopFit
 from estune.support.plot_style import BLUE, GREY, LIGHT, ORANGE, finish, legend, new_figure
 from estune.trial import RigDescription
 

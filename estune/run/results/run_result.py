@@ -15,7 +15,7 @@ from scipy.optimize import OptimizeResult
 from estune.core.comparison import Change, repeatability
 from estune.core.gains import GAIN_NAMES, Gains
 from estune.errors import JournalError
-from estune.loop_model.claim import MISFIT_MAX, Claim, unexplained
+from estune.loop_model.claim import Claim, unexplained
 from estune.run.ending import RunEnding
 from estune.run.journal import Journal, JournalEntry
 from estune.run.limit_verdict import LimitVerdict, measured_overshoot
@@ -324,7 +324,7 @@ def _robustness_remarks(result: RunResult) -> tuple[str, ...]:
     remarks = [*loop.remarks]
     reason = result.claim.reason
     if result.ending is RunEnding.NOT_ROBUST:  # few trials were near the initial gains
-        beyond = loop.fit is not None and loop.fit.misfit > MISFIT_MAX
+        beyond = loop.fit is not None and loop.fit.is_incomplete
         reason = unexplained(loop.fit.misfit) if loop.fit and beyond else ""
     told = result.limits is not None and reason in result.limits.reason
     if reason and not told:

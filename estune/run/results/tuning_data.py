@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 
 from estune.core.gains import GAIN_NAMES, Gains
-from estune.loop_model.identification import LoopFit
+from estune.loop_model.intervals import parameter_deviations
+from estune.loop_model.loop_fit import LoopFit
 from estune.loop_model.model import LoopModel
 from estune.loop_model.optimum import SENSITIVITY_MAX, RobustnessLimits
-from estune.loop_model.prediction import parameter_deviations
 from estune.loop_model.problem import problem
 from estune.run.planning import step_trial
 from estune.run.results.run_result import RunResult

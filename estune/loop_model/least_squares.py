@@ -1,0 +1,328 @@
+"""Least squares of a linear loop model for given poles, noise and dead time (variable projection).
+
+The prediction error of y = q^-(d+1) B/A u + H e is
+
+    e = (A P/C) y - sum_j b_j (1 - q^-1)^j q^-(d+1) (P/C) u - (free response, offsets)
+
+which is linear in B, and for each record in the state it begins from and in the offsets of effort
+and measurement (Golub and Pereyra, SIAM Journal on Numerical Analysis 10, 1973). Poles and noise
+are searched. With white noise e is the output error y - B/A u.
+"""
+
+import math
+from collections.abc import Sequence
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+
+from estune.core.filtering import lfilter
+from estune.core.quantities import FloatArray
+from estune.loop_model.noise_model import WHITE, NoiseModel, shaping
+from estune.loop_model.poles import sections_of
+from estune.loop_model.records import LoopRecord
+
+LONGER = 2.0
+"""Least gain in chi-squared that a sample of dead time more must bring. Without it the fit takes
+noise for dead time where the numerator covers it: sd of ln Ms 2.3 % instead of 1.7 % after ten
+timid trials of `tests/test_loop_model.py`."""
+
+NUISANCE_APART = 1e-7
+"""Least share of the largest singular value by which start state and offsets differ."""
+
+COORDINATE_STEP = 1e-6
+NOISE_STEP = 1e-4
+"""Steps of numerical slopes, in coordinates of the poles and in those with a noise model."""
+
+NOISE_RANGE = 25.0
+"""Largest size of the logarithm of k1 and k2, at which the one noise is all or nothing."""
+
+
+class Group(NamedTuple):
+    """Records of equal length as deviations.
+
+    Attributes:
+        effort: Shape (records, samples).
+        measurement: Shape (records, samples).
+        history: Samples at the beginning that serve as the past of the others only.
+        members: Their numbers among all records.
+    """
+
+    effort: FloatArray
+    measurement: FloatArray
+    history: int
+    members: tuple[int, ...]
+
+
+class Signals(NamedTuple):
+    """All records of a fit.
+
+    Attributes:
+        groups: Those of equal length together.
+        settling_samples: Settling time asked for, in samples.
+        resolution_N: Least standard deviation of the measurement that counts.
+    """
+
+    groups: tuple[Group, ...]
+    settling_samples: float
+    resolution_N: float
+
+    @property
+    def samples(self) -> int:
+        """Number of residuals."""
+        return sum(g.effort.shape[0] * (g.effort.shape[1] - g.history) for g in self.groups)
+
+    @property
+    def records(self) -> int:
+        """Number of records."""
+        return sum(len(g.members) for g in self.groups)
+
+
+RESOLUTION = 1e-4
+"""Share of the largest response below which residuals are not told from one another: the
+resolution of a converter of 12 to 13 bits. Records simulated without noise would have poles added
+until rounding errors are left."""
+
+
+def signals_of(
+    records: Sequence[LoopRecord], settling_samples: float, longest_dead: int
+) -> Signals:
+    """Records as deviations.
+
+    A record at rest before its first sample has that rest as its past. Of others the first samples
+    are the past: as many as the longest dead time and the numerator reach back.
+    """
+    by_kind: dict[tuple[int, bool], list[int]] = {}
+    for number, record in enumerate(records):
+        by_kind.setdefault((record.samples, record.at_rest), []).append(number)
+    groups = []
+    for (samples, at_rest), members in by_kind.items():
+        chosen = [records[number] for number in members]
+        history = 0 if at_rest else min(longest_dead + 8, samples // 2)
+        effort = np.array([r.effort_N for r in chosen])
+        measurement = np.array([r.measurement_N for r in chosen])
+        before = [slice(0, max(r.step_index, 1) if at_rest else None) for r in chosen]
+        effort -= np.array([[row[s].mean()] for row, s in zip(effort, before, strict=True)])
+        measurement -= np.array(
+            [[row[s].mean()] for row, s in zip(measurement, before, strict=True)]
+        )
+        groups.append(Group(effort, measurement, history, tuple(members)))
+    largest = max(float(np.abs(g.measurement).max(initial=0.0)) for g in groups)
+    return Signals(tuple(groups), settling_samples, RESOLUTION * largest)
+
+
+class Solution(NamedTuple):
+    """Best numerator, start states and offsets at given poles, noise and dead time.
+
+    Attributes:
+        coordinates: Of the poles.
+        noise: The noise.
+        dead: Whole samples of dead time.
+        nuisance: Of each group, the orthonormal basis of start states and offsets, (samples, m).
+        regressors: Of the numerator, without the nuisance, shape (residuals of all, terms).
+        basis: Orthonormal basis of the regressors, shape (residuals of all, terms).
+        numerator: B in powers of 1 - q^-1.
+        residual: e, shape (residuals of all,).
+    """
+
+    coordinates: FloatArray
+    noise: NoiseModel
+    dead: int
+    nuisance: tuple[FloatArray, ...]
+    regressors: FloatArray
+    basis: FloatArray
+    numerator: FloatArray
+    residual: FloatArray
+
+    @classmethod
+    def at(
+        cls,
+        signals: Signals,
+        coordinates: FloatArray,
+        dead: int,
+        noise: NoiseModel = WHITE,
+        numerator: FloatArray | None = None,
+    ) -> "Solution":
+        """The solution at these poles, this noise and dead time; or with a given numerator."""
+        nuisances, rows, targets = [], [], []
+        for group in signals.groups:
+            Q = _nuisance(group, coordinates, noise, signals.settling_samples)
+            raw, target = _whitened(group, coordinates, dead, noise, signals.settling_samples)
+            nuisances.append(Q)
+            rows.append(without(raw, Q).reshape(len(raw), -1))
+            targets.append(without(target, Q).ravel())
+        X = (rows[0] if len(rows) == 1 else np.concatenate(rows, axis=1)).T
+        y = targets[0] if len(targets) == 1 else np.concatenate(targets)
+        size = np.maximum(np.linalg.norm(X, axis=0), 1e-300)
+        basis, triangle = np.linalg.qr(X / size)  # almost collinear: not by X'X
+        if numerator is None:
+            numerator = np.linalg.lstsq(triangle, basis.T @ y, rcond=1e-10)[0] / size
+        residual = y - X @ numerator
+        return cls(coordinates, noise, dead, tuple(nuisances), X, basis, numerator, residual)
+
+    @property
+    def squares(self) -> float:
+        """Sum of squared residuals."""
+        return float(self.residual @ self.residual)
+
+    @property
+    def cost(self) -> float:
+        """Half the sum of squared residuals, with the price of dead time."""
+        return 0.5 * self.squares * math.exp(LONGER * self.dead / self.residual.size)
+
+    def search_slopes(self, signals: Signals) -> FloatArray:
+        """Slopes of the residual along coordinates and logarithms of the noise.
+
+        Shape (residuals of all, coordinates and noises). The numerator is held. For white noise
+        the slopes along a tap a_i of a section are q^-i/A of the fitted output.
+        """
+        if self.noise.is_white:
+            return self._output_slopes(signals)
+        return self._numerical_slopes(signals)
+
+    def _output_slopes(self, signals: Signals) -> FloatArray:
+        x = self.coordinates
+        columns: list[list[FloatArray]] = [[] for _ in x]
+        at = 0
+        for group, Q in zip(signals.groups, self.nuisance, strict=True):
+            shape = (len(group.members), group.effort.shape[1] - group.history)
+            size = shape[0] * shape[1]
+            output = np.array(group.measurement)
+            output[:, group.history :] -= self.residual[at : at + size].reshape(shape)
+            at += size
+            for i, change in enumerate(_tap_slopes(x)):
+                taps = sections_of(x)[i // 2].taps
+                slope = lfilter(change, taps, output)[:, group.history :]
+                columns[i].append(without(slope, Q).ravel())
+        return np.stack([np.concatenate(parts) for parts in columns], axis=1)
+
+    def _numerical_slopes(self, signals: Signals) -> FloatArray:
+        """Slopes along coordinates and the logarithms of the noise, with the numerator held."""
+        columns = []
+        start = search_vector(self.coordinates, self.noise)
+        for axis in np.eye(start.size):
+            x, noise = split_vector(start + NOISE_STEP * axis, self)
+            moved = Solution.at(signals, x, self.dead, noise, self.numerator)
+            columns.append((moved.residual - self.residual) / NOISE_STEP)
+        return np.stack(columns, axis=1)
+
+    def slopes(self, signals: Signals) -> FloatArray:
+        """Slopes of the residual along coordinates, numerator and noise, (residuals, all)."""
+        if self.noise.is_white:
+            return np.concatenate([self._output_slopes(signals), -self.regressors], axis=1)
+        numerical, n = self._numerical_slopes(signals), self.coordinates.size
+        return np.concatenate([numerical[:, :n], -self.regressors, numerical[:, n:]], axis=1)
+
+
+def search_vector(coordinates: FloatArray, noise: NoiseModel) -> FloatArray:
+    """What is searched: coordinates, and the logarithms of what the noise has."""
+    return np.array([*coordinates, *(math.log(k) for k in noise if k > 0.0)])
+
+
+def split_vector(x: FloatArray, like: Solution) -> tuple[FloatArray, NoiseModel]:
+    """Coordinates and noise of a vector that is searched, with the noises of a solution."""
+    n = like.coordinates.size
+    sizes = iter(np.exp(np.clip(x[n:], -NOISE_RANGE, NOISE_RANGE)).tolist())
+    return x[:n], NoiseModel(*(next(sizes) if k > 0.0 else 0.0 for k in like.noise))
+
+
+def _tap_slopes(x: FloatArray) -> list[FloatArray]:
+    """Slopes of the taps of each coordinate's section along it."""
+    found = []
+    for i, step in enumerate(COORDINATE_STEP * np.eye(x.size)):
+        ends = [sections_of(x + s * step)[i // 2].taps for s in (1, -1)]
+        found.append((ends[0] - ends[1]) / (2.0 * COORDINATE_STEP))
+    return found
+
+
+def free_parameters(group: Group, poles: int, noise: NoiseModel) -> int:
+    """Start states and offsets of the records of a group, with this number of poles."""
+    swinging = 2 if noise.is_white and not group.history else poles
+    return len(group.members) * (swinging + 2)
+
+
+def _whitened(
+    group: Group, coordinates: FloatArray, dead: int, noise: NoiseModel, settling: float
+) -> tuple[FloatArray, FloatArray]:
+    """Regressors of the numerator, shape (terms, records, samples), and what they explain."""
+    driven, target = delayed(group.effort, dead + 1), group.measurement
+    if noise.is_white:
+        for section in sections_of(coordinates):
+            driven = lfilter([1.0], section.taps, driven)
+    else:
+        H = shaping(coordinates, noise, settling)
+        driven = _moving(driven, -float(H.slow[1]))
+        for zeros in H.zeros:
+            driven = lfilter([1.0], zeros, driven)
+        target = whiten(target, H.zeros, H.poles)
+    terms = [driven]
+    for _ in coordinates:
+        terms.append(_moving(terms[-1], 1.0))
+    return np.stack(terms)[..., group.history :], target[:, group.history :]
+
+
+def _moving(signals: FloatArray, share: float) -> FloatArray:
+    """Signals less a share of the sample before."""
+    result = signals.copy()
+    result[..., 1:] -= share * signals[..., :-1]
+    return result
+
+
+def whiten(
+    signals: FloatArray, zeros: Sequence[FloatArray], poles: Sequence[FloatArray]
+) -> FloatArray:
+    """Signals through 1/H, section by section."""
+    for i in range(max(len(zeros), len(poles))):
+        over = poles[i] if i < len(poles) else np.ones(1)
+        under = zeros[i] if i < len(zeros) else np.ones(1)
+        signals = lfilter(over, under, signals)
+    return signals
+
+
+def _nuisance(
+    group: Group, coordinates: FloatArray, noise: NoiseModel, settling: float
+) -> FloatArray:
+    samples = group.effort.shape[1] - group.history
+    if noise.is_white and not group.history:
+        # Of a loop at rest no mode swings: free states of each would only take up noise, most
+        # of all where a mode is hardly damped.
+        coordinates = coordinates[:2]
+    return _nuisance_basis(tuple(coordinates.tolist()), noise, settling, samples)
+
+
+@lru_cache(maxsize=8)
+def _nuisance_basis(
+    coordinates: tuple[float, ...], noise: NoiseModel, settling: float, samples: int
+) -> FloatArray:
+    """Orthonormal basis of free responses and offsets, shape (samples, up to n + 2)."""
+    pulse = np.eye(1, samples)
+    if noise.is_white:
+        poles = [section.taps for section in sections_of(coordinates)]
+        offsets = [np.ones(samples)]
+    else:
+        H = shaping(coordinates, noise, settling)
+        poles = list(H.zeros)
+        offsets = [whiten(np.ones((1, samples)), H.zeros, H.poles)[0]]
+    columns, free = [], pulse
+    for taps in poles:
+        free = lfilter([1.0], taps, free)
+        columns += [delayed(free, i)[0] for i in range(taps.size - 1)]
+    if noise.is_white:
+        offsets.append(np.cumsum(columns[-1] if poles[-1].size == 2 else columns[-2]))
+    matrix = np.array([*columns, *offsets])
+    matrix /= np.maximum(np.linalg.norm(matrix, axis=1, keepdims=True), 1e-300)
+    # Start state and level span the response to an offset of the effort, but for integrators.
+    left, sizes, _ = np.linalg.svd(matrix.T, full_matrices=False)
+    return np.asarray(left[:, sizes > NUISANCE_APART * sizes[0]])
+
+
+def delayed(signals: FloatArray, samples: int) -> FloatArray:
+    """Signals so many samples later, zero before, shape (..., samples)."""
+    later = np.zeros_like(signals)
+    later[..., samples:] = signals[..., : signals.shape[-1] - samples]
+    return later
+
+
+def without(signals: FloatArray, basis: FloatArray) -> FloatArray:
+    """Signals less their part in an orthonormal basis, shape (..., samples)."""
+    return np.asarray(signals - (signals @ basis) @ basis.T)

@@ -1,0 +1,179 @@
+"""The identified loop: its model, noise and covariance, and what the records leave unexplained."""
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from estune.core.quantities import FloatArray
+from estune.loop_model.least_squares import Signals, whiten
+from estune.loop_model.model import LoopModel
+from estune.loop_model.noise_model import NoiseModel, shaping
+from estune.loop_model.records import LoopRecord
+from estune.loop_model.whiteness import is_white
+
+RESPONSE_MIN = 10.0
+"""Least response in standard deviations of the noise: a trial below 95 is refused as ill-posed."""
+
+NUISANCE = 4
+"""Parameters of each record: the start state of two poles, offsets of effort and measurement."""
+
+
+class LoopFit(NamedTuple):
+    """An identified loop.
+
+    Attributes:
+        model: The model.
+        noise: Load and drift against the white noise.
+        covariance: Of the model's n real parameters, shape (n, n): white residuals.
+        clustered: The same from the scatter between records (sandwich estimate).
+        noise_N: Standard deviation of the white noise of the measurement.
+        residual_N: Standard deviation of the prediction error.
+        misfits: rho of each record, the residual beyond the noise as a share of its span.
+        response_N: Largest deviation of the fitted measurement, as the residual through 1/H.
+        unexplained: What the model leaves of the measurement of each record, load and drift in
+            it, shape (its samples,); zero where it was not fitted.
+        errors: Its prediction errors, shape (its samples,).
+        is_white: Whether the prediction errors are white.
+        left_out: Numbers of the records that the others contradict, and that are not fitted.
+        settling_samples: Settling time asked for, which scales the noise model.
+    """
+
+    model: LoopModel
+    noise: NoiseModel
+    covariance: FloatArray
+    clustered: FloatArray
+    noise_N: float
+    residual_N: float
+    misfits: tuple[float, ...]
+    response_N: float
+    unexplained: tuple[FloatArray, ...]
+    errors: tuple[FloatArray, ...]
+    is_white: bool
+    left_out: tuple[int, ...]
+    settling_samples: float
+
+    @property
+    def order(self) -> int:
+        """Number of poles."""
+        return self.model.order
+
+    @property
+    def responds(self) -> bool:
+        """Whether the measurement follows the effort, beyond the noise."""
+        left_N = self.noise_N if self.noise.is_white else self.residual_N
+        return self.response_N > RESPONSE_MIN * left_N
+
+    @property
+    def misfit(self) -> float:
+        """Root mean square of rho over the records that were fitted."""
+        kept = [rho for i, rho in enumerate(self.misfits) if i not in self.left_out]
+        return math.sqrt(math.fsum(rho * rho for rho in kept) / len(kept))
+
+    @property
+    def is_incomplete(self) -> bool:
+        """Whether the model leaves more of the records unexplained than their white noise."""
+        powers = [float(np.mean(left**2)) for left in self.unexplained if left.size]
+        return float(np.mean(powers)) > 2.0 * self.noise_N**2
+
+    @property
+    def quantile(self) -> float:
+        """Quantile of Student's t for a 95 % interval from the scatter between records."""
+        from scipy.special import stdtrit  # noqa: PLC0415  slow to import
+
+        count = len(self.misfits) - len(self.left_out)
+        return float(stdtrit(max(count - 1, 1), 0.975))
+
+
+class Residuals(NamedTuple):
+    """What a model leaves of each record.
+
+    Attributes:
+        errors: Prediction errors, shape (residuals of all,).
+        slopes: Of them along the model's real parameters and further ones that all records share,
+            shape (residuals of all, parameters).
+        response_N: Largest deviation of the model's output, without start states and offsets, as
+            the residual through 1/H.
+        nuisance: Parameters of each record.
+    """
+
+    errors: FloatArray
+    slopes: FloatArray
+    response_N: float
+    nuisance: int
+
+
+def summarise(
+    records: Sequence[LoopRecord],
+    signals: Signals,
+    model: LoopModel,
+    noise: NoiseModel,
+    left: Residuals,
+) -> LoopFit:
+    """The fit of a model with its covariances and its misfit."""
+    J, n = left.slopes, model.parameters.size
+    weight = np.linalg.norm(J, axis=0)
+    weight = np.maximum(weight, 1e-12 * weight.max())
+    inverse = np.linalg.pinv((J / weight).T @ (J / weight), rcond=1e-12) / np.outer(weight, weight)
+    count = max(left.errors.size - J.shape[1] - left.nuisance * signals.records, 1)
+    variance = float(left.errors @ left.errors) / count
+    scores, unexplained = [], [np.zeros(record.samples) for record in records]
+    at = 0
+    for group in signals.groups:
+        size = group.effort.shape[1] - group.history
+        for number in group.members:
+            own = slice(at, at + size)
+            scores.append(left.slopes[own].T @ left.errors[own])
+            unexplained[number][group.history :] = left.errors[own]
+            at += size
+    meat = np.array(scores)
+    outputs, white_N = unexplained, _noise_of(unexplained)
+    if not noise.is_white:
+        H = shaping(model.coordinates, noise, signals.settling_samples)
+        outputs = [whiten(e[np.newaxis], H.poles, H.zeros)[0] for e in unexplained]
+        white_N = math.sqrt(variance / H.gain)
+    spans = [record.span_N for record in records]
+    beyond = [
+        float(np.mean(left[left.size - _used(left) :] ** 2))
+        - _noise_ceiling(white_N**2, _used(left))
+        for left in outputs
+    ]
+    return LoopFit(
+        model=model,
+        noise=noise,
+        covariance=(variance * inverse)[:n, :n],
+        clustered=(inverse @ (meat.T @ meat) @ inverse)[:n, :n],
+        noise_N=white_N,
+        residual_N=math.sqrt(variance),
+        response_N=left.response_N,
+        misfits=tuple(
+            math.sqrt(max(power, 0.0)) / max(abs(span), 1e-300)
+            for power, span in zip(beyond, spans, strict=True)
+        ),
+        unexplained=tuple(outputs),
+        errors=tuple(unexplained),
+        is_white=is_white(signals, left.errors),
+        left_out=(),
+        settling_samples=signals.settling_samples,
+    )
+
+
+def _used(errors: FloatArray) -> int:
+    """Samples behind the history, which is zero."""
+    return int(errors.size - np.argmax(errors != 0.0))
+
+
+def _noise_of(unexplained: Sequence[FloatArray]) -> float:
+    """Standard deviation of the white noise, from first differences of what is unexplained.
+
+    The response is explained, so all samples of all records serve, and few before a step do not
+    matter.
+    """
+    moves = np.concatenate([np.diff(e[e.size - _used(e) :]) for e in unexplained])
+    return float(np.sqrt(np.mean(moves**2) / 2.0)) if moves.size else 0.0
+
+
+def _noise_ceiling(variance: float, samples: int) -> float:
+    """Mean square of noise of this variance that one record exceeds in 2 % of cases."""
+    return variance * (1.0 + 2.0 * math.sqrt(2.0 / samples))

@@ -1,0 +1,110 @@
+"""Noise of a loop: a load at the plant's input, a drift of the output and white noise.
+
+With A of the plant and P = 1 - (1 - 1/(30 T)) q^-1, T the settling time in samples, the
+measurement is y = G u + H e, e white, and
+
+    H = C / (A P),     g C C* = A A* P P* + k1 |A(1)|^2 + k2 A A*
+
+where C begins with one (spectral factorisation), k1 >= 0 is of the load and k2 >= 0 of the drift;
+without both H = 1. In s = z + 1/z - 2 the factors are p p* = (1-p)^2 - p s for each pole p, which
+keeps the digits of slow poles.
+"""
+
+import math
+from collections.abc import Sequence
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+
+from estune.core.quantities import FloatArray
+from estune.loop_model.poles import ComplexArray, sections_of
+
+FASTEST = 1e-9
+"""Least magnitude of a pole that counts: a faster one is none."""
+
+SLOW = 30.0
+"""Settling times in which load and drift forget."""
+
+
+class NoiseModel(NamedTuple):
+    """Sizes of load and drift against the white noise.
+
+    Attributes:
+        load: k1.
+        drift: k2.
+    """
+
+    load: float = 0.0
+    drift: float = 0.0
+
+    @property
+    def is_white(self) -> bool:
+        """Whether there is neither load nor drift."""
+        return not (self.load or self.drift)
+
+
+WHITE = NoiseModel()
+
+
+class Shaping(NamedTuple):
+    """The filter H of a noise model.
+
+    Attributes:
+        zeros: C in sections, polynomials in q^-1.
+        poles: A P in sections.
+        slow: P.
+        gain: g, the variance of e over that of the white noise of the measurement.
+    """
+
+    zeros: tuple[FloatArray, ...]
+    poles: tuple[FloatArray, ...]
+    slow: FloatArray
+    gain: float
+
+
+def shaping(
+    coordinates: Sequence[float] | FloatArray, noise: NoiseModel, settling_samples: float
+) -> Shaping:
+    """The filter of a noise that is not white, for a plant with poles of these coordinates."""
+    return _shaping(tuple(float(x) for x in coordinates), noise, settling_samples)
+
+
+@lru_cache(maxsize=64)
+def _shaping(
+    coordinates: tuple[float, ...], noise: NoiseModel, settling_samples: float
+) -> Shaping:
+    sections = sections_of(coordinates)
+    slow = 1.0 - 1.0 / (SLOW * settling_samples)
+    # Roots in units of this share of s: they are as small as the squares of the slow poles.
+    unit = math.exp(2.0 * min(max(coordinates[0], -12.0), 1.0))
+    plant, at_one, leading = np.ones(1, complex), 1.0, complex(slow)
+    for section in sections:
+        at_one *= float(section.powers[0]) ** 2
+        for p, u in zip(section.poles, -np.expm1(section.log_poles), strict=True):
+            if abs(p) > FASTEST:
+                plant, leading = np.convolve(plant, np.array([-p * unit, u * u])), leading * p
+    spectrum = np.convolve(plant.real, [-slow * unit, (1.0 - slow) ** 2])
+    spectrum[1:] += noise.drift * plant.real
+    spectrum[-1] += noise.load * at_one
+    roots = _inside(np.asarray(unit * np.roots(spectrum), complex))
+    gain = abs(leading) / max(float(np.abs(np.prod(roots))), 1e-300)
+    P = np.array([1.0, -slow])
+    return Shaping(_real_sections(roots), (*(one.taps for one in sections), P), P, gain)
+
+
+def _inside(s: ComplexArray) -> ComplexArray:
+    """The zeros within the unit circle of z + 1/z - 2 = s."""
+    root = np.sqrt(s + s * s / 4.0)
+    one, other = 1.0 + s / 2.0 - root, 1.0 + s / 2.0 + root
+    return np.where(np.abs(one) <= np.abs(other), one, other)
+
+
+def _real_sections(roots: ComplexArray) -> tuple[FloatArray, ...]:
+    """Real polynomials in q^-1 of degree two, the last perhaps of one, with these zeros."""
+    real = np.sort(roots[np.abs(roots.imag) <= 1e-12].real)
+    pairs = [np.array([1.0, -2.0 * r.real, abs(r) ** 2]) for r in roots if r.imag > 1e-12]
+    pairs += [
+        np.array([1.0, -(p + q), p * q]) for p, q in zip(real[::2], real[1::2], strict=False)
+    ]
+    return (*pairs, *([np.array([1.0, -float(real[-1])])] if real.size % 2 else []))

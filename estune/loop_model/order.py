@@ -1,0 +1,171 @@
+"""Order and noise of a loop model, chosen by the Bayesian information criterion.
+
+A fit whose prediction errors are white is kept. Otherwise further poles, a load and a drift are
+tried, each from the starts that promise most, and what lowers the criterion most is added, until
+nothing does.
+"""
+
+import math
+from collections.abc import Iterator
+from itertools import product
+from typing import NamedTuple
+
+import numpy as np
+
+from estune.core.filtering import lfilter
+from estune.core.quantities import FloatArray
+from estune.loop_model.identification import PoleFit, improve
+from estune.loop_model.least_squares import (
+    Signals,
+    Solution,
+    delayed,
+    free_parameters,
+    whiten,
+    without,
+)
+from estune.loop_model.noise_model import NoiseModel, shaping
+from estune.loop_model.poles import pair_coordinates, sections_of
+from estune.loop_model.whiteness import is_white, rows_of
+
+POLES_MAX = 6
+
+FREQUENCIES, DAMPINGS = 9, (0.5, 0.1)
+"""Coarse grid of a further pair of poles, between the slowest pole and the sampling rate."""
+
+PEAKS, PEAK_SHIFTS, PEAK_DAMPINGS = 2, (-0.9, -0.4, 0.0, 0.4, 0.9), (0.03, 0.01, 0.003)
+"""Peaks of the spectrum of the errors that a further pair begins from, in bins beside them, for
+the loop moves a resonance of the plant, and its damping there."""
+
+SINGLES = 6
+"""Further single poles that a search may begin from."""
+
+TRIED = 2
+"""Starts that are improved."""
+
+NOISE_LEAST = 1e-9
+"""Size of load or drift below which there is none."""
+
+LOADS = (1e-2, 1.0, 100.0)
+DRIFTS = (1e-4, 1e-2)
+"""Sizes of load and drift that a search begins from."""
+
+
+class Selected(NamedTuple):
+    """A fit and its criterion.
+
+    Attributes:
+        fit: The fit.
+        criterion: N ln(sum of squares) + ln N times the number of parameters.
+    """
+
+    fit: PoleFit
+    criterion: float
+
+
+def select_order(signals: Signals, start: PoleFit) -> PoleFit:
+    """The fit of the order and noise that the records ask for, from one of low order."""
+    best = _judged(signals, start)
+    while True:
+        solution = Solution.at(signals, best.fit.coordinates, best.fit.dead, best.fit.noise)
+        if is_white(signals, solution.residual):
+            return best.fit
+        promising = sorted(_further(signals, solution), key=lambda one: one.criterion)[:TRIED]
+        tried = [_judged(signals, improve(signals, one.fit)) for one in promising]
+        better = [one for one in tried if one.criterion < best.criterion]
+        if not better:
+            return best.fit
+        best = min(better, key=lambda one: one.criterion)
+
+
+def _judged(signals: Signals, fit: PoleFit) -> Selected:
+    """A fit with its criterion, infinite where it failed."""
+    if not math.isfinite(fit.cost) or any(0.0 < k < NOISE_LEAST for k in fit.noise):
+        return Selected(fit, math.inf)
+    return Selected(fit, criterion(signals, 2.0 * fit.cost, fit.coordinates.size, fit.noise))
+
+
+def criterion(
+    signals: Signals, squares: float, poles: int, noise: NoiseModel, further: int = 0
+) -> float:
+    """The criterion of a sum of squares, for a number of poles and of further parameters."""
+    n = signals.samples
+    # Below the resolution of the measurement nothing is left to explain.
+    variance = squares / n + signals.resolution_N**2
+    free = sum(free_parameters(group, poles, noise) for group in signals.groups)
+    count = 2 * poles + 1 + sum(k > 0.0 for k in noise) + free + further
+    return n * math.log(variance) + count * math.log(n)
+
+
+def _further(signals: Signals, solution: Solution) -> Iterator[Selected]:
+    """Starts of fits with one thing more, and the criterion that the start alone would reach."""
+    poles, noise, dead = solution.coordinates, solution.noise, solution.dead
+    # In trials from rest what looks like a load is the answer to the step of what no model has.
+    in_motion = any(group.history for group in signals.groups)
+    for option in _further_noise(noise) if in_motion else ():
+        yield _judged(
+            signals, PoleFit(Solution.at(signals, poles, dead, option).cost, poles, dead, option)
+        )
+    extras = _pairs(signals, solution) if poles.size % 2 == 0 else []
+    slowest = max(_slowest(poles), 1e-3)
+    extras += [np.log([rate]) for rate in np.geomspace(slowest / 10.0, 2.0, SINGLES)]
+    for extra in extras:
+        if poles.size + extra.size <= POLES_MAX:
+            cost = 0.5 * max(solution.squares - _gain(signals, solution, extra), 0.0)
+            more = np.append(poles, extra) if extra.size == 2 else _with_single(poles, extra[0])
+            yield _judged(signals, PoleFit(cost, more, dead, noise))
+
+
+def _further_noise(noise: NoiseModel) -> Iterator[NoiseModel]:
+    if not noise.load:
+        yield from (noise._replace(load=size) for size in LOADS)
+    if not noise.drift:
+        yield from (noise._replace(drift=size) for size in DRIFTS)
+
+
+def _with_single(poles: FloatArray, single: float) -> FloatArray:
+    """Coordinates with one more real pole; two single ones are a pair."""
+    if poles.size % 2 == 0:
+        return np.append(poles, single)
+    p, q = math.exp(-math.exp(poles[-1])), math.exp(-math.exp(single))
+    return np.append(poles[:-1], pair_coordinates(-(p + q), p * q))
+
+
+def _slowest(poles: FloatArray) -> float:
+    logs = np.concatenate([section.log_poles for section in sections_of(poles)])
+    return max(float(np.abs(logs).min()), 1e-6)
+
+
+def _pairs(signals: Signals, solution: Solution) -> list[FloatArray]:
+    """Coordinates of pairs that a search may begin from."""
+    slowest = min(_slowest(solution.coordinates), 1.0)
+    frequencies = np.geomspace(max(slowest, 1e-3), 2.8, FREQUENCIES)
+    pairs = [np.log(pair) for pair in product(frequencies, DAMPINGS)]
+    for row in rows_of(signals, solution.residual):
+        spectrum = np.sum(np.abs(np.fft.rfft(row, axis=1)) ** 2, axis=0)
+        smooth = np.convolve(spectrum[1:-1], [0.5, 1.0, 0.5], mode="same")
+        for _ in range(PEAKS):
+            peak = int(np.argmax(smooth))
+            for shift, damping in product(PEAK_SHIFTS, PEAK_DAMPINGS):
+                w = 2.0 * math.pi * (peak + 1 + shift) / row.shape[1]
+                pairs.append(np.log([w, damping]))
+            smooth[max(peak - 2, 0) : peak + 3] = 0.0
+    return pairs
+
+
+def _gain(signals: Signals, solution: Solution, extra: FloatArray) -> float:
+    """Sum of squares that a parallel section with these poles explains of the errors."""
+    (section,) = sections_of(extra)
+    columns: list[list[FloatArray]] = [[], []]
+    for group, Q in zip(signals.groups, solution.nuisance, strict=True):
+        driven = delayed(group.effort, solution.dead + 1)
+        if not solution.noise.is_white:
+            H = shaping(solution.coordinates, solution.noise, signals.settling_samples)
+            driven = whiten(driven, H.zeros, H.poles)
+        driven = lfilter([1.0], section.taps, driven)
+        for column, terms in zip(columns, (driven, delayed(driven, 1)), strict=True):
+            column.append(without(terms[:, group.history :], Q).ravel())
+    Z = np.stack([np.concatenate(column) for column in columns], axis=1)
+    Z -= solution.basis @ (solution.basis.T @ Z)
+    basis, triangle = np.linalg.qr(Z)
+    usable = np.abs(np.diag(triangle)) > 1e-9 * np.abs(triangle).max()
+    return float(np.sum((basis[:, usable].T @ solution.residual) ** 2))

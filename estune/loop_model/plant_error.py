@@ -1,0 +1,158 @@
+"""How far the plant may be from its identified model, over frequency.
+
+The true plant is G + E. What the records leave unexplained in a band, over the effort there,
+bounds the additive error in it:
+
+    |E|^2 <= (|e|^2 - noise)/|u|^2 + (2 s)^2,     s^2 = noise/|u|^2
+
+with powers summed over the bins of the band in all records. The first term is what is left beyond
+the noise, s the standard deviation of an error that the noise would hide. With a
+controller C and a loop L the true |1 + L| is at least |1 + L| - |C E|: where |C E| is not small
+against |1 + L|, nothing is known of the loop.
+"""
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from estune.core.gains import Gains
+from estune.core.pidf import ControllerSettings
+from estune.core.quantities import FloatArray
+from estune.loop_model.least_squares import whiten
+from estune.loop_model.loop_fit import LoopFit
+from estune.loop_model.model import loop_response
+from estune.loop_model.noise_model import shaping
+from estune.loop_model.records import LoopRecord
+
+HALF_WIDTH = 0.02
+"""Half width of a band over its frequency: errors are averaged over as much as the resonance of a
+mode of this damping. A narrower one is bounded as far as the records resolve it."""
+
+DEVIATIONS = 2.0
+"""Standard deviations of an error that the noise would hide: a complex one exceeds them in 2 %."""
+
+UNKNOWN_FROM = 0.5
+"""Share of |1 + L| that |C E| may reach: there Ms may be twice what the model says."""
+
+
+class PlantError(NamedTuple):
+    """Bound of the additive error of the plant.
+
+    Attributes:
+        theta: Frequencies, rad/sample, shape (bands,).
+        bound: Largest |E| in each band; infinite where nothing is excited.
+        unexplained: Part of it that is left beyond the noise.
+    """
+
+    theta: FloatArray
+    bound: FloatArray
+    unexplained: FloatArray
+
+
+class ErrorMargin(NamedTuple):
+    """What a bound of the plant's error leaves of the robustness of a loop.
+
+    Attributes:
+        sensitivity: Largest Ms that the bound allows; infinite where it allows an unstable loop.
+        unknown: Lowest and highest frequency, rad/sample, of the band in which the bound is not
+            small against the loop; None where it is small everywhere.
+        excited: Whether the effort excites that band, and the model does not explain the answer.
+    """
+
+    sensitivity: float
+    unknown: tuple[float, float] | None
+    excited: bool = False
+
+
+def plant_error(fit: LoopFit, records: Sequence[LoopRecord]) -> PlantError:
+    """The bound of a fit by its records, those that were fitted."""
+    kept = [i for i in range(len(records)) if i not in fit.left_out]
+    longest = max(records[i].samples for i in kept)
+    edges = _edges(longest)
+    left, driven, noise, bins = (np.zeros(edges.size) for _ in range(4))
+    for i in kept:
+        one = _spectra(fit, records[i], i, edges)
+        left, driven, noise, bins = left + one[0], driven + one[1], noise + one[2], bins + one[3]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        expected = noise * (1.0 + DEVIATIONS / np.sqrt(bins))
+        beyond = np.maximum(left - expected, 0.0) / driven
+        squared = beyond + DEVIATIONS**2 * noise / (bins * driven)
+    seen, moved = bins > 0.0, driven > 0.0
+    return PlantError(
+        edges[seen],
+        np.sqrt(np.where(moved, squared, math.inf))[seen],
+        np.sqrt(np.where(moved, beyond, 0.0))[seen],
+    )
+
+
+def _edges(samples: int) -> FloatArray:
+    """Centres of the bands: as far apart as half their width, or as the records resolve."""
+    resolved = 2.0 * math.pi / samples
+    centres = [resolved]
+    while centres[-1] < math.pi - resolved:
+        centres.append(centres[-1] + max(HALF_WIDTH * centres[-1], resolved))
+    return np.array(centres)
+
+
+def _spectra(
+    fit: LoopFit, record: LoopRecord, number: int, centres: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Power of what is left, of the effort and of the noise in each band, and the number of bins.
+
+    In a trial from rest a load or drift is no noise: what looks like one may be the answer of a
+    plant that is not linear, which is the same in every trial and does not average out.
+    """
+    left, effort, noise_N = fit.unexplained[number], record.effort_N, fit.noise_N
+    if not (record.at_rest or fit.noise.is_white):
+        H = shaping(fit.model.coordinates, fit.noise, fit.settling_samples)
+        effort = whiten((effort - effort[0])[np.newaxis], H.zeros, H.poles)[0]
+        left, noise_N = fit.errors[number], fit.residual_N
+    start = int(np.argmax(left != 0.0))
+    moves = np.diff(left[start:]), np.diff(effort[start:])
+    samples = moves[0].size
+    theta = 2.0 * math.pi * np.arange(1, samples // 2) / samples
+    # Of differences, in which a record that ends elsewhere than it begins has no jump.
+    weight = samples * np.abs(2.0 * np.sin(theta / 2.0)) ** 2
+    powers = [np.abs(np.fft.rfft(move)[1 : theta.size + 1]) ** 2 / weight for move in moves]
+    half = np.maximum(HALF_WIDTH * centres, 1.01 * math.pi / samples)
+    low, high = np.searchsorted(theta, centres - half), np.searchsorted(theta, centres + half)
+    sums = [np.concatenate([[0.0], np.cumsum(power)]) for power in powers]
+    bins = (high - low).astype(float)
+    return sums[0][high] - sums[0][low], sums[1][high] - sums[1][low], noise_N**2 * bins, bins
+
+
+def error_margin(
+    fit: LoopFit, error: PlantError, gains: Gains, settings: ControllerSettings
+) -> ErrorMargin:
+    """The largest Ms and the unknown band of a loop with these gains."""
+    theta, controller, loop, stable = loop_response(fit.model, gains, settings)
+    if not stable:
+        return ErrorMargin(math.inf, None)
+    inside = theta >= error.theta[0]
+    bound = np.interp(theta[inside], error.theta, error.bound)
+    size = np.abs(1.0 + loop[inside])
+    share = np.abs(controller[inside]) * bound / size
+    least = float(np.min(size * (1.0 - share)))
+    unknown = np.flatnonzero(share > UNKNOWN_FROM)
+    sensitivity = 1.0 / least if least > 0.0 else math.inf
+    if not unknown.size:
+        return ErrorMargin(sensitivity, None)
+    angles, worst = theta[inside], unknown[np.argmax(share[unknown])]
+    left = float(np.interp(angles[worst], error.theta, error.unexplained))
+    ends = float(angles[unknown[0]]), float(angles[unknown[-1]])
+    return ErrorMargin(sensitivity, ends, excited=left > 0.5 * float(bound[worst]))
+
+
+def unknown_band(unknown: tuple[float, float], sampling_Hz: float) -> str:
+    """A band of which nothing is known, in words.
+
+    Args:
+        unknown: Its ends, rad/sample.
+        sampling_Hz: Sampling rate.
+    """
+    low, high = (theta * sampling_Hz / (2.0 * math.pi) for theta in unknown)
+    if high > 0.45 * sampling_Hz:
+        return f"above {low:.3g} Hz"
+    return f"from {low:.3g} to {high:.3g} Hz" if high > 1.05 * low else f"about {low:.3g} Hz"

@@ -1,0 +1,100 @@
+"""Poles of a discrete model as second-order sections, and the coordinates they are searched by.
+
+A pair of poles has the logarithms of its natural frequency w (rad/sample) and damping ratio as
+coordinates, a single real pole, the last one of an odd number, the logarithm of its decay per
+sample. With d = 1 - q^-1 a pole p is the factor 1 - p q^-1 = (1 - p) + p d, which keeps its digits
+however slow the pole is.
+"""
+
+import math
+from collections.abc import Sequence
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estune.core.quantities import FloatArray
+
+ComplexArray = NDArray[np.complex128]
+
+LEAST, GREATEST = -25.0, 6.0
+"""Range of a coordinate that changes the poles; beyond it they stay."""
+
+FASTEST = 1e-20
+"""Least magnitude of a pole of z that has coordinates."""
+
+
+class Section(NamedTuple):
+    """One pole, or a pair of them.
+
+    Attributes:
+        taps: 1, a1 and, of a pair, a2: a polynomial in q^-1.
+        powers: The same polynomial in powers of d = 1 - q^-1.
+        poles: The poles.
+        log_poles: Their logarithms.
+    """
+
+    taps: FloatArray
+    powers: FloatArray
+    poles: ComplexArray
+    log_poles: ComplexArray
+
+
+def sections_of(coordinates: Sequence[float] | FloatArray) -> tuple[Section, ...]:
+    """The sections of poles with these coordinates."""
+    return _sections(tuple(float(x) for x in coordinates))
+
+
+@lru_cache(maxsize=256)
+def _sections(coordinates: tuple[float, ...]) -> tuple[Section, ...]:
+    pairs = zip(coordinates[:-1:2], coordinates[1::2], strict=True)
+    if len(coordinates) % 2:
+        return (*map(_pair, pairs), _single(coordinates[-1]))
+    return tuple(map(_pair, zip(coordinates[::2], coordinates[1::2], strict=True)))
+
+
+def _pair(at: tuple[float, float]) -> Section:
+    w, z = (math.exp(min(max(x, LEAST), GREATEST)) for x in at)
+    if z < 1.0:
+        turn = w * math.sqrt(1.0 - z * z)
+        return _of_logarithms(complex(-z * w, turn), complex(-z * w, -turn))
+    spread = w * math.sqrt(z * z - 1.0)
+    return _of_logarithms(complex(-w * w / (z * w + spread)), complex(-(z * w + spread)))
+
+
+def _single(x: float) -> Section:
+    log_pole = np.array([-math.exp(min(max(x, LEAST), GREATEST))], complex)
+    p, rest = float(np.exp(log_pole[0].real)), -math.expm1(log_pole[0].real)
+    return Section(np.array([1.0, -p]), np.array([rest, p]), np.exp(log_pole), log_pole)
+
+
+def _of_logarithms(one: complex, other: complex) -> Section:
+    log_poles = np.array([one, other])
+    p, q = np.exp(log_poles)
+    u, v = -np.expm1(log_poles)  # 1 - p and 1 - q, with all their digits
+    product = (p * q).real
+    taps = np.array([1.0, -(p + q).real, product])
+    powers = np.array([(u * v).real, (p * v + q * u).real, product])
+    return Section(taps, powers, np.array([p, q]), log_poles)
+
+
+def pair_coordinates(a1: float, a2: float) -> FloatArray:
+    """Coordinates of the pair of poles of 1 + a1 q^-1 + a2 q^-2.
+
+    A pole at zero is taken as one that decays within a sample; poles outside the unit circle
+    have none, and are taken as the ones mirrored at it.
+    """
+    roots = np.roots([1.0, a1, a2]).astype(complex)
+    log_poles = np.log(np.where(np.abs(roots) < FASTEST, FASTEST, roots))
+    product, total = abs((log_poles[0] * log_poles[1]).real), abs((log_poles.sum()).real)
+    w = math.sqrt(max(product, 1e-20))
+    return np.log([w, max(total / (2.0 * w), 1e-6)])
+
+
+def polynomial(coordinates: Sequence[float] | FloatArray) -> FloatArray:
+    """The product of all sections as a polynomial in q^-1."""
+    product = np.ones(1)
+    for section in sections_of(coordinates):
+        product = np.convolve(product, section.taps)
+    return product
