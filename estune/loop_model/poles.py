@@ -19,7 +19,8 @@ from estune.core.quantities import FloatArray
 ComplexArray = NDArray[np.complex128]
 
 LEAST, GREATEST = -25.0, 6.0
-"""Range of a coordinate that changes the poles; beyond it they stay."""
+"""Range of the logarithm of a frequency that changes the poles; beyond it they stay. That of a
+damping ratio reaches to the negative of the least: an integrator beside a fast pole has such."""
 
 FASTEST = 1e-20
 """Least magnitude of a pole of z that has coordinates."""
@@ -55,7 +56,8 @@ def _sections(coordinates: tuple[float, ...]) -> tuple[Section, ...]:
 
 
 def _pair(at: tuple[float, float]) -> Section:
-    w, z = (math.exp(min(max(x, LEAST), GREATEST)) for x in at)
+    w = math.exp(min(max(at[0], LEAST), GREATEST))
+    z = math.exp(min(max(at[1], LEAST), -LEAST))
     if z < 1.0:
         turn = w * math.sqrt(1.0 - z * z)
         return _of_logarithms(complex(-z * w, turn), complex(-z * w, -turn))
