@@ -63,7 +63,7 @@ def test_friction_is_identified_and_the_limits_are_kept_and_claimed():
 def test_friction_in_the_eyelet_leaves_no_claim_and_says_why():
     result = tune(plants.reference_reel() + EyeletFriction(0.93), trials=3)
     assert result.claim.margins is None
-    assert any("estune explain" in remark for remark in result.remarks())
+    assert "estune explain" in result.heading()
 
 
 def test_start_that_breaks_a_limit_is_not_kept_for_being_as_cheap():
