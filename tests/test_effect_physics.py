@@ -387,6 +387,32 @@ def torque_ripple(effect):
     assert found == pytest.approx(-0.05 * np.sin(40.0 * angles + 0.7), abs=1e-6)
 
 
+def cogging(effect):
+    """The sum of sines of the angle."""
+    waves = (
+        (0.3, 7.0, 0.4),
+        (0.1, 28.0, -1.0),
+        (0.05, 12.0, 2.0),
+        (0.02, 36.0, 0.5),
+        (0.0, 1.0, 0.0),
+    )
+    names = ("amplitude_{}_Nm", "per_turn_{}", "phase_{}_rad")
+    law = Law(
+        effect(
+            **{
+                n.format(k): v
+                for k, w in enumerate(waves, 1)
+                for n, v in zip(names, w, strict=True)
+            }
+        )
+    )
+    angles = np.cumsum(np.r_[0.1, 8.0 * SUBSTEP_s * np.cos(np.arange(3000) / 900.0)])
+    law.settle(0.0, angle=angles[0])
+    torque = [law.pass_(0.0, angle=angle) for angle in angles]
+    expected = -sum(size * np.sin(order * angles + phi) for size, order, phi in waves)
+    assert torque == pytest.approx(expected, abs=1e-5)
+
+
 def link_gravity(effect):
     """The work that it takes off the drum is the energy of a pendulum."""
     size, phi = 0.3, 0.7

@@ -24,6 +24,7 @@ from plants.diagnosis.models.diagnosed_model import DiagnosedModel
 from plants.diagnosis.report.diagnosis import Diagnosis
 from plants.diagnosis.report.plant_units import in_own_units, located_in_own_units
 from plants.diagnosis.residual.localisation import ResidualLocation
+from plants.diagnosis.residual.torque_waves import TorqueWaves
 from plants.diagnosis.result import (
     BaseParameter,
     Interval,
@@ -48,7 +49,7 @@ from plants.diagnosis.search.mains_interference import MainsLine
 from plants.diagnosis.search.model_fitter import CandidateFit, ModelFitter
 from plants.diagnosis.search.search import SearchResult
 from plants.diagnosis.search.validation import held_out, segments
-from plants.effects import Effect, MainsInterference, Quantisation
+from plants.effects import Cogging, Effect, MainsInterference, Quantisation
 from plants.effects.plant_scale import PlantScale, si, written_unit
 
 STEP_KNOWN = 2e-3
@@ -62,6 +63,7 @@ class EffectChoices(NamedTuple):
         structural: Those that the search fits.
         calibrations: Those that are a wrong number of the model as given.
         in_noise: Those found in the noise.
+        in_torque: Those found in the balance of torques.
         unavailable: Why others cannot be added to this model, by slug.
         shown_by: The experiment that shows each of all, by slug.
     """
@@ -69,6 +71,7 @@ class EffectChoices(NamedTuple):
     structural: tuple[type[Effect], ...]
     calibrations: tuple[type[Effect], ...]
     in_noise: tuple[type[Effect], ...]
+    in_torque: tuple[type[Effect], ...]
     unavailable: Mapping[str, str]
     shown_by: Mapping[str, str]
 
@@ -101,6 +104,7 @@ class DiagnosisInputs:
         wrong: The model as given with the one number changed that is wrong, or None.
         coarse_step_N: Step of a gauge that is read in coarse steps, or None.
         held: The model as given for records held out of the fits, or None.
+        waves: Waves over the angle that explain the current where the search explains nothing.
     """
 
     model: Any
@@ -114,6 +118,7 @@ class DiagnosisInputs:
     findings: tuple[DataIssue, ...]
     rig: RigDescription | None = None
     held: DiagnosedModel | None = None
+    waves: TorqueWaves | None = None
 
 
 class Stage(NamedTuple):
@@ -145,16 +150,24 @@ def build_diagnosis(inputs: DiagnosisInputs) -> Diagnosis:
         _named(e, {n: last[f"{e.name}.{n}"] for n in e.parameters()}, plant.model) for e in effects
     ]
     named += _in_noise(inputs, steps)
+    if inputs.waves is not None:
+        named.append(_named(Cogging, inputs.waves.parameters, plant.model))
     verdict = _verdict(inputs, judged, named)
     unit = written_unit(plant.output, plant.model)
     base = inputs.done.found.base if inputs.wrong is None else inputs.done.found.given
-    values = after.fit.values
+    # Base numbers that were fitted without the waves have bent to make up for them.
+    believed = after.fit if inputs.waves is None else inputs.done.found.given
+    values = believed.values
+    if inputs.waves is not None:
+        values["torque_offset_Nm"] = inputs.waves.offset_Nm
     added = [one.effect for one in named]
     values |= {f"{e.name}.{n}": getattr(e, n) for e in added for n in e.parameters()}
     listed = candidates(inputs.done.found, judged)
     scale = PlantScale.of(plant.model)
-    limits = limitations(inputs.done.fitter.measurements, inputs.findings, after.fit, scale)
+    limits = limitations(inputs.done.fitter.measurements, inputs.findings, believed, scale)
     said = verdict_sentence(verdict, judged, named, steps, unit)
+    if inputs.waves is not None:
+        said = f"{named[-1].sentence} {inputs.waves.sentence}"
     held = None if inputs.held is None else hold_out(inputs.held, before.fit, after.fit)
     return Diagnosis(
         verdict=verdict,

@@ -23,6 +23,7 @@ from plants.diagnosis.models.diagnosed_model import DiagnosedModel, diagnosed
 from plants.diagnosis.progress import Progress, portion, silent
 from plants.diagnosis.report.diagnosis import Diagnosis
 from plants.diagnosis.residual.localisation import localise
+from plants.diagnosis.residual.torque_waves import torque_waves
 from plants.diagnosis.search.conclusion import conclude
 from plants.diagnosis.search.constants import CONSTANTS
 from plants.diagnosis.search.initial_guesses import record_scale
@@ -38,6 +39,7 @@ from plants.diagnosis.search.starts import coarse_fit
 from plants.diagnosis.search.wrong_parameter import find_wrong_parameter
 from plants.effects import (
     CableWeight,
+    Cogging,
     CoulombFriction,
     Effect,
     MainsInterference,
@@ -117,6 +119,11 @@ def _explained(
         coarse = coarse_step_N(noise.channels["tension_N"])
     if held is not None:
         aside = _for_records(model, check(held.measurements, model)[0], done.fitter.model)
+    waves = None
+    if Cogging in choice.in_torque and done.judged.verdict in ("unknown", "none"):
+        numbers = [BaseNumbers.of(model, m) for m in measurements]
+        found = torque_waves(measurements, numbers, () if aside is None else aside.measurements)
+        waves = found if found is not None and found.share >= CONSTANTS.named_share else None
     inputs = DiagnosisInputs(
         model=model,
         recorded=recorded,
@@ -129,6 +136,7 @@ def _explained(
         findings=findings,
         rig=rig,
         held=aside,
+        waves=waves,
     )
     diagnosis = build_diagnosis(inputs)
     progress("done", 1.0)
@@ -255,9 +263,10 @@ def _choice(plant: DiagnosedModel, effects: Sequence[type[Effect] | str] | None)
     reasons = {e.name: plant.unavailable(e) for e in asked}
     had = [e for e in asked if reasons[e.name] is None]
     return EffectChoices(
-        structural=tuple(e for e in had if not (e.base_parameter or e.in_noise)),
+        structural=tuple(e for e in had if not (e.base_parameter or e.in_noise or e.in_torque)),
         calibrations=tuple(e for e in had if e.base_parameter),
         in_noise=tuple(e for e in had if e.in_noise),
+        in_torque=tuple(e for e in had if e.in_torque),
         unavailable={name: why for name, why in reasons.items() if why is not None},
         shown_by={e.name: e.excitation for e in asked},
     )

@@ -40,6 +40,7 @@ from plants.effects.cable_creep import CableCreep as CableCreep
 from plants.effects.cable_slack import CableSlack as CableSlack
 from plants.effects.cable_stiffening import CableStiffening as CableStiffening
 from plants.effects.cable_weight import CableWeight as CableWeight
+from plants.effects.cogging import Cogging as Cogging
 from plants.effects.coulomb_friction import CoulombFriction as CoulombFriction
 from plants.effects.current_lag import CurrentLag as CurrentLag
 from plants.effects.current_saturation import CurrentSaturation as CurrentSaturation

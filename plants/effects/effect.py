@@ -121,6 +121,7 @@ class Effect(ABC):
             is then visited last.
         by_tension: Whether it depends on the level of the tension, not on changes of it: beside it
             an offset of the torque can be told from one of the gauge.
+        in_torque: Whether it is found in the balance of torques, not by fitting predictions.
         without_cable: Whether it is looked for only on drives without a cable.
         smooth: Whether the trial has a derivative by the parameters that is worth following.
         form_error: Relative standard error of its values for the ways in which machines are
@@ -146,6 +147,7 @@ class Effect(ABC):
     resists: ClassVar[bool] = False
     divides: ClassVar[bool] = False
     by_tension: ClassVar[bool] = False
+    in_torque: ClassVar[bool] = False
     without_cable: ClassVar[bool] = False
     smooth: ClassVar[bool] = True
     form_error: ClassVar[float] = 0.0

@@ -19,6 +19,8 @@ DEGREE = 180.0 / math.pi
 THOUSAND = 1000.0
 R2_MIN = 0.5
 """Share of a channel's variance that another must explain for their ratio to mean something."""
+BOTH_WAYS = 0.05
+"""Share of the time in either direction from which on a motion goes both ways."""
 WIDTH = 0.01
 """Smoothing, as a share of the record."""
 
@@ -60,7 +62,7 @@ def _brakes(angle_rad: FloatArray, effort: FloatArray, smoother: Smoother) -> bo
     """Whether an effort explains the motion of a free drum by an inertia and friction below zero.
 
     A load that drives the motor, a cogging torque or a record that begins in motion may make one
-    of them negative, but not both.
+    of them negative, but not both. Motion in one direction cannot tell friction from an offset.
     """
     velocity = smoother.sampled(angle_rad, 0.0, 1.0)
     terms = np.column_stack(
@@ -70,6 +72,8 @@ def _brakes(angle_rad: FloatArray, effort: FloatArray, smoother: Smoother) -> bo
     columns = np.column_stack([terms[known], np.ones(known.sum())])
     a, b, dry, _ = np.linalg.lstsq(columns, effort[known], rcond=None)[0]
     v = velocity[known]
+    if not BOTH_WAYS < float(np.mean(v > 0.0)) < 1.0 - BOTH_WAYS:
+        return False
     return bool(a < 0.0 and np.mean(b * v**2 + dry * np.abs(v)) < 0.0)
 
 

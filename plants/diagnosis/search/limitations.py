@@ -17,6 +17,10 @@ from plants.effects.plant_scale import PlantScale
 ONE_WAY, SLOW, EDGE = 0.02, 0.01, 1e-3
 """Share of the travel against the main direction; share of the samples below a tenth of the rms
 velocity; distance from a bound, relative."""
+GOING, ONE_WAY_TIME = 0.3, 0.1
+"""Speed relative to the median one from which on a drive moves in a direction, and share of that
+time against the main direction: a winch motor that is turned one way slips back for 0.05 of it, by
+its cogging."""
 BEYOND = 2.0
 """Standard deviations of what is known of a number beyond which it has moved."""
 USUAL_sd, GUESSED_sd = 0.35, 0.8
@@ -117,8 +121,11 @@ def _of_motion(measurements: Sequence[MeasuredRecord]) -> list[Limitation]:
     if size == 0.0:
         return []
     found = []
+    # Of the way, or of the time: a jump at the start of a record goes far.
+    going = np.abs(moved) > GOING * np.median(np.abs(moved[moved != 0.0]))
     ways = sorted([float(moved[moved > 0].sum()), -float(moved[moved < 0].sum())])
-    if ways[0] < ONE_WAY * ways[1]:
+    times = sorted([int((going & (moved > 0)).sum()), int((going & (moved < 0)).sum())])
+    if ways[0] < ONE_WAY * ways[1] or times[0] < ONE_WAY_TIME * times[1]:
         said = (
             "all motion is in one direction: dry friction cannot be told from an offset of the "
             "force; record motion both ways"

@@ -1,0 +1,270 @@
+"""Waves over the angle in the current that a drive's motion takes.
+
+A drive that turns slowly in a velocity loop shows its cogging in the current, hardly in the
+motion: a prediction of the motion from the current is then as uncertain as the difference of two
+large torques. The other way round,
+
+    K_t i = b v + F sign(v) + tau_0 + sum A_k sin(N_k theta + phi_k),
+
+the current is predicted from the motion, where it is slow: there the inertia takes nothing. The
+waves are found one after the other, each the one
+that takes off the most (orthogonal matching pursuit, Pati et al. 1993); what they are worth is
+judged on records, or thirds of one, that they were not fitted to.
+"""
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from estune.core.quantities import FloatArray
+from plants.diagnosis.data.measured_record import MeasuredRecord
+from plants.diagnosis.data.smoothing import Smoother
+from plants.diagnosis.models.base import BaseNumbers
+from plants.diagnosis.result import Interval
+from plants.effects.cogging import WAVES
+
+FEWEST_PERIODS = 3.0
+"""Periods of a wave that the widest record has to show."""
+FINE, SPREAD_samples, SEARCHED, FINEST = 0.25, 8, 1500, 512.0
+"""Step between the orders tried, over a turn; samples a period of the finest; most samples for the
+search; the greatest order."""
+DISTINCT = 1e-4
+"""Share of two waves' power by which they must differ from what there is."""
+WORTH = 0.1
+"""Share of the power left that each further wave takes off at least."""
+WIDTH_s = 0.005
+"""Smoothing of motion and current alike."""
+WHOLE = 0.9
+"""Share of what the best order takes off from which on, over a turn or more, the next whole number
+is meant."""
+FAST = 5.0
+"""Speed, in times the usual one, above which a motion is no slow one: it starts or jumps."""
+PARTS = 3
+QUANTILE = 1.96
+
+
+class Motion(NamedTuple):
+    """Current, angle and the terms of the motion in one record, each of shape (samples,)."""
+
+    torque_Nm: FloatArray
+    angle_rad: FloatArray
+    terms: FloatArray  # velocity and its sign, shape (samples, 2)
+
+
+class TorqueWaves(NamedTuple):
+    """Waves that explain a current over the angle.
+
+    Attributes:
+        parameters: Those of `Cogging`, with their intervals.
+        offset_Nm: The constant torque of the drive beside them.
+        before_A: Root mean square of the current about its mean, on data left out.
+        after_A: What the waves leave of it.
+        orders: Periods a turn, the greatest wave first.
+        held_A: The same two on records held out of all fits, or None.
+    """
+
+    parameters: dict[str, Interval]
+    offset_Nm: float
+    before_A: float
+    after_A: float
+    orders: tuple[float, ...]
+    held_A: tuple[float, float] | None = None
+
+    @property
+    def share(self) -> float:
+        """Share of the current's power that they explain on data left out."""
+        return 1.0 - (self.after_A / self.before_A) ** 2 if self.before_A > 0.0 else 0.0
+
+    @property
+    def sentence(self) -> str:
+        """What they explain, in plain words."""
+        said = (
+            f"Over the angle it explains {self.share:.0%} of the current on data left out, "
+            f"{self.before_A:.3g} A rms about its mean, of which {self.after_A:.3g} A are left "
+            "in slow motion."
+        )
+        if self.held_A is not None:
+            said += f" On the held-out records {self.held_A[1]:.3g} of {self.held_A[0]:.3g} A."
+        return f"{said} The motion itself is not predicted: short predictions stay as they are."
+
+
+def torque_waves(
+    measurements: Sequence[MeasuredRecord],
+    numbers: Sequence[BaseNumbers | None],
+    held: Sequence[MeasuredRecord] = (),
+) -> TorqueWaves | None:
+    """The waves over the angle in the current of some records; None where there are none.
+
+    Args:
+        measurements: The records, whose angle counts from one zero.
+        numbers: Numbers of the model, of each record.
+        held: Records held out of all fits.
+    """
+    first = numbers[0]
+    if first is None or not first.is_free:
+        return None
+    motions = [_motion(m, first) for m in measurements if m.angle_rad is not None]
+    if not motions:
+        return None
+    orders = _orders(motions)
+    if not orders:
+        return None
+    parts = _parts(motions)
+    K = first.newtons_per_ampere * first.drum_radius_m
+    after, moving = min(
+        (_left_out(parts, orders, moving=moving), moving) for moving in (False, True)
+    )
+    before = _left_out(parts, (), moving=False)
+    fitted = _fitted(parts, orders, moving=moving)
+    shifts = [
+        _fitted(parts[:n] + parts[n + 1 :], orders, moving=moving) - fitted
+        for n in range(len(parts))
+    ]
+    error = np.sqrt((len(parts) - 1.0) / len(parts) * np.sum(np.square(shifts), axis=0))
+    aside = [_motion(m, first) for m in held if m.angle_rad is not None]
+    apart = None
+    if aside:
+        torque = np.concatenate([m.torque_Nm for m in aside])
+        rest = np.concatenate([_rest(m, orders, fitted, moving=moving) for m in aside])
+        apart = float(torque.std()) / K, float(np.sqrt(np.mean(rest**2))) / K
+    return TorqueWaves(
+        _parameters(orders, fitted, error),
+        -float(fitted[0]),
+        before / K,
+        after / K,
+        orders,
+        apart,
+    )
+
+
+def _motion(m: MeasuredRecord, b: BaseNumbers) -> Motion:
+    assert m.angle_rad is not None  # noqa: S101  only such records are taken
+    smoother = Smoother(max(WIDTH_s, 1.0 / m.sampling_Hz), m.sampling_Hz)
+    command = m.command_A(b.newtons_per_ampere) * b.newtons_per_ampere * b.drum_radius_m
+    torque = smoother.held(command, b.dead_time_s, 1.0)
+    angle, velocity = (smoother.sampled(m.angle_rad, *c) for c in ((1.0,), (0.0, 1.0)))
+    inside = np.isfinite(torque) & np.isfinite(angle)
+    speed = np.abs(velocity[inside])
+    slow = speed <= FAST * max(float(np.median(speed)), 1e-300)
+    v = velocity[inside][slow]
+    terms = np.column_stack([v, np.sign(v)])
+    return Motion(torque[inside][slow], angle[inside][slow], terms)
+
+
+def _columns(m: Motion, orders: Sequence[float], *, moving: bool) -> FloatArray:
+    """One, sine and cosine of each order, and where it helps velocity and its sign."""
+    waves = [f(order * m.angle_rad) for order in orders for f in (np.sin, np.cos)]
+    columns = [np.ones(m.angle_rad.size), *waves, *(m.terms.T if moving else ())]
+    return np.column_stack(columns)
+
+
+def _fitted(parts: Sequence[Motion], orders: Sequence[float], *, moving: bool) -> FloatArray:
+    columns = np.vstack([_columns(m, orders, moving=moving) for m in parts])
+    torque = np.concatenate([m.torque_Nm for m in parts])
+    found: FloatArray = np.linalg.lstsq(columns, torque, rcond=1e-9)[0]
+    return found
+
+
+def _rest(m: Motion, orders: Sequence[float], fitted: FloatArray, *, moving: bool) -> FloatArray:
+    rest: FloatArray = m.torque_Nm - _columns(m, orders, moving=moving) @ fitted
+    return rest
+
+
+def _left_out(parts: list[Motion], orders: Sequence[float], *, moving: bool) -> float:
+    """Root mean square of what is left in each part by a fit to the others, N m."""
+    rests = []
+    for n, part in enumerate(parts):
+        others = parts[:n] + parts[n + 1 :]
+        rests.append(_rest(part, orders, _fitted(others, orders, moving=moving), moving=moving))
+    return float(np.sqrt(np.mean(np.concatenate(rests) ** 2)))
+
+
+def _parts(motions: Sequence[Motion]) -> list[Motion]:
+    """The records; of one alone, its turns in parts that each have all angles."""
+    if len(motions) > 1:
+        return list(motions)
+    (m,) = motions
+    edges = np.linspace(0, m.angle_rad.size, PARTS + 1).astype(int)
+    return [
+        Motion(m.torque_Nm[a:b], m.angle_rad[a:b], m.terms[a:b])
+        for a, b in zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True)
+    ]
+
+
+def _orders(motions: Sequence[Motion]) -> tuple[float, ...]:
+    """Periods a turn of the waves that are worth it, the greatest first."""
+    extent = max(float(np.ptp(m.angle_rad)) for m in motions)
+    samples = sum(m.angle_rad.size for m in motions)
+    if not extent > 0.0:
+        return ()
+    least = 2.0 * math.pi * FEWEST_PERIODS / extent
+    most = 2.0 * math.pi * min(m.angle_rad.size for m in motions) / extent / SPREAD_samples
+    grid = np.arange(max(least, 1.0), min(most, FINEST), FINE * min(1.0, 2.0 * math.pi / extent))
+    if not grid.size:
+        return ()
+    stride = max(1, samples // SEARCHED)
+    some = [
+        Motion(m.torque_Nm[::stride], m.angle_rad[::stride], m.terms[::stride]) for m in motions
+    ]
+    angle = np.concatenate([m.angle_rad for m in some])
+    torque = np.concatenate([m.torque_Nm for m in some])
+    orders: list[float] = []
+    left = float(np.mean((torque - torque.mean()) ** 2))
+    for _ in range(WAVES):
+        basis = np.linalg.qr(np.vstack([_columns(m, orders, moving=False) for m in some]))[0]
+        rest = torque - basis @ (basis.T @ torque)
+        gains = _gains(grid, angle, basis, rest)
+        order, most = float(grid[int(gains.argmax())]), float(gains.max())
+        if extent >= WHOLE * 2.0 * math.pi:
+            whole = np.array([round(order)], dtype=np.float64)
+            near = float(_gains(whole, angle, basis, rest)[0]) >= WHOLE * most
+            order = float(whole[0]) if near else order
+        after = left - most / torque.size
+        if after > (1.0 - WORTH) * left or order in orders:
+            break
+        orders.append(order)
+        left = after
+    return tuple(orders)
+
+
+def _gains(
+    orders: FloatArray, angle: FloatArray, basis: FloatArray, rest: FloatArray
+) -> FloatArray:
+    """Power that a wave of each order takes off a residual beside what there is."""
+    turned = np.outer(angle, orders)
+    sine, cosine = np.sin(turned), np.cos(turned)
+    along = [basis.T @ wave for wave in (sine, cosine)]
+    ss, sc, cc = (
+        np.einsum("ij,ij->j", a, b) - np.einsum("ij,ij->j", p, q)
+        for a, b, p, q in (
+            (sine, sine, along[0], along[0]),
+            (sine, cosine, along[0], along[1]),
+            (cosine, cosine, along[1], along[1]),
+        )
+    )
+    s, c = rest @ sine, rest @ cosine
+    area = np.maximum(ss * cc - sc**2, DISTINCT * angle.size**2)
+    gains: FloatArray = (cc * s**2 - 2.0 * sc * s * c + ss * c**2) / area
+    return gains
+
+
+def _parameters(
+    orders: Sequence[float], fitted: FloatArray, error: FloatArray
+) -> dict[str, Interval]:
+    """Amplitudes, orders and phases of the waves with their intervals."""
+    found: dict[str, Interval] = {}
+    for k in range(WAVES):
+        amplitude = phase = half = 0.0
+        order = 1.0
+        if k < len(orders):
+            sine, cosine = fitted[1 + 2 * k], fitted[2 + 2 * k]
+            order, amplitude = orders[k], float(np.hypot(sine, cosine))
+            phase = float(np.arctan2(cosine, sine))
+            half = QUANTILE * float(np.hypot(*error[1 + 2 * k : 3 + 2 * k]))
+        low, turn = max(amplitude - half, 0.0), half / max(amplitude, 1e-300)
+        found[f"amplitude_{k + 1}_Nm"] = Interval(amplitude, low, amplitude + half, "N m")
+        found[f"per_turn_{k + 1}"] = Interval(order, order, order, "")
+        found[f"phase_{k + 1}_rad"] = Interval(phase, phase - turn, phase + turn, "rad")
+    return found

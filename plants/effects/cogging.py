@@ -1,0 +1,123 @@
+"""Torque that depends on the drum's angle in several waves."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import casadi as ca
+
+from plants.effects import angle_phase
+from plants.effects.effect import Effect, Port, Response, Signal, Site, Values
+from plants.effects.parameter import Role, parameter, phase
+from plants.effects.plant_scale import PlantScale, digits
+
+WAVES = 5
+
+
+def _amplitude() -> float:
+    amplitude: float = parameter(0.0, low=0.0, high=1e3, unit="N m", neutral=0.0)
+    return amplitude
+
+
+def _per_turn() -> float:
+    periods: float = parameter(1.0, low=0.5, high=1e4, role=Role.PERIODS)
+    return periods
+
+
+@dataclass(frozen=True)
+class Cogging(Effect):
+    """Cogging of a motor in several waves: `tau = -sum A_k sin(N_k theta + phi_k)`.
+
+    Slots and poles of a motor attract each other as often in a turn as their least common
+    multiple says; unequal slots, an eccentric rotor and the iron around it add waves of other
+    orders. It is found in the balance of torques over the angle.
+
+    Attributes:
+        amplitude_1_Nm: Amplitude A_1 of the greatest wave, N m.
+        per_turn_1: Its periods N_1 in a turn.
+        phase_1_rad: Its phase phi_1 where the encoder reads zero, rad.
+        amplitude_2_Nm: The same of the second wave, and so on.
+        per_turn_2: See above.
+        phase_2_rad: See above.
+        amplitude_3_Nm: See above.
+        per_turn_3: See above.
+        phase_3_rad: See above.
+        amplitude_4_Nm: See above.
+        per_turn_4: See above.
+        phase_4_rad: See above.
+        amplitude_5_Nm: See above.
+        per_turn_5: See above.
+        phase_5_rad: See above.
+    """
+
+    name = "cogging"
+    title = "cogging of several orders"
+    appearance = "the current over the angle is a curve that is the same at each passage"
+    excitation = "slow motion over a turn or more, at a constant velocity"
+    port = Port.DRUM
+    in_torque = True
+    without_cable = True
+    states = WAVES * angle_phase.STATES
+
+    amplitude_1_Nm: float = _amplitude()
+    per_turn_1: float = _per_turn()
+    phase_1_rad: float = phase()
+    amplitude_2_Nm: float = _amplitude()
+    per_turn_2: float = _per_turn()
+    phase_2_rad: float = phase()
+    amplitude_3_Nm: float = _amplitude()
+    per_turn_3: float = _per_turn()
+    phase_3_rad: float = phase()
+    amplitude_4_Nm: float = _amplitude()
+    per_turn_4: float = _per_turn()
+    phase_4_rad: float = phase()
+    amplitude_5_Nm: float = _amplitude()
+    per_turn_5: float = _per_turn()
+    phase_5_rad: float = phase()
+
+    @classmethod
+    def describe(cls, p: Values, plant: PlantScale) -> str:
+        """Sentence with the fitted values."""
+        waves = sorted(_waves(p), key=lambda wave: -wave[0])
+        listed = ", ".join(
+            f"{plant.torque(size)} {digits(order)} times a turn"
+            for size, order, _ in waves
+            if size > 0.0
+        )
+        return f"has a motor that cogs: its torque varies with the angle by {listed}"
+
+    @staticmethod
+    def respond(p: Values, state: Signal, _signal: Signal, site: Site) -> Response:
+        """The torque at this angle."""
+        return _torque(p, state, site.angle_rad, angle_phase.advance_angle)
+
+    @staticmethod
+    def rest(p: Values, state: Signal, _signal: Signal, site: Site) -> Response:
+        """The same at the angle of rest."""
+        return _torque(p, state, site.angle_rad, lambda _, angle: angle_phase.encode_angle(angle))
+
+    @staticmethod
+    def put(p: Values, _state: Signal, angle_rad: Signal) -> Signal:
+        """The phases there."""
+        phases = [angle_phase.encode_angle(n * angle_rad + phi) for _, n, phi in _waves(p)]
+        return ca.vertcat(*phases)
+
+
+def _waves(p: Values) -> list[tuple[Signal, Signal, Signal]]:
+    """Amplitude, periods and phase of each wave."""
+    own = vars(p)
+    return [
+        (own[f"amplitude_{k}_Nm"], own[f"per_turn_{k}"], own[f"phase_{k}_rad"])
+        for k in range(1, WAVES + 1)
+    ]
+
+
+def _torque(
+    p: Values, state: Signal, angle_rad: Signal, moved: Callable[[Signal, Signal], Signal]
+) -> Response:
+    """The phases after the motion to an angle, and the torque there."""
+    after, torque, each = [], 0.0, angle_phase.STATES
+    for n, (size, order, phi) in enumerate(_waves(p)):
+        phases = moved(state[n * each : (n + 1) * each], order * angle_rad + phi)
+        after.append(phases)
+        torque = torque - size * phases[0]
+    return ca.vertcat(*after), torque
