@@ -66,12 +66,19 @@ VALUES: dict[str, Any] = {
     "sent_s": 4711.25,
     "setpoint": Setpoint(18.5),
 }
-"""Values of the fields of the example commands, by name."""
+"""Values of the fields of the example commands, by name; others have those of their type."""
+OF_TYPE = {float: 2.5, int: 3, str: "a text", bool: True}
 
-COMMANDS: dict[str, Message] = {
-    name: verb.message(**{f.name: VALUES[f.name] for f in fields(verb.message)})  # type: ignore[arg-type]
-    for name, verb in VERBS.items()
-}
+
+def _example(kind: Any) -> Message:
+    hints = get_type_hints(kind)
+    made: Message = kind(
+        **{f.name: VALUES.get(f.name, OF_TYPE.get(hints[f.name])) for f in fields(kind)}
+    )
+    return made
+
+
+COMMANDS: dict[str, Message] = {name: _example(verb.message) for name, verb in VERBS.items()}
 EXAMPLES: tuple[Any, ...] = (
     *COMMANDS.values(),
     Inquire(messages.digest(REQUEST), 1024, 1024),

@@ -4,7 +4,7 @@ import json
 import math
 import time
 from dataclasses import fields, replace
-from typing import Any
+from typing import Any, get_type_hints
 
 import pytest
 import zenoh
@@ -34,7 +34,9 @@ def example(wire: WireClient, verb: str, request: TrialRequest) -> Any:
         "setpoint": Setpoint(wire.describe().rig.step.preload_N),
     }
     kind: Any = VERBS[verb].message
-    return kind(**{field.name: values[field.name] for field in fields(kind)})
+    hints, of_type = get_type_hints(kind), {float: 1.0, int: 1, str: "wildcard", bool: True}
+    names = (field.name for field in fields(kind))
+    return kind(**{name: values.get(name, of_type.get(hints[name])) for name in names})
 
 
 class CommandTests:
