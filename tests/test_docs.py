@@ -110,6 +110,13 @@ def test_links_of_pages_at_the_root_lead_to_files(name):
     assert [link for link in links if not (ROOT / link.partition("#")[0]).exists()] == []
 
 
+@pytest.mark.parametrize("name", ["README.md", "CONTRIBUTING.md"])
+def test_files_that_pages_at_the_root_name_exist(name):
+    text = (ROOT / name).read_text("utf-8")
+    named = re.findall(r"`((?:\w[\w.-]*/)+[\w.-]+\.(?:py|md|toml|c))`", text)
+    assert [path for path in named if "NAME" not in path and not (ROOT / path).is_file()] == []
+
+
 @pytest.mark.parametrize("line", ["estune tune x --no-such-option 1", "estune tunes x", "for"])
 def test_wrong_command_in_a_page_is_found(line):
     with pytest.raises((CycloptsError, subprocess.CalledProcessError)):
