@@ -4,6 +4,7 @@ import contextlib
 import json
 import os
 import re
+import shutil
 import signal
 import sqlite3
 import subprocess
@@ -450,6 +451,15 @@ def test_rig_lost_during_stop_is_not_reported_as_confirmed(monkeypatch, capsys, 
     said = capsys.readouterr().err
     assert "stopped, but the live gains are not confirmed; check the rig: the rig is gone" in said
     assert said.count("\n") == 1
+
+
+def test_list_shows_the_newest_run_first(arithmetic_run, here, tmp_path):
+    for name, begun in (("b", "2026-03-02"), ("a", "2026-01-05"), ("c", "2026-02-01")):
+        shutil.copytree(arithmetic_run, tmp_path / name)
+        with Journal.open(tmp_path / name, write=True) as journal:
+            journal.note(created_at=f"{begun}T12:00:00+00:00")
+    listed = json.loads(here("list", "--folder", tmp_path, "--json"))
+    assert [row["run"] for row in listed] == ["b", "c", "a"]
 
 
 def test_list_shows_other_runs_beside_an_unreadable_one(arithmetic_run, here):

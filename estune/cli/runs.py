@@ -1,6 +1,7 @@
 """`estune list`, `estune show` and `estune export`: runs on disk."""
 
 import math
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -21,13 +22,14 @@ REPORT_NAME = "report.html"
 
 
 def list_runs(folder: Path = Path(api.RUNS), *, json: Flag = False) -> None:
-    """List the runs of a folder.
+    """List the runs of a folder, newest first.
 
     Args:
         folder: Folder of runs.
         json: Print JSON.
     """
     rows = [_summary(path.parent) for path in sorted(folder.glob(f"*/{FILE_NAME}"))]
+    rows.sort(key=_begun, reverse=True)
     if json:
         output.print_json(rows)
     elif not rows:
@@ -183,6 +185,12 @@ def _summary(path: Path) -> dict[str, Any]:
         "status": status,
         "state": _state(path, result),
     }
+
+
+def _begun(row: dict[str, Any]) -> datetime:
+    """When a run began; of one that cannot be read, the earliest time there is."""
+    at = row["created_at"]
+    return datetime.fromisoformat(at) if at else datetime.min.replace(tzinfo=UTC)
 
 
 def _state(path: Path, result: "TuneResult") -> str:
