@@ -43,6 +43,8 @@ COMMANDS = (
         110,
     ),
     ("apply", "rigs:apply", "Make the gains of a run live on a rig.", 120),
+    ("remedy", "remedy:remedy", "Write a remedy of a diagnosis as a patch of a rig's file.", 122),
+    ("prove", "remedy:prove", "Prove a remedy on a rig, by trials with it and without.", 124),
     ("run-experiment", "experiment:run_experiment", "Run the trial of a file on a rig.", 140),
     ("discover", "rigs:discover", "List the rigs at an endpoint and their status.", 160),
     ("doctor", "doctor:doctor", "Check a rig, with a remedy for each failed check.", 170),

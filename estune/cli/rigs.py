@@ -16,6 +16,7 @@ from estune.remote.security import Security
 from estune.run.limit_verdict import LimitState
 from estune.run.robustness import claim_from
 from estune.run.targets import open_target
+from estune.studies.prove.patch import SUFFIX as PATCH_SUFFIX
 from estune.support.quantity_text import with_unit
 from estune.trial import RigDescription
 
@@ -58,11 +59,11 @@ def apply(
     security: Path | None = None,
     folder: Path = Path(api.RUNS),
 ) -> None:
-    """Make the gains of a run, or its start gains, live on a rig.
+    """Make the gains of a run, or its start gains, live on a rig; or put a patch in a rig's file.
 
     Args:
-        run: The run: its name, or its folder.
-        target: Address of the rig, such as tcp/127.0.0.1:7447.
+        run: The run: its name, or its folder; or a patch of estune remedy, NAME.remedy.json.
+        target: Address of the rig, such as tcp/127.0.0.1:7447; for a patch the rig's file.
         start: Restore the gains that the run began from.
         yes: Apply gains that break a limit of the run without a prompt.
         backoff: Share by which P, I and D are lowered, such as 25%, for margin beside the optimum.
@@ -70,15 +71,14 @@ def apply(
         security: Credentials file, if the rig requires authentication.
         folder: Folder of runs.
     """
+    if run.endswith(PATCH_SUFFIX):
+        from estune.cli.remedy import apply_patch  # noqa: PLC0415  slow to import
+
+        apply_patch(Path(run), Path(target), yes=yes)
+        return
     result = api.load(find_run(run, folder))
     share = share_from("--backoff", backoff)
-    if start and share:
-        raise InvalidInput("--start restores gains as they were; leave --backoff out")
-    if not start and not result.verdict.complete:
-        raise RigError(
-            f"{result.verdict.message}: the run has no tuned gains yet; finish it with: estune "
-            f"resume {result.folder}, or restore the gains it began from with --start"
-        )
+    _check_gains(result, start=start, share=share)
     if not (start or yes):
         _confirm_limits(result)
     gains = result.start_gains if start else backed_off(result.gains, share)
@@ -147,6 +147,22 @@ def clear(endpoint: str, /, *, rig: str | None = None, security: Path | None = N
     with zenoh.connect(endpoint, rig=rig, security=security_from(security)) as the_rig:
         the_rig.clear()
         print(f"{the_rig.name} is cleared: {the_rig.status().mode.sentence}")
+
+
+def _check_gains(result: "TuneResult", *, start: bool, share: float) -> None:
+    """Refuses gains that a run does not have.
+
+    Raises:
+        InvalidInput: the initial gains were asked for with a margin.
+        RigError: the run has no tuned gains yet.
+    """
+    if start and share:
+        raise InvalidInput("--start restores gains as they were; leave --backoff out")
+    if not start and not result.verdict.complete:
+        raise RigError(
+            f"{result.verdict.message}: the run has no tuned gains yet; finish it with: estune "
+            f"resume {result.folder}, or restore the gains it began from with --start"
+        )
 
 
 def _confirm_limits(result: "TuneResult") -> None:

@@ -163,12 +163,24 @@ class RigConfig(TomlTable):
         Raises:
             InvalidInput: a table is not complete, or a number is out of its range.
         """
-        if self.compensation is None:
-            return None
+        return None if self.compensation is None else self.compensation_plan(self.compensation)
+
+    def compensation_plan(self, table: CompensationTable) -> CompensationPlan:
+        """Compensations of a table on this reel.
+
+        Raises:
+            InvalidInput: the table is not complete, or a number is out of its range.
+        """
         reel = self.reel
         geometry = reel.encoder_counts_per_turn, reel.drum_radius_m, reel.cable_length_m
-        limit_N = self.settings().output_max_N
-        return self.compensation.plan(self.sampling_Hz, *geometry, limit_N)
+        return table.plan(self.sampling_Hz, *geometry, self.settings().output_max_N)
+
+    def compensation_text(self, plan: CompensationPlan | None) -> str:
+        """C text of compensations; empty without any."""
+        if plan is None:
+            return ""
+        _, current = self.calibrations()
+        return compensation_source(plan, current, self.newtons_per_ampere)
 
     def hybrid_control(self) -> HybridPlan | None:
         """Position control beside that of the tension; None where there is none."""
@@ -218,9 +230,7 @@ class RigConfig(TomlTable):
             live=pidf.coefficients(settings, description.gains),
             length_source=self.length_source(),
             compensation=compensation,
-            compensation_source=compensation_source(compensation, current, self.newtons_per_ampere)
-            if compensation
-            else "",
+            compensation_source=self.compensation_text(compensation),
             hybrid=self.hybrid_control(),
             guard=self._guard(),
             motion=Motion(

@@ -126,6 +126,7 @@ class Begin(NamedTuple):
         open_loop: Whether the setpoint is the effort itself.
         cost_max: Running cost at which the guard stops it.
         duration_s: Longest time from its first sample, s.
+        compensation: Compensations for this trial, and their C text; None keeps the rig's own.
     """
 
     number: int
@@ -134,6 +135,7 @@ class Begin(NamedTuple):
     open_loop: bool
     cost_max: float
     duration_s: float
+    compensation: tuple[CompensationPlan | None, str] | None = None
 
 
 class SetLiveGains(NamedTuple):

@@ -16,6 +16,9 @@ from estune.core.cost import StepCost
 from estune.core.gains import Gains
 from estune.core.quantities import FloatArray
 from estune.errors import InvalidInput, RigError
+from estune.hardware.compensation.plan import CompensationPlan
+from estune.hardware.compensation.runtime import make_compensation
+from estune.hardware.compensation.tables import table_of
 from estune.hardware.config import RigConfig
 from estune.hardware.loop_messages import Begin, Done, Ended, LoopPlan, ResetEstop, SetLiveGains
 from estune.hardware.process import ANSWER_WITHIN_s, LoopProcess, RunningLoop
@@ -111,13 +114,13 @@ class HardwareRig:
             if stored is not None:
                 return stored
             self._description.limits.check(request.profile)
-            begin = self._prepare(request)
+            begin = self._prepare(request, self._trial_compensation(request))
             self._number, self._trial_id = begin.number, request.trial_id
             try:
                 answer = self._loop.request(begin, Ended, self._timeout_s(request))
             finally:
                 self._number, self._trial_id = 0, ""
-            record = self._record(request, answer)
+            record = self._record(request, answer, begin)
             self._records.add(request, record)
             self._learn_cost(request, record)
             return record
@@ -230,7 +233,25 @@ class HardwareRig:
     def _stop(self) -> None:
         self._memory.words[Word.ABORT] = self._number
 
-    def _prepare(self, request: TrialRequest) -> Begin:
+    def _trial_compensation(
+        self, request: TrialRequest
+    ) -> tuple[CompensationPlan | None, str] | None:
+        """Compensations of a trial, compiled beforehand: the loop takes them from the cache.
+
+        Raises:
+            InvalidInput: the table has mistakes.
+        """
+        if not request.compensation:
+            return None
+        table = table_of(request.compensation, f"compensation of trial {request.trial_id}")
+        plan = None if table is None else self._config.compensation_plan(table)
+        source = self._config.compensation_text(plan)
+        make_compensation(plan, source)
+        return plan, source
+
+    def _prepare(
+        self, request: TrialRequest, compensation: tuple[CompensationPlan | None, str] | None
+    ) -> Begin:
         """Writes setpoint and weights to the shared memory."""
         rate = self._config.sampling_Hz
         setpoint = request.profile.setpoint(rate)
@@ -245,6 +266,7 @@ class HardwareRig:
             open_loop=request.profile.loop == "open",
             cost_max=self._cost_max(request),
             duration_s=samples / rate + self._config.guard.deadline_margin_s,
+            compensation=compensation,
         )
 
     def _weights(self, request: TrialRequest, setpoint_N: FloatArray) -> FloatArray:
@@ -282,15 +304,19 @@ class HardwareRig:
             + ANSWER_WITHIN_s
         )
 
-    def _record(self, request: TrialRequest, ended: Ended) -> TrialRecord:
+    def _record(self, request: TrialRequest, ended: Ended, begin: Begin) -> TrialRecord:
         """Record of the trial in the shared memory."""
+        columns = self._optional_columns
+        if begin.compensation is not None:
+            plan, _ = begin.compensation
+            columns = plan.columns if plan else ()
         age = 0.0 if math.isnan(ended.first_s) else time.monotonic() - ended.first_s
         self._check_clock()
         started = datetime.fromtimestamp(time.time() - age, UTC)
         return record_of(
             *(request, self._current_description(), ended.outcome, ended.reason),
             started.isoformat(timespec="milliseconds"),
-            **self._memory.columns(ended.samples, self._optional_columns),
+            **self._memory.columns(ended.samples, columns),
         )
 
     def _check_clock(self) -> None:
@@ -314,6 +340,8 @@ class HardwareRig:
 
     def _learn_cost(self, request: TrialRequest, record: TrialRecord) -> None:
         """Stores the cost of the live gains, the reference of the guard."""
+        if request.compensation:
+            return
         live = request.gains == self._current_description().gains
         if live and record.outcome is Outcome.DONE:
             error = record.setpoint_N - record.tension_N

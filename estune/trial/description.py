@@ -55,7 +55,7 @@ class LinearModel:
         return float(f"{gain:.9g}") if gain < GAIN_MAX else math.inf
 
 
-def _omitted_if(default: object) -> Any:
+def omitted_if(default: object) -> Any:
     """Leaves a value out of messages where it is the default: older clients know no such key."""
     return Field(exclude_if=lambda value: value == default)
 
@@ -78,7 +78,7 @@ class RigLimits:
     duration_max_s: Annotated[float, Setting("Longest trial", "s", infinite=True, above=0.0)]
     load_max_N: Annotated[
         float,
-        _omitted_if(0.0),
+        omitted_if(0.0),
         Setting(
             "Largest load step that the rig can add to the effort; zero where it cannot",
             "N",
@@ -165,8 +165,8 @@ class RigDescription(NamedSignals):
     linear_model: LinearModel | None = None
     software: str = ""
     simulated: bool = False
-    measurement: Annotated[str, _omitted_if(TENSION)] = TENSION
-    command: Annotated[str, _omitted_if(EFFORT)] = EFFORT
+    measurement: Annotated[str, omitted_if(TENSION)] = TENSION
+    command: Annotated[str, omitted_if(EFFORT)] = EFFORT
 
     @property
     def effort_scale(self) -> float:

@@ -1,7 +1,7 @@
 """Trial requests and trial records."""
 
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from estune.core.gains import Gains
 from estune.core.quantities import FloatArray
 from estune.core.sentence_enum import SentenceEnum
-from estune.trial.description import RigDescription
+from estune.trial.description import RigDescription, omitted_if
 from estune.trial.profiles import Kind, Loop, Profile
 
 SATURATED, GUARD, LATE = 1, 2, 4
@@ -50,6 +50,8 @@ class TrialRequest:
         gains: Controller gains for the duration of the trial; without effect in an open loop.
         profile: The setpoint.
         attempt: Number of void attempts before, from 0. A trial id never runs twice.
+        compensation: Compensations for the duration of the trial, in the place of the rig's own:
+            the table `[compensation]` of a rig's file as JSON, `{}` for none; empty keeps them.
     """
 
     run: str
@@ -57,6 +59,7 @@ class TrialRequest:
     gains: Gains
     profile: Profile
     attempt: int = 0
+    compensation: Annotated[str, omitted_if("")] = ""
 
     @property
     def trial_id(self) -> str:

@@ -1,49 +1,21 @@
 """Behaviour of a simulated loop with friction fed forward along the known motion."""
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
-from estune.core import pidf
 from estune.core.cost import default_cost
-from estune.core.filtering import lfilter
 from estune.core.gains import Gains
 from estune.core.quantities import FloatArray
-from estune.reel.friction import FrictionFeedForward
 from estune.trial.profiles import AnyProfile
 from estune.trial.tracking import rest_of, resting_profile, tracking_of, tracking_profile
 from plants.simulation.batch import divergence_limit_N, simulate_drive
+from plants.simulation.known_friction import KnownFriction
 from plants.simulation.plant import drive_of
 
 MEASURES = ("cost", "tracking", "reversal", "rest")
 """What a loop is judged by; see `estune.trial.tracking`."""
-
-
-class KnownFriction(NamedTuple):
-    """Friction that a loop feeds forward.
-
-    Attributes:
-        law: The law.
-        tension_per_rad_N: Rise of the tension per angle of the drum, N/rad.
-        drum_radius_m: Radius of the cable on the drum, m.
-    """
-
-    law: FrictionFeedForward
-    tension_per_rad_N: float
-    drum_radius_m: float
-
-    def force_N(self, filtered_N: FloatArray, period_s: float) -> FloatArray:
-        """Force fed forward at each sample, along the filtered setpoint of the one before, N."""
-        moved = np.diff(filtered_N, prepend=filtered_N[0]) / self.tension_per_rad_N
-        direction, forces = 0.0, np.zeros(filtered_N.size)
-        for k in range(1, filtered_N.size):
-            angle = float(moved[k - 1])
-            direction = self.law.direction(direction, angle)
-            tension = float(filtered_N[k - 1])
-            velocity = angle / period_s
-            forces[k] = self.law.force_N(direction, velocity, tension, self.drum_radius_m)
-        return forces
 
 
 def behaviour(
@@ -94,10 +66,7 @@ def _run(
     drive = drive_of(profile, rate)
     forward = np.zeros(drive.time_s.size)
     if known is not None:
-        pole = pidf.coefficients(plant.controller, gains).setpoint_pole
-        steps = drive.setpoint_N - drive.preload_N
-        filtered = drive.preload_N + lfilter([1.0 - pole], [1.0, -pole], steps)
-        forward = known.force_N(filtered, 1.0 / rate)
+        forward = known.along(plant.controller, gains, drive)
         drive = drive._replace(load_N=forward)
     noise = plant.noise_rms_N * np.random.default_rng(seed).standard_normal(drive.time_s.size)
     done = simulate_drive(plant, gains, drive, noise, divergence_limit_N(profile))

@@ -21,7 +21,8 @@ from estune.reel.friction import FrictionFeedForward, StribeckFriction
 from plants.effects import Effect, Port, Site
 from plants.effects.plant_scale import PlantScale
 from plants.effects.remedy import SAFE_FRACTION, Place, Remedy
-from plants.remedies.behaviour import MEASURES, KnownFriction, behaviour
+from plants.remedies.behaviour import MEASURES, behaviour
+from plants.simulation.known_friction import KnownFriction
 
 DRAWS = 16
 """Machines drawn from the intervals: their 2.5 and 97.5 % points are then the outermost two."""

@@ -8,13 +8,18 @@ from typing import Any
 
 from estune.core.gains import Gains
 from estune.core.quantities import check_not_negative
-from estune.errors import RigError
+from estune.errors import InvalidInput, RigError
+from estune.hardware.compensation.tables import table_of
 from estune.trial import Outcome, RigDescription, Telemetry, TrialRecord, TrialRequest
 from estune.trial.executed_trials import ExecutedTrials, stopped_trial
 from estune.trial.records import record_of
-from plants.simulation.batch import Response, simulate
+from plants.simulation.batch import Response, divergence_limit_N, simulate_drive
+from plants.simulation.known_friction import KnownFriction
 from plants.simulation.noise import NoiseSource
 from plants.simulation.plant import Plant, drive_of
+
+ENCODER_COUNTS = 8192.0
+"""Of which a tenth of one is the presliding distance where none is given."""
 
 _COLUMNS = ("time_s", "setpoint_N", "tension_N", "angle_rad", "flags", "reference_N")
 
@@ -147,7 +152,14 @@ class SimulatedRig:
         size = drive_of(request.profile, rate).time_s.size
         rms = self._plant.noise_rms_N
         noise = self._noise.draw(request.number, size, rms) if rms else None
-        response = simulate(self._plant, request.gains, request.profile, noise_N=noise)
+        known = self._known_friction(request)
+        drive, forward = drive_of(request.profile, rate), None
+        if known is not None:
+            forward = known.along(self._plant.controller, request.gains, drive)
+            load = forward if drive.load_N is None else drive.load_N + forward
+            drive = drive._replace(load_N=load)
+        bound = divergence_limit_N(request.profile)
+        response = simulate_drive(self._plant, request.gains, drive, noise, bound)
         samples, outcome, reason = len(response.time_s), Outcome.DONE, ""
         if response.diverged_at is not None:
             outcome = Outcome.DIVERGED
@@ -161,10 +173,38 @@ class SimulatedRig:
                 outcome, reason = Outcome.CANCELLED, Outcome.CANCELLED.sentence
         columns = {name: getattr(response, name) for name in _COLUMNS}
         columns["current_A"] = response.effort_N / self._plant.newtons_per_ampere
+        if forward is not None:
+            fed_A = forward[: response.time_s.size] / self._plant.newtons_per_ampere
+            columns["friction_A"], columns["current_A"] = fed_A, columns["current_A"] + fed_A
         return record_of(
             *(request, self._description, outcome, reason, started_at),
             **{name: _read_only(column, samples) for name, column in columns.items()},
         )
+
+    def _known_friction(self, request: TrialRequest) -> KnownFriction | None:
+        """Friction that the trial feeds forward; None without.
+
+        Raises:
+            InvalidInput: the table has mistakes, or a simulated rig has not what it switches on.
+        """
+        if not request.compensation:
+            return None
+        table = table_of(request.compensation, f"compensation of trial {request.trial_id}")
+        if table is None:
+            return None
+        scale: Any = getattr(self._plant, "scale", None)
+        if table.inertia or table.gravity or scale is None or not scale.has_cable:
+            raise InvalidInput(
+                f"rig {self._description.name} is simulated, and feeds friction forward on a reel "
+                "alone; leave the other compensations out"
+            )
+        settings = self._plant.controller
+        plan = table.plan(
+            *(settings.sampling_Hz, ENCODER_COUNTS, scale.radius_m, scale.length_m),
+            settings.output_max_N,
+        )
+        assert plan.friction is not None  # noqa: S101  the table switches nothing else on
+        return KnownFriction(plan.friction, plan.tension_per_rad_N, scale.radius_m)
 
     def _stop_running(self) -> None:
         with self._state:

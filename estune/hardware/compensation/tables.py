@@ -11,7 +11,7 @@ from estune.hardware.compensation.plan import CompensationPlan, Gravity
 from estune.hardware.tables import FileOrNumbers, NotNegative, Positive
 from estune.reel.friction import FRACTION_MAX, FrictionFeedForward, StribeckFriction
 from estune.reel.velocity import Windows
-from estune.support.toml_file import TomlTable
+from estune.support.toml_file import TomlTable, validate
 
 INTERVALS_MAX = 200
 """Longest window: 0.3 s at 632 Hz, and 10 kB of a board's memory."""
@@ -78,6 +78,24 @@ class GravityTable(TomlTable):
     rise_m: float
     length_min_m: Positive
     length_max_m: Positive
+
+
+def table_of(text: str, source: str) -> "CompensationTable | None":
+    """The table in JSON text; None for one that switches nothing on.
+
+    Raises:
+        InvalidInput: it is no JSON, or has mistakes; the message has a line for each.
+    """
+    try:
+        values = json.loads(text)
+    except ValueError as error:
+        raise InvalidInput(f"{source}: no JSON: {error}") from error
+    if not isinstance(values, dict):
+        raise InvalidInput(f"{source}: give the keys of [compensation], not {text}")
+    table = validate(CompensationTable, values, source) if values else None
+    if table is not None and table.friction is not None and table.friction.file is not None:
+        raise InvalidInput(f"{source}: friction.file is read in a rig's own file alone")
+    return table
 
 
 class CompensationTable(TomlTable):

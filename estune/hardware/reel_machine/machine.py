@@ -92,6 +92,7 @@ class ReelStateMachine:
         gauge = plan.gauge.force_N(reading.gauge_counts)
         angle = reading.encoder_counts * plan.radians_per_count
         recorded, k = reel.phase is MotionPhase.TRIAL, reel.trial.k
+        reel.control.select_compensation(reel.trial.request)
         terms = reel.control.compensate(
             *(time_s, gauge, angle, reel.setpoint.far_end_m_s),
             is_open=recorded and reel.trial.under_way.open_loop,

@@ -3,8 +3,13 @@
 import math
 
 from estune.core.pidf import Coefficients
-from estune.hardware.compensation.plan import NO_COMPENSATION, CompensationTerms, KnownMotion
-from estune.hardware.compensation.runtime import Compensation
+from estune.hardware.compensation.plan import (
+    NO_COMPENSATION,
+    CompensationPlan,
+    CompensationTerms,
+    KnownMotion,
+)
+from estune.hardware.compensation.runtime import Compensation, make_compensation
 from estune.hardware.controller import Controller
 from estune.hardware.hybrid_control import HybridControl
 from estune.hardware.live_gains import LiveGains
@@ -31,6 +36,8 @@ class ReelControl:
         self._controller, self._compensation, self._hybrid = controller, compensation, hybrid
         self._live = LiveGains(plan.live, plan.length_source)
         self._low_N, self._high_N = plan.effort_min_N, plan.effort_max_N
+        self._own = plan.compensation, plan.compensation_source
+        self._borrowed: tuple[CompensationPlan | None, str] | None = None  # of a trial
         self._forward_N = 0.0
         self._filtered_N = math.nan
         self._pending = False  # whether the gains or the setpoint were exchanged
@@ -45,6 +52,14 @@ class ReelControl:
     def operating_point(self) -> tuple[float, float]:
         """Cable length in m and tension in N that the live gains are for; NaN if fixed."""
         return self._live.operating_point
+
+    def select_compensation(self, trial: Begin | None) -> None:
+        """Compensates as the requested trial asks for, if it does; without a jump of the effort."""
+        wanted = None if trial is None else trial.compensation
+        if wanted is not self._borrowed:
+            self._borrowed = wanted
+            self._compensation = make_compensation(*(wanted or self._own))
+            self._pending = True
 
     def compensate(
         self,

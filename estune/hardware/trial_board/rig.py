@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from estune.core import pidf
 from estune.core.gains import Gains
 from estune.core.quantities import FloatArray
-from estune.errors import RigError
+from estune.errors import InvalidInput, RigError
 from estune.hardware.compensation.plan import CompensationTerms
 from estune.hardware.config import RigConfig
 from estune.hardware.trial_board.link import REASONS, BoardLink, BoardStatus
@@ -100,6 +100,11 @@ class BoardRig:
             if stored is not None:
                 return stored
             self._description.limits.check(request.profile)
+            if request.compensation:
+                raise InvalidInput(
+                    f"rig {self._description.name} is a board, whose compensations are compiled "
+                    "in; change its file, export and flash it anew"
+                )
             setpoint = request.profile.setpoint(self._config.sampling_Hz)
             self._send_setpoint(setpoint)
             began = self._begin(request, len(setpoint))

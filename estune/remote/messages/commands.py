@@ -16,8 +16,9 @@ from estune.trial import Setpoint, TrialRequest
 def digest(request: TrialRequest) -> str:
     """Checksum of a request: distinguishes requests of one id, and detects a damaged request.
 
-    BLAKE2b of 16 bytes, in hexadecimal digits, over the run, the number, the attempt, and the
-    profile's strings (in the order of its fields), in UTF-8, each with a zero byte after it; then
+    BLAKE2b of 16 bytes, in hexadecimal digits, over the run, the number, the attempt, the
+    profile's strings (in the order of its fields), and the compensation if there is one, in UTF-8,
+    each with a zero byte after it; then
     P, I, D, setpoint_filter_s and the profile's numbers in the order of its fields, each as a
     little-endian float64.
     """
@@ -25,6 +26,7 @@ def digest(request: TrialRequest) -> str:
     values = list(stated(profile).values())
     words = [request.run, str(request.number), str(request.attempt)]
     words += [value for value in values if isinstance(value, str)]
+    words += [request.compensation] if request.compensation else []
     numbers = [*request.gains.as_tuple(), *(v for v in values if not isinstance(v, str))]
     text = "\0".join([*words, ""]).encode()
     packed = struct.pack(f"<{len(numbers)}d", *numbers)

@@ -1,0 +1,148 @@
+"""A remedy as a patch of a rig's file: what it changes, what was predicted, what was proven."""
+
+import difflib
+import json
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+from estune.errors import InvalidInput
+from estune.support.toml_file import read_toml
+from estune.support.whole_file import write_file
+
+SUFFIX = ".remedy.json"
+VERSION = 1
+
+
+@dataclass(frozen=True, slots=True)
+class Patch:
+    """One remedy in the loop.
+
+    Attributes:
+        effect: Slug of the effect that it is against.
+        title: What it does.
+        harm: What it may harm.
+        tables: Tables of `[compensation]` that switch it on.
+        predicted: Predicted ratios of with to without: value, low and high by measure.
+        proof: What the rig measured; see `estune.studies.prove.trials.Proof`. None before.
+    """
+
+    effect: str
+    title: str
+    harm: str
+    tables: Mapping[str, Mapping[str, float]]
+    predicted: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    proof: Mapping[str, Any] | None = None
+
+    @property
+    def proven(self) -> bool:
+        """Whether the rig has shown its gain."""
+        return self.proof is not None and bool(self.proof["proven"])
+
+    @property
+    def compensation(self) -> str:
+        """The tables as a trial's request has them."""
+        return json.dumps(self.tables, sort_keys=True)
+
+    @property
+    def status(self) -> str:
+        """Whether it is proven, in a sentence."""
+        if self.proof is None:
+            return "not proven on any rig: run estune prove first"
+        state, proof = "proven" if self.proven else "not proven", self.proof
+        return f"{state} on rig {proof['rig']}, {proof['date']}: {proof['sentence']}"
+
+    def toml(self) -> str:
+        """The tables as text of a rig's file."""
+        lines = [f"# against {self.effect}: {self.title}"]
+        for name, table in self.tables.items():
+            lines.append(f"[compensation.{name}]")
+            lines += [f"{key} = {value!r}" for key, value in table.items()]
+        return "\n".join(lines) + "\n"
+
+    def applied(self, rig_file: Path) -> str:
+        """Text of the rig's file with the tables added at its end.
+
+        Raises:
+            InvalidInput: the file cannot be read, or has one of the tables already.
+        """
+        there = read_toml(rig_file).get("compensation", {})
+        for name in self.tables:
+            if name in there:
+                raise InvalidInput(
+                    f"{rig_file} has a table [compensation.{name}] already; take it out, or "
+                    f"change its numbers by hand to: {dict(self.tables[name])}"
+                )
+        text = rig_file.read_text(encoding="utf-8")
+        return text.rstrip("\n") + "\n\n" + self.toml()
+
+    def diff(self, rig_file: Path) -> str:
+        """The change of the rig's file as a unified diff; see `applied`."""
+        before = rig_file.read_text(encoding="utf-8").splitlines(keepends=True)
+        after = self.applied(rig_file).splitlines(keepends=True)
+        return "".join(difflib.unified_diff(before, after, str(rig_file), str(rig_file)))
+
+    def write(self, path: Path) -> None:
+        """Writes the patch, in one step.
+
+        Raises:
+            InvalidInput: it cannot be written there.
+        """
+        text = json.dumps({"version": VERSION, **asdict(self)}, indent=2) + "\n"
+        write_file(path, text.encode())
+
+
+def read_patch(path: Path) -> Patch:
+    """The patch in a file.
+
+    Raises:
+        InvalidInput: the file cannot be read, or is no patch.
+    """
+    values = _json(path)
+    if not isinstance(values, dict) or values.pop("version", None) != VERSION:
+        raise InvalidInput(f"{path} is no patch of version {VERSION}; write one by estune remedy")
+    try:
+        return Patch(**values)
+    except TypeError as error:
+        raise InvalidInput(f"{path} is no patch: {error}; write one by estune remedy") from error
+
+
+def patch_of(diagnosis: Path, effect: str | None = None) -> Patch:
+    """The remedy in the loop that a diagnosis offers.
+
+    Args:
+        diagnosis: JSON of `estune explain --json`.
+        effect: Slug of the effect; None takes the remedy of the greatest predicted gain.
+
+    Raises:
+        InvalidInput: the file is no diagnosis, or offers none, with the reason for each remedy.
+    """
+    values = _json(diagnosis)
+    if not isinstance(values, dict) or not isinstance(values.get("remedies"), list):
+        raise InvalidInput(f"{diagnosis} is no diagnosis; write one by estune explain --json")
+    reasons = []
+    for offer in values["remedies"]:
+        if effect not in (None, offer["effect"]):
+            continue
+        if offer["tables"] and offer["worth"] and not offer["refused"]:
+            names = ("effect", "title", "harm", "tables")
+            return Patch(**{name: offer[name] for name in names}, predicted=offer["ratios"])
+        reasons.append(f"{offer['effect'] or 'calibration'}: {offer['title']}; {_why_not(offer)}")
+    told = "\n".join(reasons) or f"it has no remedy{' for ' + effect if effect else ''}"
+    raise InvalidInput(f"{diagnosis} offers no remedy for the loop:\n{told}")
+
+
+def _why_not(offer: Mapping[str, Any]) -> str:
+    if offer["refused"]:
+        return str(offer["refused"])
+    if not offer["tables"]:
+        return f"{offer['place']}: {offer['work']}"
+    return "it is predicted to gain less than 2 %, or nothing could be predicted"
+
+
+def _json(path: Path) -> Any:
+    try:
+        return json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise InvalidInput(f"{path}: {error}") from error

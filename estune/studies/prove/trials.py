@@ -1,0 +1,258 @@
+"""The proof of a remedy: trials without it, with it, with it, without it, at the same gains.
+
+Each time a step with the rest after it, then a slow triangle. The remedy is part of the request of
+a trial, so that it is on while that trial runs and never longer: a proof that is killed leaves the
+rig as it was.
+"""
+
+import math
+import uuid
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass, replace
+from datetime import UTC, datetime
+from typing import Any, NamedTuple
+
+import numpy as np
+from scipy.stats import t as student
+
+from estune.core.cost import default_cost
+from estune.core.gains import Gains
+from estune.core.quantities import FloatArray
+from estune.errors import InvalidInput, RigError
+from estune.run.failed_trials import run_trial
+from estune.studies.prove.patch import Patch
+from estune.trial import Outcome, Rig, RigDescription, TrialRecord, TrialRequest
+from estune.trial.profiles import AnyProfile
+from estune.trial.tracking import rest_of, resting_profile, tracking_of, tracking_profile
+
+MEASURES = ("cost", "tracking", "reversal", "rest")
+NOUNS = {
+    "cost": "cost",
+    "tracking": "slow tracking error",
+    "reversal": "error at reversals",
+    "rest": "restlessness",
+}
+RESTLESS = 1.5
+"""Ratio of the deviation at rest from which a remedy is switched off at once. A second of rest
+repeats to 10 %; a friction fed forward along the measured velocity hunted at 6 to 15 times."""
+GAIN = 0.02
+"""Least gain that is a gain; and greatest loss of another measure."""
+UNCHANGED = 0.1
+"""Greatest half of an interval about one that is called unchanged."""
+CONFIDENCE = 0.95
+
+
+class RemedyRig:
+    """A rig whose every trial has a remedy on; implements `estune.trial.Rig`."""
+
+    def __init__(self, rig: Rig, compensation: str) -> None:
+        self._rig, self._compensation = rig, compensation
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._rig, name)
+
+    def describe(self) -> RigDescription:
+        """Description of the rig."""
+        return self._rig.describe()
+
+    def run(self, request: TrialRequest) -> TrialRecord:
+        """Runs one trial with the remedy on."""
+        return self._rig.run(replace(request, compensation=self._compensation))
+
+    def apply(self, gains: Gains) -> None:
+        """Makes gains the live ones."""
+        self._rig.apply(gains)
+
+    def abort(self) -> RigDescription:
+        """Stops the trial under way."""
+        return self._rig.abort()
+
+    def close(self) -> None:
+        """Leaves the rig to its owner."""
+
+
+class Ratio(NamedTuple):
+    """A measured ratio of with to without, and its 95 % interval."""
+
+    value: float
+    low: float
+    high: float
+
+
+@dataclass(frozen=True, slots=True)
+class Proof:
+    """What a rig showed of a remedy.
+
+    Attributes:
+        rig: Name of the rig.
+        date: Date of the proof, ISO 8601.
+        gains: Gains of all its trials.
+        pairs: Pairs of trials with it and without.
+        ratios: Measured ratios by measure; empty where it was stopped.
+        stopped: Why it was stopped and switched off; empty where it was not.
+        tuned: Cost with the remedy on before and after a tuning; None without one.
+    """
+
+    rig: str
+    date: str
+    gains: Gains
+    pairs: int
+    ratios: Mapping[str, Ratio]
+    stopped: str = ""
+    tuned: tuple[float, float] | None = None
+
+    @property
+    def proven(self) -> bool:
+        """Whether a measure is better by more than its interval, and none worse."""
+        if self.stopped:
+            return False
+        gained = any(self.ratios[name].high < 1.0 - GAIN for name in MEASURES[:3])
+        return gained and not any(ratio.low > 1.0 + GAIN for ratio in self.ratios.values())
+
+    @property
+    def sentence(self) -> str:
+        """The result in one sentence."""
+        if self.stopped:
+            return f"stopped and switched off: {self.stopped}"
+        parts = []
+        for name, ratio in self.ratios.items():
+            told = f"{ratio.value:.2f} [{ratio.low:.2f}, {ratio.high:.2f}] of what it was"
+            if not ratio.low <= 1.0 <= ratio.high:
+                parts.append(f"{NOUNS[name]} {told}")
+            elif max(ratio.high - 1.0, 1.0 - ratio.low) <= UNCHANGED:
+                parts.append(f"{NOUNS[name]} unchanged")
+            else:
+                parts.append(f"{NOUNS[name]} undecided, {told}")
+        if self.tuned is not None:
+            before, after = self.tuned
+            parts.append(f"tuned with it on, the cost falls from {before:.3g} to {after:.3g}")
+        return "; ".join(parts)
+
+    def to_json(self) -> dict[str, Any]:
+        """The proof as JSON values, with its sentence and whether it is proven."""
+        ratios = {name: ratio._asdict() for name, ratio in self.ratios.items()}
+        told = {"proven": self.proven, "sentence": self.sentence}
+        return {**asdict(self), "ratios": ratios, **told}
+
+
+class Stop(Exception):
+    """The remedy has to be switched off."""
+
+
+def prove(
+    rig: Rig,
+    patch: Patch,
+    *,
+    pairs: int = 2,
+    say: Callable[[str], None] = lambda _: None,
+) -> Proof:
+    """Runs the trials of a proof at the rig's live gains.
+
+    Args:
+        rig: The rig.
+        patch: The remedy.
+        pairs: Pairs of trials with it and without; even.
+        say: Told of each trial before it begins.
+
+    Raises:
+        InvalidInput: the number of pairs is odd, or the rig's limits do not allow the trials.
+        RigError: the rig cannot run a trial without the remedy, or does not run the remedy.
+    """
+    if pairs < 2 or pairs % 2:
+        raise InvalidInput(f"pairs is {pairs}; give an even number, 2 or above")
+    about = rig.describe()
+    run = f"prove-{uuid.uuid4().hex[:12]}"
+    found: dict[bool, list[FloatArray]] = {True: [], False: []}
+    stopped = ""
+    date = datetime.now(UTC).isoformat(timespec="seconds")
+    try:
+        for number, on in enumerate((False, True, True, False) * (pairs // 2)):
+            say(f"{'with' if on else 'without'} the remedy, {number + 1} of {2 * pairs}")
+            tables = patch.compensation if on else ""
+            calm = found[False][0][-1] if found[False] else math.inf
+            found[on].append(_measured(rig, about, (run, 2 * number), tables, calm))
+    except Stop as stop:
+        stopped = str(stop)
+    ratios = {} if stopped else _ratios(np.array(found[True]), np.array(found[False]))
+    return Proof(about.name, date, about.gains, pairs, ratios, stopped)
+
+
+def _measured(
+    rig: Rig, about: RigDescription, place: tuple[str, int], tables: str, calm_N: float
+) -> FloatArray:
+    """`MEASURES` of one turn: a step with rest, and a triangle.
+
+    Args:
+        rig: The rig.
+        about: Its description.
+        place: Run and number of the first trial.
+        tables: The remedy; empty for none.
+        calm_N: Deviation at rest without the remedy, N.
+
+    Raises:
+        Stop: with the remedy on the rig was restless, or a trial did not end well.
+        RigError: so did a trial without it, or the rig ignores the remedy.
+    """
+    settling = about.settling_time_s
+    resting = resting_profile(about.step, settling)
+    triangle = tracking_profile(about.step, settling)
+    run, number = place
+    rate = about.controller.sampling_Hz
+    record = _trial(rig, about, (run, number, resting), tables)
+    rest = rest_of(settling, rate, record.tension_N)
+    if tables and not rest <= RESTLESS * calm_N:
+        raise Stop(f"at rest the tension deviates by {rest:.3g} N, without it by {calm_N:.3g} N")
+    used = slice(about.step.samples(rate))
+    cost = (
+        default_cost(settling)
+        .scaled(about.effort_scale)
+        .evaluate(
+            rate,
+            about.step.shape(rate),
+            record.setpoint_N[used],
+            record.tension_N[used],
+            record.current_A[used]
+            * about.newtons_per_ampere,  # the whole, with what is fed forward
+        )
+    )
+    followed = _trial(rig, about, (run, number + 1, triangle), tables)
+    error = followed.setpoint_N - followed.tension_N
+    return np.array([float(cost), *tracking_of(triangle, settling, rate, error), rest])
+
+
+def _trial(
+    rig: Rig, about: RigDescription, place: tuple[str, int, AnyProfile], tables: str
+) -> TrialRecord:
+    run, number, profile = place
+    request = TrialRequest(run, number, about.gains, profile, compensation=tables)
+    try:
+        record = run_trial(rig, request, about)
+    except RigError as error:
+        if tables and number > 1:
+            raise Stop(f"the rig took no trial with it: {error}") from error
+        raise
+    if record.outcome is not Outcome.DONE:
+        why = record.reason or record.outcome.sentence
+        if tables and not record.outcome.is_void:
+            raise Stop(f"a trial with it ended early: {why}")
+        raise RigError(
+            f"trial {record.trial_id} ended early: {why}; check the rig, then prove anew"
+        )
+    if tables and not any(column.any() for column in record.optional_columns.values()):
+        raise RigError(
+            f"rig {about.name} ran the trial without the remedy: it does not know compensations "
+            "of a trial; apply the patch to its file, and compare runs made before and after"
+        )
+    return record
+
+
+def _ratios(on: FloatArray, off: FloatArray) -> dict[str, Ratio]:
+    """Geometric means of with over without; intervals from the scatter of the repeats."""
+    ons, offs = np.log(on), np.log(off)
+    repeats = len(ons)
+    variance = 0.5 * (ons.var(axis=0, ddof=1) + offs.var(axis=0, ddof=1))
+    middle = ons.mean(axis=0) - offs.mean(axis=0)
+    wide = float(student.ppf(0.5 + 0.5 * CONFIDENCE, 2 * repeats - 2))
+    half = wide * np.sqrt(2.0 * variance / repeats)
+    columns = np.exp([middle, middle - half, middle + half]).T
+    return {name: Ratio(*map(float, row)) for name, row in zip(MEASURES, columns, strict=True)}

@@ -1,0 +1,208 @@
+"""A remedy as a patch of a rig's file, and its proof by trials with it and without."""
+
+import json
+import tomllib
+from contextlib import closing
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import plants
+from estune.cli import run
+from estune.errors import InvalidInput, RigError
+from estune.hardware.config import read_config
+from estune.remote import zenoh
+from estune.studies.prove.patch import Patch, patch_of, read_patch
+from estune.studies.prove.trials import Proof, Ratio, prove
+from estune.trial import Outcome, TrialRequest
+from plants.effects import CoulombFriction
+from plants.emulator import RIG_FILE
+from tests.test_compensation import friction_table, rig_with, trial
+from tests.test_remedies import GAINS, found
+
+HIDDEN, COMPENSATION = friction_table("Coulomb, large", 0.8)
+TABLES = {"friction": COMPENSATION["friction"]}
+PATCH = Patch("coulomb_friction", "feed friction forward", "", TABLES)
+REEL = plants.reference_reel() + CoulombFriction(0.08)
+
+
+def patch(**changes):
+    return replace(PATCH, tables={"friction": TABLES["friction"] | changes})
+
+
+def test_proof_on_the_loop_ends_in_a_sentence_with_intervals():
+    with rig_with(effects=[HIDDEN], take_up_A=1.0) as rig:
+        rig.apply(GAINS)
+        before = rig.describe()
+        proof = prove(rig, patch())
+        assert rig.describe() == before
+    assert proof.proven
+    tracking = proof.ratios["tracking"]
+    assert 0.3 < tracking.low < tracking.value < tracking.high < 0.7
+    assert "slow tracking error 0." in proof.sentence
+    assert proof.ratios["rest"].low < 1.2
+
+
+def test_wrong_sign_is_not_proven():
+    """More friction than the drum has, by far: what is fed forward is a disturbance."""
+    small = {"name": "coulomb_friction", "torque_Nm": 0.01}
+    with rig_with(effects=[small], take_up_A=1.0) as rig:
+        rig.apply(GAINS)
+        proof = prove(rig, patch(fraction=1.2))
+    assert not proof.proven
+    assert proof.stopped or proof.ratios["tracking"].low > 1.0
+
+
+def test_restless_rig_stops_the_proof_and_switches_it_off():
+    noisy = {"inertia": {"inertia_kgm2": 2e-3}, "share_max": 0.3}  # oscillates within share_max
+    with rig_with() as rig:
+        rig.apply(GAINS)
+        proof = prove(rig, replace(PATCH, tables=noisy))
+        record = trial(rig)
+    assert proof.stopped
+    assert not proof.proven
+    assert "stopped and switched off" in proof.sentence
+    assert not record.optional_columns
+    assert record.outcome is Outcome.DONE
+
+
+def test_compensation_of_a_trial_is_on_for_that_trial_alone():
+    with rig_with(effects=[HIDDEN], take_up_A=1.0) as rig:
+        about = rig.describe()
+        first, second, third = (
+            rig.run(TrialRequest("c", n, about.gains, about.step, compensation=text))
+            for n, text in enumerate(("", patch().compensation, ""))
+        )
+        named = '{"friction": {"file": "/etc/passwd", "tension_per_rad_N": 1.0}}'
+        with pytest.raises(InvalidInput, match="own file alone"):
+            rig.run(TrialRequest("c", 3, about.gains, about.step, compensation=named))
+    assert first.friction_A is None
+    assert np.abs(second.friction_A).max() == pytest.approx(0.8 * 0.08 / 0.5, rel=1e-6)
+    assert third.friction_A is None
+    assert np.std(third.tension_N[-300:]) <= 2.0 * np.std(first.tension_N[-300:])
+
+
+def test_simulated_rig_feeds_forward_what_the_loop_does():
+    with rig_with(effects=[HIDDEN], take_up_A=1.0) as rig:
+        about = rig.describe()
+        about_loop = rig.run(
+            TrialRequest("c", 0, GAINS, about.step, compensation=patch().compensation)
+        )
+    with closing(REEL.rig()) as rig:
+        record = rig.run(
+            TrialRequest("c", 0, GAINS, about.step, compensation=patch().compensation)
+        )
+        text = json.dumps({"inertia": {"inertia_kgm2": 1e-3}})
+        with pytest.raises(InvalidInput, match="is simulated"):
+            rig.run(TrialRequest("c", 1, GAINS, about.step, compensation=text))
+    # From the step on: before it the loop has come to the preload, with a direction.
+    moved = about.step.step_index(632.0) + 20
+    np.testing.assert_allclose(
+        record.friction_A[moved:], about_loop.friction_A[moved:], rtol=1e-6, atol=1e-9
+    )
+
+
+def test_proof_over_the_link_by_one_command(tmp_path, capsys):
+    path = tmp_path / "coulomb_friction.remedy.json"
+    patch().write(path)
+    with closing(REEL.rig(gains=GAINS)) as rig, zenoh.serve(rig, "tcp/127.0.0.1:0") as server:
+        assert run(["prove", str(path), server.endpoint, "--yes", "--trials", "0"]) == 0
+        assert rig.describe().gains == GAINS
+    assert "PROVEN: " in capsys.readouterr().out
+    proven = read_patch(path)
+    assert proven.proven
+    assert "proven on rig" in proven.status
+
+
+def written(tmp_path, d):
+    diagnosis = tmp_path / "diagnosis.json"
+    diagnosis.write_text(json.dumps(d.to_json(), default=str))
+    rig = tmp_path / "my-rig.toml"
+    rig.write_text(RIG_FILE.read_text())
+    return diagnosis, rig
+
+
+def test_patch_is_written_read_and_applied_never_unasked(tmp_path, capsys):
+    diagnosis, rig = written(tmp_path, found(CoulombFriction(torque_Nm=0.05)))
+    before = rig.read_text()
+    assert run(["remedy", str(diagnosis), "--rig", str(rig)]) in (None, 0)
+    told = capsys.readouterr().out
+    assert "+[compensation.friction]" in told
+    assert "+coulomb_Nm = 0.05" in told
+    file = tmp_path / "coulomb_friction.remedy.json"
+    assert rig.read_text() == before
+    assert run(["apply", str(file), str(rig)]) == InvalidInput.exit_code  # nobody confirms
+    assert rig.read_text() == before
+    assert "not proven" in capsys.readouterr().out
+    assert run(["apply", str(file), str(rig), "--yes"]) in (None, 0)
+    assert rig.read_text().startswith(before.rstrip("\n"))
+    assert tomllib.loads(rig.read_text())["compensation"]["friction"]["fraction"] == 0.8
+    assert read_config(rig).compensations().friction.friction.coulomb_Nm == 0.05
+    with pytest.raises(InvalidInput, match=r"has a table \[compensation.friction\] already"):
+        read_patch(file).applied(rig)
+
+
+@pytest.mark.parametrize(
+    ("effect", "words"),
+    [
+        (CoulombFriction(torque_Nm=2e-4), "less than 2 %"),
+        (plants.effects.CurrentLag(), "workshop"),
+    ],
+)
+def test_what_is_not_offered_is_told_with_its_reason(tmp_path, effect, words):
+    diagnosis, _ = written(tmp_path, found(effect))
+    with pytest.raises(InvalidInput, match=words):
+        patch_of(diagnosis)
+
+
+def test_uncertain_remedy_is_refused_with_the_experiment(tmp_path):
+    diagnosis, _ = written(tmp_path, found(CoulombFriction(torque_Nm=0.05), spread=0.5))
+    with pytest.raises(InvalidInput, match="slow reversals"):
+        patch_of(diagnosis)
+
+
+@pytest.mark.parametrize("text", ["", "[]", '{"version": 2}', '{"version": 1, "x": 1}'])
+def test_file_that_is_no_patch_is_refused(tmp_path, text):
+    path = tmp_path / "x.remedy.json"
+    path.write_text(text)
+    with pytest.raises(InvalidInput, match=r"x\.remedy\.json"):
+        read_patch(path)
+    with pytest.raises(InvalidInput, match=r"x\.remedy\.json"):
+        patch_of(path)
+
+
+def ratios(**values):
+    even = {name: Ratio(1.0, 0.99, 1.01) for name in ("cost", "tracking", "reversal", "rest")}
+    return even | {name: Ratio(*value) for name, value in values.items()}
+
+
+@pytest.mark.parametrize(
+    ("measured", "proven"),
+    [
+        ({"tracking": (0.56, 0.54, 0.58)}, True),
+        ({"tracking": (0.97, 0.93, 1.01)}, False),
+        ({"tracking": (0.56, 0.54, 0.58), "cost": (1.1, 1.05, 1.15)}, False),
+        ({"rest": (0.5, 0.4, 0.6)}, False),
+    ],
+)
+def test_proven_is_a_gain_beyond_its_interval_and_no_loss(measured, proven):
+    assert Proof("r", "today", GAINS, 2, ratios(**measured)).proven is proven
+
+
+def test_rig_that_ignores_the_remedy_is_found_out():
+    class Deaf:
+        def __init__(self, rig):
+            self._rig = rig
+
+        def describe(self):
+            return self._rig.describe()
+
+        def run(self, request):
+            return self._rig.run(replace(request, compensation=""))
+
+    with (
+        closing(REEL.rig(gains=GAINS)) as rig,
+        pytest.raises(RigError, match="without the remedy"),
+    ):
+        prove(Deaf(rig), patch())
