@@ -35,6 +35,8 @@ COMMANDS = {
         "export",
         "export-controller",
         "apply",
+        "remedy",
+        "prove",
         "explain",
         "records",
         "run-experiment",

@@ -14,7 +14,7 @@ from estune.errors import InvalidInput, RigError
 from estune.hardware.config import read_config
 from estune.remote import zenoh
 from estune.studies.prove.patch import Patch, patch_of, read_patch
-from estune.studies.prove.trials import Proof, Ratio, prove
+from estune.studies.prove.trials import MeasuredRatio, Proof, prove
 from estune.trial import Outcome, TrialRequest
 from plants.effects import CoulombFriction
 from plants.emulator import RIG_FILE
@@ -173,8 +173,10 @@ def test_file_that_is_no_patch_is_refused(tmp_path, text):
 
 
 def ratios(**values):
-    even = {name: Ratio(1.0, 0.99, 1.01) for name in ("cost", "tracking", "reversal", "rest")}
-    return even | {name: Ratio(*value) for name, value in values.items()}
+    even = {
+        name: MeasuredRatio(1.0, 0.99, 1.01) for name in ("cost", "tracking", "reversal", "rest")
+    }
+    return even | {name: MeasuredRatio(*value) for name, value in values.items()}
 
 
 @pytest.mark.parametrize(

@@ -29,7 +29,7 @@ REST_WINDOWS = 4
 0.2 N on a reel with 0.08 N m of friction, while hunting goes on in every part."""
 
 
-class Tracking(NamedTuple):
+class TriangleTracking(NamedTuple):
     """How a loop follows a slow triangle.
 
     Attributes:
@@ -67,7 +67,7 @@ def resting_profile(step: StepProfile, settling_time_s: float) -> StepProfile:
 
 def tracking_of(
     profile: TriangleProfile, settling_time_s: float, sampling_Hz: float, error_N: FloatArray
-) -> Tracking:
+) -> TriangleTracking:
     """Tracking of a triangle.
 
     Args:
@@ -77,7 +77,7 @@ def tracking_of(
         error_N: Setpoint less tension, N, shape (samples,); NaN is returned for one cut short.
     """
     if error_N.size < profile.samples(sampling_Hz) or not np.isfinite(error_N).all():
-        return Tracking(math.nan, math.nan)
+        return TriangleTracking(math.nan, math.nan)
     first = round((profile.start_s + profile.period_s) * sampling_Hz)
     span = round(REVERSAL_SETTLINGS * settling_time_s * sampling_Hz)
     turns_s = profile.start_s + profile.period_s * (np.arange(2 * CYCLES) / 2.0 + 0.25)
@@ -87,7 +87,7 @@ def tracking_of(
         for at in places
         if first <= at and at + span <= error_N.size
     ]
-    return Tracking(float(np.sqrt(np.mean(error_N[first:] ** 2))), float(np.mean(found)))
+    return TriangleTracking(float(np.sqrt(np.mean(error_N[first:] ** 2))), float(np.mean(found)))
 
 
 def rest_of(settling_time_s: float, sampling_Hz: float, tension_N: FloatArray) -> float:

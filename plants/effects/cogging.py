@@ -9,6 +9,7 @@ from plants.effects import angle_phase
 from plants.effects.effect import Effect, Port, Response, Signal, Site, Values
 from plants.effects.parameter import Role, parameter, phase
 from plants.effects.plant_scale import PlantScale, digits
+from plants.effects.remedy import Remedy, workshop
 
 WAVES = 5
 
@@ -84,6 +85,12 @@ class Cogging(Effect):
             if size > 0.0
         )
         return f"has a motor that cogs: its torque varies with the angle by {listed}"
+
+    @classmethod
+    def remedies(cls, _p: Values, _plant: PlantScale) -> tuple[Remedy, ...]:
+        """What can be done about it."""
+        title = "map it over the angle in the drive, or change the motor for one that cogs less"
+        return (workshop(title),)
 
     @staticmethod
     def respond(p: Values, state: Signal, _signal: Signal, site: Site) -> Response:

@@ -6,6 +6,7 @@ from plants.effects import angle_phase
 from plants.effects.effect import Effect, Port, Response, Signal, Site, Values
 from plants.effects.parameter import parameter, phase
 from plants.effects.plant_scale import PlantScale
+from plants.effects.remedy import Remedy, workshop
 
 
 @dataclass(frozen=True)
@@ -37,6 +38,11 @@ class LinkGravity(Effect):
             f"has a load off its axis: gravity turns it with {plant.torque(p.torque_Nm)} at most, "
             "in proportion to the sine of the angle"
         )
+
+    @classmethod
+    def remedies(cls, _p: Values, _plant: PlantScale) -> tuple[Remedy, ...]:
+        """What can be done about it."""
+        return (workshop("balance the link by a counterweight"),)
 
     @staticmethod
     def respond(p: Values, state: Signal, _signal: Signal, site: Site) -> Response:

@@ -40,7 +40,7 @@ OFFSET_NOISES = 10.0
 found has moved the torque's gain by 17 % and the offset by 34 noises."""
 
 
-class Bounds(Protocol):
+class FittedNumber(Protocol):
     """A fitted value and its interval."""
 
     value: float
@@ -57,7 +57,7 @@ class Found(Protocol):
 
 
 @dataclass(frozen=True, slots=True)
-class Ratio:
+class PredictedRatio:
     """A predicted ratio of with to without, and its 95 % interval."""
 
     value: float
@@ -87,7 +87,7 @@ class Offer:
     work: str
     harm: str = ""
     worth: bool | None = None
-    ratios: Mapping[str, Ratio] = field(default_factory=dict)
+    ratios: Mapping[str, PredictedRatio] = field(default_factory=dict)
     tables: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     refused: str = ""
 
@@ -158,12 +158,12 @@ def _offer(diagnosis: Any, found: Found, remedy: Remedy, gains: Gains | None) ->
     return replace(row, worth=worth, ratios=ratios, tables=tables)
 
 
-def safe_fraction(bounds: Bounds) -> float:
+def safe_fraction(bounds: FittedNumber) -> float:
     """Share of a number that is fed forward: none of its interval is exceeded, N/A without one."""
     return max(0.0, min(SAFE_FRACTION, bounds.low / bounds.value)) if bounds.value > 0.0 else 0.0
 
 
-def _too_wide(found: Found, remedy: Remedy, bounds: Bounds) -> str:
+def _too_wide(found: Found, remedy: Remedy, bounds: FittedNumber) -> str:
     half = 0.5 * (bounds.high - bounds.low)
     if not (math.isfinite(half) and bounds.value != 0.0):
         return f"{remedy.sized_by} has no interval; {_experiment(found)}"
@@ -186,7 +186,7 @@ def _predicted(
     remedy: Remedy,
     tables: Mapping[str, Mapping[str, float]],
     gains: Gains | None,
-) -> dict[str, Ratio]:
+) -> dict[str, PredictedRatio]:
     """Ratios of the measures with the remedy to those without; none where nothing is predicted."""
     model = diagnosis.augmented
     known = known_friction(tables.get("friction"), PlantScale.of(model))
@@ -238,7 +238,7 @@ def truth_behind(effect: Effect) -> Callable[[FloatArray], FloatArray] | None:
     return tension_N
 
 
-def _intervals(rows: FloatArray, *, widened: bool) -> dict[str, Ratio]:
+def _intervals(rows: FloatArray, *, widened: bool) -> dict[str, PredictedRatio]:
     """Ratios of the fitted model, and the range of the draws."""
     found = {}
     for name, column in zip(MEASURES, rows.T, strict=True):
@@ -246,7 +246,7 @@ def _intervals(rows: FloatArray, *, widened: bool) -> dict[str, Ratio]:
         if not np.isfinite(column[0]):
             continue
         high = float(drawn.max()) + (REVERSAL_MARGIN if widened and name == "reversal" else 0.0)
-        found[name] = Ratio(float(column[0]), float(drawn.min()), high)
+        found[name] = PredictedRatio(float(column[0]), float(drawn.min()), high)
     return found
 
 

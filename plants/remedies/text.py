@@ -5,7 +5,7 @@ from dataclasses import asdict
 from typing import Any
 
 from plants.remedies.behaviour import MEASURES
-from plants.remedies.offers import WORTH, Offer, Ratio
+from plants.remedies.offers import WORTH, Offer, PredictedRatio
 
 PLACES = {
     "loop": "in the loop",
@@ -56,7 +56,7 @@ def _what(offer: Offer) -> str:
     return offer.title
 
 
-def _ratio(ratio: Ratio | None) -> str:
+def _ratio(ratio: PredictedRatio | None) -> str:
     if ratio is None:
         return "-"
     return f"{ratio.value:.2f} [{ratio.low:.2f}, {ratio.high:.2f}]"

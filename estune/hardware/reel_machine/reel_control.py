@@ -54,7 +54,7 @@ class ReelControl:
         return self._live.operating_point
 
     def select_compensation(self, trial: Begin | None) -> None:
-        """Compensates as the requested trial asks for, if it does; without a jump of the effort."""
+        """Compensates as the requested trial asks for, without a jump of the effort."""
         wanted = None if trial is None else trial.compensation
         if wanted is not self._borrowed:
             self._borrowed = wanted

@@ -71,7 +71,7 @@ class RemedyRig:
         """Leaves the rig to its owner."""
 
 
-class Ratio(NamedTuple):
+class MeasuredRatio(NamedTuple):
     """A measured ratio of with to without, and its 95 % interval."""
 
     value: float
@@ -97,7 +97,7 @@ class Proof:
     date: str
     gains: Gains
     pairs: int
-    ratios: Mapping[str, Ratio]
+    ratios: Mapping[str, MeasuredRatio]
     stopped: str = ""
     tuned: tuple[float, float] | None = None
 
@@ -246,7 +246,7 @@ def _trial(
     return record
 
 
-def _ratios(on: FloatArray, off: FloatArray) -> dict[str, Ratio]:
+def _ratios(on: FloatArray, off: FloatArray) -> dict[str, MeasuredRatio]:
     """Geometric means of with over without; intervals from the scatter of the repeats."""
     ons, offs = np.log(on), np.log(off)
     repeats = len(ons)
@@ -255,4 +255,6 @@ def _ratios(on: FloatArray, off: FloatArray) -> dict[str, Ratio]:
     wide = float(student.ppf(0.5 + 0.5 * CONFIDENCE, 2 * repeats - 2))
     half = wide * np.sqrt(2.0 * variance / repeats)
     columns = np.exp([middle, middle - half, middle + half]).T
-    return {name: Ratio(*map(float, row)) for name, row in zip(MEASURES, columns, strict=True)}
+    return {
+        name: MeasuredRatio(*map(float, row)) for name, row in zip(MEASURES, columns, strict=True)
+    }
