@@ -182,7 +182,7 @@ def fleet(rigs: int, tuner: str, folder: Path, trials: int) -> Iterator[Fleet]:
             for first in range(0, rigs, some)
         ]
         log = opened.enter_context((folder / "log").open("w"))
-        arguments = "estune", "daemon", str(config), "--log", "json"
+        arguments = "estune", "daemon", str(config), "--log-format", "json"
         daemon = opened.enter_context(started(*arguments, stderr=log))
         ids = tuple(process.pid for process in served)
         yield Fleet(daemon.pid, ids, routing.pid, listen, folder / "log")

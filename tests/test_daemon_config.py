@@ -98,6 +98,24 @@ def test_check_refuses_targets_that_cannot_exist(target, words, tmp_path, capsys
     assert words in capsys.readouterr().err
 
 
+def test_check_finds_all_mistakes_at_once(tmp_path, capsys):
+    file = tmp_path / "daemon.toml"
+    (tmp_path / "taken").write_text("")
+    file.write_text(
+        'state = "taken/state"\nrigs_max = 0\n[service]\nsecurity = "none.toml"\n'
+        '[metrics]\nfile = "taken/estune.prom"\n[[hook]]\ncommand = ["/no/such/program"]\n'
+        '[[rig]]\nname = "a b"\ntarget = "tcp/127.0.0.1:0"\n[[rig]]\nname = "b"\n'
+        'target = "plants:no_such_reel"\nwatch = { evry_s = 3.0 }\n'
+    )
+    assert run(["daemon", "--check", str(file)]) == InvalidInput.exit_code
+    told = capsys.readouterr().err
+    for words in (
+        *("rigs_max", "name: 'a b'", "did you mean every_s", "none.toml", "/no/such/program"),
+        *("port 0", "no_such_reel", "taken/state cannot be written", "metrics: file:"),
+    ):
+        assert words in told, told
+
+
 def test_check_refuses_a_router_whose_name_cannot_be_resolved(tmp_path, capsys):
     file, router = tmp_path / "daemon.toml", "tcp/router.invalid:7447"
     rig = '[[rig]]\nname = "drum"\ntarget = "plants:reference_reel"\n'

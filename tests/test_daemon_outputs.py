@@ -11,13 +11,15 @@ from dataclasses import replace
 
 import pytest
 
+import estune
 from estune.daemon.config import HookTable
 from estune.daemon.events import Event, EventKind
-from estune.daemon.metrics import render, write_metrics
-from estune.daemon.notifications import QUEUE_MAX, Hooks, JsonLines, PlainLines
+from estune.daemon.metrics import DaemonHealth, MetricsServer, render, write_metrics
+from estune.daemon.notifications import QUEUE_MAX, Hooks
 from estune.remote.messages.daemon import (
     DaemonStatus,
 )
+from estune.support.log_lines import JsonLines, PlainLines
 from tests.support_daemon import ORIGINAL, WITHIN_S, daemon, rig_served, rig_table
 
 
@@ -54,8 +56,8 @@ def parse_metrics(text: str) -> dict[tuple[str, frozenset], float]:
         if line.startswith("#"):
             assert re.fullmatch(r"# (HELP [a-z_]+ .+|TYPE [a-z_]+ (gauge|counter))", line)
             continue
-        match = re.fullmatch(r"([a-z_]+)\{(.*)\} (\S+)", line)
-        labels = re.findall(r'([a-z]+)="((?:[^"\\\n]|\\.)*)"', match[2])
+        match = re.fullmatch(r"([a-z_]+)(?:\{(.*)\})? (\S+)", line)
+        labels = re.findall(r'([a-z]+)="((?:[^"\\\n]|\\.)*)"', match[2] or "")
         key = match[1], frozenset(labels)
         assert key not in samples
         samples[key] = float(match[3])
@@ -96,6 +98,32 @@ def test_metrics_file_is_whole_at_every_read(tmp_path):
     reader.join()
     assert sizes == {len(parse_metrics(render([status()]).decode()))}
     assert [path.name for path in tmp_path.iterdir()] == ["estune.prom"]
+
+
+def test_health_and_readiness_are_told_with_the_reason():
+    health = [DaemonHealth((), ready=False, hook_failures=0)]
+    server = MetricsServer(0, lambda: [status()], lambda: health[0])
+
+    def get(path):
+        connection = http.client.HTTPConnection("127.0.0.1", server.port)
+        connection.request("GET", path)
+        answer = connection.getresponse()
+        text = answer.read().decode()
+        connection.close()
+        return answer.status, text
+
+    assert get("/health") == (200, "ok\n")
+    assert get("/ready")[0] == 503
+    health[0] = DaemonHealth(("drum",), ready=False, hook_failures=3)
+    assert get("/health") == (503, "no progress with: drum\n")
+    code, text = get("/metrics")
+    samples = parse_metrics(text)
+    assert (code, samples["estune_hook_failures_total", frozenset()]) == (200, 3.0)
+    assert samples["estune_supervisions_stuck", frozenset()] == 1.0
+    assert samples["estune_build_info", frozenset({("version", estune.__version__)})] == 1.0
+    health[0] = DaemonHealth((), ready=True, hook_failures=3)
+    assert get("/ready") == (200, "ok\n")
+    server.close()
 
 
 def test_metrics_are_in_the_file_and_on_loopback(tmp_path):
@@ -181,4 +209,4 @@ def test_log_lines_are_json_or_plain_with_rig_and_event():
     entry = json.loads(line)
     assert (entry["level"], entry["message"], entry["rig"]) == ("warning", "drift\nb", "drum")
     assert (entry["event"], entry["facts"]) == ("drifted", {"cost": 1.5})
-    assert PlainLines().format(record).endswith("drum: warning: drift\nb")
+    assert PlainLines().format(record).endswith(" warning: drum: drift\nb")

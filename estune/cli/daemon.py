@@ -17,6 +17,7 @@ from estune.cli.values import Flag, security_from
 from estune.core.gains import GAIN_NAMES
 from estune.errors import InvalidInput, RigError
 from estune.remote.messages.daemon import DaemonStatus, DaemonVerb, History
+from estune.support.log_lines import LogFormat, begin_logging
 from estune.support.user import user_at_host
 
 if TYPE_CHECKING:
@@ -35,7 +36,7 @@ def daemon(
     *,
     check: Flag = False,
     security: Path | None = None,
-    log: Literal["auto", "json", "text"] = "auto",
+    log_format: LogFormat = "auto",
     verbose: Flag = False,
 ) -> None:
     """Tune rigs, monitor the accepted gains, and tune again when the cost drifts; until stopped.
@@ -44,19 +45,17 @@ def daemon(
         config: The daemon's file (TOML): the rigs, and for each when to tune and check it.
         check: Only check the file.
         security: Credentials file, if a rig requires authentication.
-        log: JSON lines or text, on standard error; auto is text on a terminal.
+        log_format: JSON lines or text, on standard error; auto is text on a terminal.
         verbose: Log every check trial, too.
     """
-    from estune.daemon.config import check_targets, read_config  # noqa: PLC0415  slow to import
-    from estune.daemon.notifications import begin_logging  # noqa: PLC0415  as above
+    from estune.daemon.config import check_file, read_config  # noqa: PLC0415  slow to import
     from estune.daemon.service import DaemonService  # noqa: PLC0415  as above
 
-    settings, credentials = read_config(config), security_from(security)
     if check:
-        check_targets(settings)
-        print(f"{config}: {len(settings.rig)} rigs, nothing wrong")
+        print(f"{config}: {check_file(config)} rigs, nothing wrong")
         return
-    begin_logging(log, verbose=verbose)
+    settings, credentials = read_config(config), security_from(security)
+    begin_logging(log_format, verbose=verbose)
     service = DaemonService(settings, security=credentials)
 
     def stop(number: int, frame: FrameType | None) -> None:  # noqa: ARG001  a signal handler

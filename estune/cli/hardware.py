@@ -1,5 +1,6 @@
 """`estune serve-hardware` and `estune export-controller`: a real reel, and its controller as C."""
 
+import math
 import sys
 import threading
 from contextlib import ExitStack, suppress
@@ -9,6 +10,7 @@ from typing import TYPE_CHECKING
 from estune.cli.values import Flag, security_from
 from estune.errors import InvalidInput, RigError
 from estune.remote import zenoh
+from estune.support.log_lines import LogFormat, begin_logging
 from estune.support.plugins import load_plugin, plugins
 
 if TYPE_CHECKING:
@@ -24,6 +26,7 @@ def serve_hardware(
     ledger: Path | None = None,
     allow_remote: Flag = False,
     security: Path | None = None,
+    log_format: LogFormat = "text",
     example: Flag = False,
 ) -> None:
     """Serve a reel on hardware, or an emulated one, as a rig on the network, until Ctrl-C.
@@ -35,6 +38,7 @@ def serve_hardware(
         allow_remote: Let other machines reach the rig; without --security, any of them can move
             it.
         security: Credentials file: the users that may reach and command the rig.
+        log_format: JSON lines or text, on standard error; auto is text on a terminal.
         example: Print a complete rig file, of an emulated reel, and exit.
     """
     if example:
@@ -42,10 +46,12 @@ def serve_hardware(
         return
     if file is None:
         raise InvalidInput("give the rig's file; for one to begin from, use --example")
+    from estune.daemon.notifications import Notifier  # noqa: PLC0415  slow to import
     from estune.hardware import HardwareRig, read_config  # noqa: PLC0415  slow to import
     from estune.hardware.real_time import prioritised  # noqa: PLC0415  as above
     from estune.hardware.trial_board.rig import DRIVER, BoardRig  # noqa: PLC0415  as above
 
+    begin_logging(log_format)
     config = read_config(file)
     rig = BoardRig if config.driver.use == DRIVER else HardwareRig
     with (
@@ -72,7 +78,11 @@ def serve_hardware(
         watch = threading.Thread(target=_close_after, args=(hardware, server), daemon=True)
         watch.start()
         ended.callback(watch.join)  # the interpreter must not shut down while it is inside Zenoh
-        server.wait()
+        service = Notifier()
+        service.notify(READY=1, STATUS=f"rig {config.name} at {server.endpoint}: no power, idle")
+        while not server.wait(0.3 * (service.watchdog_s or math.inf)):
+            hardware.describe()
+            service.notify(WATCHDOG=1)
         hardware.describe()  # raises the failure of its control loop, if that ended the wait
 
 

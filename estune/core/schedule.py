@@ -35,6 +35,10 @@ def length_term(form: Form, length_m: Signal) -> Signal:
             return 1.0 / length_m
 
 
+FORMAT = 1
+"""Version of stored schedules, as their key `format`; one without it has the first."""
+
+
 @dataclass(frozen=True, slots=True)
 class GainCurve:
     """One gain, g = a + b f(L) + c T, with f(L) one of L, ln L and 1/L.
@@ -140,6 +144,7 @@ class GainSchedule:
     def as_dict(self) -> dict[str, Any]:
         """The schedule as JSON values; floats survive exactly."""
         return {
+            "format": FORMAT,
             "length_m": list(self.length_m),
             "tension_N": list(self.tension_N),
             "gains": {
@@ -152,8 +157,14 @@ class GainSchedule:
         """The schedule of the values that `as_dict` gave.
 
         Raises:
-            InvalidInput: a value is missing or has the wrong type, or as for the class.
+            InvalidInput: a value is missing or has the wrong type, the format is unknown, or as
+                for the class.
         """
+        if isinstance(stored, dict) and stored.get("format", FORMAT) != FORMAT:
+            raise InvalidInput(
+                f"stored gain schedule of format {stored['format']!r}; this estune reads format "
+                f"{FORMAT}: use the estune that wrote it, or a newer one"
+            )
         try:
             curves = {name: GainCurve(**stored["gains"][name]) for name in GAIN_NAMES}
             low, high = map(float, stored["length_m"])

@@ -1,8 +1,11 @@
 """The daemon's file, `daemon.toml`: rigs, how they are tuned and watched, notifications."""
 
+import os
 import re
+import shutil
 import socket
 from collections import Counter
+from collections.abc import Callable, Iterator
 from ipaddress import ip_address
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
@@ -12,6 +15,7 @@ from pydantic import Field, model_validator
 from estune.core.control_chart import ControlChart
 from estune.daemon.events import EventKind
 from estune.errors import InvalidInput
+from estune.remote.security import read_security
 from estune.remote.zenoh.endpoints import check_endpoint, check_loopback, host_and_port
 from estune.run.planning import suited_step
 from estune.run.targets import check_reference, is_endpoint
@@ -60,7 +64,7 @@ class MetricsTable(TomlTable):
     Attributes:
         file: File for the node exporter's textfile collector, replaced each time; its name should
             end in `.prom`.
-        http_port: Port of 127.0.0.1 that serves /metrics.
+        http_port: Port of 127.0.0.1 that serves /metrics, /health and /ready.
         every_s: Time between two writes of the file.
     """
 
@@ -235,34 +239,92 @@ def config_from(data: dict[str, Any], source: str, beside: Path) -> DaemonConfig
     )
 
 
-def check_targets(config: DaemonConfig) -> None:
-    """Refuses targets and routers that cannot exist; no rig is contacted.
+def check_file(path: Path) -> int:
+    """Finds all mistakes of the daemon's file, of every kind; no rig is contacted.
+
+    Returns:
+        The number of rigs.
 
     Raises:
-        InvalidInput: an endpoint is malformed, its host is unknown, or a model file, module or
-            attribute is missing.
+        InvalidInput: there are mistakes; the message has a line for each: keys and values,
+            targets and routers that cannot exist, hooks that cannot be run, files and folders
+            that cannot be read or written.
     """
-    faults = []
-    for router in config.service.routers:
+    data, beside = read_toml(path), path.parent
+    faults: list[str] = []
+    try:
+        config_from(data, str(path), beside)
+    except InvalidInput as error:
+        faults += str(error).splitlines()
+    # What the tables name is looked for even where other values in them are wrong.
+    for place, check, value in _named(data, beside):
         try:
-            _check_address(router)
+            check(value)
         except InvalidInput as error:
-            faults.append(f"service: routers: {error}")
-    for rig in config.rig:
-        try:
-            if is_endpoint(rig.target):
-                check_endpoint(rig.target)
-                _check_address(rig.target)
-            else:
-                check_reference(rig.target)
-        except InvalidInput as error:
-            faults.append(f"rig {rig.name}: target: {error}")
+            faults.append(f"{path}: {place}: {error}")
     if faults:
         raise InvalidInput("\n".join(faults))
+    return len(data["rig"])
+
+
+def _named(
+    data: dict[str, Any], beside: Path
+) -> Iterator[tuple[str, Callable[[Any], object], Any]]:
+    """What the tables name outside the file: its place, how it is checked, and its value."""
+    service = _table(data, "service")
+    for router in service.get("routers", ()):
+        yield "service: routers", _check_address, router
+    if isinstance(security := service.get("security"), str):
+        yield "service: security", read_security, beside / security
+    if isinstance(file := _table(data, "metrics").get("file"), str):
+        yield "metrics: file", _check_writable, (beside / file).parent
+    if isinstance(state := data.get("state", "estune-state"), str):
+        yield "state", _check_writable, beside / state
+    for number, hook in enumerate(_tables(data, "hook"), 1):
+        command = hook.get("command")
+        if isinstance(command, list) and command and isinstance(command[0], str):
+            yield f"hook {number}: command", _check_program, command[0]
+    for number, rig in enumerate(_tables(data, "rig"), 1):
+        if isinstance(target := rig.get("target"), str):
+            yield f"rig {rig.get('name', number)}: target", _check_target, target
+
+
+def _table(data: dict[str, Any], name: str) -> dict[str, Any]:
+    table = data.get(name)
+    return table if isinstance(table, dict) else {}
+
+
+def _tables(data: dict[str, Any], name: str) -> list[dict[str, Any]]:
+    tables = data.get(name)
+    return [t for t in tables if isinstance(t, dict)] if isinstance(tables, list) else []
+
+
+def _check_target(target: str) -> None:
+    if is_endpoint(target):
+        check_endpoint(target)
+        _check_address(target)
+    else:
+        check_reference(target)
+
+
+def _check_program(program: str) -> None:
+    """Refuses a hook's program that is not there or may not be run."""
+    if shutil.which(program) is None:
+        raise InvalidInput(f"there is no program {program}, or it is not executable")
+
+
+def _check_writable(folder: Path) -> None:
+    """Refuses a folder in which this user can neither write nor make it."""
+    nearest = folder
+    while not nearest.exists() and nearest != nearest.parent:
+        nearest = nearest.parent
+    if not nearest.is_dir() or not os.access(nearest, os.W_OK | os.X_OK):
+        raise InvalidInput(f"{folder} cannot be written by this user: see {nearest}")
 
 
 def _check_address(endpoint: str) -> None:
     """Refuses a port or an address at which nothing can listen."""
+    check_endpoint(endpoint)
     if endpoint.startswith("unixsock-stream/"):
         return
     host, port = host_and_port(endpoint)

@@ -1,10 +1,13 @@
 """Metrics for Prometheus: in a file for the node exporter's collector, or over loopback HTTP."""
 
+import threading
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
-from typing import NamedTuple
+from socketserver import ThreadingMixIn
+from typing import Any, NamedTuple
+from wsgiref.simple_server import WSGIRequestHandler, WSGIServer, make_server
 
-from prometheus_client import CollectorRegistry, generate_latest, start_http_server
+from prometheus_client import CollectorRegistry, generate_latest, make_wsgi_app
 from prometheus_client.core import Metric as Family
 from prometheus_client.registry import Collector
 
@@ -12,6 +15,7 @@ from estune.core.gains import GAIN_NAMES
 from estune.daemon.supervisor_state import GainSet, SupervisorMode
 from estune.errors import RigError
 from estune.remote.messages.daemon import DaemonStatus
+from estune.support.version import __version__
 from estune.support.whole_file import replace_file
 
 
@@ -127,17 +131,97 @@ def write_metrics(path: Path, statuses: Iterable[DaemonStatus]) -> None:
     replace_file(path, render(statuses))
 
 
-class MetricsServer:
-    """Answers GET /metrics on a port of this machine's loopback interface."""
+class ThreadingServer(ThreadingMixIn, WSGIServer):
+    """A server whose slow reader delays no other."""
 
-    def __init__(self, port: int, statuses: Callable[[], Iterable[DaemonStatus]]) -> None:
+    daemon_threads = True
+
+
+class _Quiet(WSGIRequestHandler):
+    """A handler that logs no requests."""
+
+    def log_message(self, format: str, *args: object) -> None:  # noqa: A002  the base's name
+        pass
+
+
+class DaemonHealth(NamedTuple):
+    """State of the daemon itself.
+
+    Attributes:
+        stuck: Rigs whose supervision makes no progress.
+        ready: Whether its supervisions have begun, and commands are taken.
+        hook_failures: Commands of hooks that failed so far.
+    """
+
+    stuck: tuple[str, ...]
+    ready: bool
+    hook_failures: int
+
+
+class _Daemon(Collector):
+    """The metrics of the daemon itself."""
+
+    def __init__(self, health: Callable[[], DaemonHealth]) -> None:
+        self._health = health
+
+    def collect(self) -> Iterator[Family]:
+        """Version, stuck supervisions, failures of hooks."""
+        health = self._health()
+        info = Family("estune_build_info", "1, with the version as a label.", "gauge")
+        info.add_sample("estune_build_info", {"version": __version__}, 1.0)
+        yield info
+        stuck = Family("estune_supervisions_stuck", "Supervisions without progress.", "gauge")
+        stuck.add_sample("estune_supervisions_stuck", {}, float(len(health.stuck)))
+        yield stuck
+        hooks = Family("estune_hook_failures", "Commands of hooks that failed.", "counter")
+        hooks.add_sample("estune_hook_failures_total", {}, float(health.hook_failures))
+        yield hooks
+
+
+class MetricsServer:
+    """Answers GET /metrics, /health and /ready on a port of this machine's loopback interface.
+
+    `/health` is 200 unless a supervision makes no progress, as the watchdog of systemd has it;
+    `/ready` is 200 once commands are taken. Otherwise both are 503, with the reason.
+    """
+
+    def __init__(
+        self,
+        port: int,
+        statuses: Callable[[], Iterable[DaemonStatus]],
+        health: Callable[[], DaemonHealth],
+    ) -> None:
         """Listens; port 0 takes a free one.
 
         Raises:
             RigError: the port is taken.
         """
+        registry = _registry(statuses)
+        registry.register(_Daemon(health))
+        metrics = make_wsgi_app(registry)
+
+        def answer(environ: dict[str, Any], start: Callable[..., Any]) -> Iterable[bytes]:
+            found = health()
+            stuck = f"no progress with: {', '.join(found.stuck)}\n" if found.stuck else ""
+            match environ.get("PATH_INFO"):
+                case "/health":
+                    fault = stuck
+                case "/ready":
+                    fault = "" if found.ready else "the supervisions have not begun\n"
+                case _:
+                    pages: Iterable[bytes] = metrics(environ, start)
+                    return pages
+            status = "503 Service Unavailable" if fault else "200 OK"
+            start(status, [("Content-Type", "text/plain; charset=utf-8")])
+            return [(fault or "ok\n").encode()]
+
         try:
-            self._server, _ = start_http_server(port, "127.0.0.1", _registry(statuses))
+            self._server = make_server(
+                *("127.0.0.1", port, answer, ThreadingServer), handler_class=_Quiet
+            )
+            threading.Thread(
+                target=self._server.serve_forever, name="metrics", daemon=True
+            ).start()
         except OSError as error:
             raise RigError(
                 f"cannot serve metrics on port {port} of 127.0.0.1: {error.strerror}; choose "

@@ -1,4 +1,4 @@
-"""Reports of a daemon: its log, the user's hooks, and systemd."""
+"""Reports of a daemon: its events in the log, the user's hooks, and systemd."""
 
 import json
 import logging
@@ -7,12 +7,9 @@ import queue
 import signal
 import socket
 import subprocess
-import sys
 import threading
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
-from datetime import UTC, datetime
-from typing import Literal
 
 from estune.daemon.config import HookTable
 from estune.daemon.events import Event, EventKind
@@ -34,48 +31,6 @@ _LEVELS = {
 _log = logging.getLogger("estune.daemon")
 
 
-class JsonLines(logging.Formatter):
-    """One JSON object a line: time, level, logger, message; rig, event and facts where known."""
-
-    def format(self, record: logging.LogRecord) -> str:
-        """The line."""
-        line: dict[str, object] = {
-            "time": datetime.fromtimestamp(record.created, UTC).isoformat(timespec="milliseconds"),
-            "level": record.levelname.lower(),
-            "logger": record.name,
-            "message": record.getMessage(),
-        }
-        for name in ("rig", "event", "facts"):
-            if (value := getattr(record, name, None)) is not None:
-                line[name] = value
-        if record.exc_info:
-            line["traceback"] = self.formatException(record.exc_info)
-        return json.dumps(line, default=str)
-
-
-class PlainLines(logging.Formatter):
-    """Time of day, rig, message."""
-
-    def format(self, record: logging.LogRecord) -> str:
-        """The line."""
-        at = datetime.fromtimestamp(record.created).astimezone().strftime("%H:%M:%S")
-        rig = getattr(record, "rig", None)
-        level = "" if record.levelno < logging.WARNING else f"{record.levelname.lower()}: "
-        line = f"{at} {f'{rig}: ' if rig else ''}{level}{record.getMessage()}"
-        return f"{line}\n{self.formatException(record.exc_info)}" if record.exc_info else line
-
-
-def begin_logging(form: Literal["auto", "json", "text"], *, verbose: bool = False) -> None:
-    """Sends the log to standard error; `auto` is text on a terminal, else JSON."""
-    handler = logging.StreamHandler(sys.stderr)
-    plain = form == "text" or (form == "auto" and sys.stderr.isatty())
-    handler.setFormatter(PlainLines() if plain else JsonLines())
-    root = logging.getLogger()
-    root.handlers = [handler]
-    root.setLevel(logging.INFO)
-    logging.getLogger("estune").setLevel(logging.DEBUG if verbose else logging.INFO)
-
-
 def log_event(event: Event) -> None:
     """Writes an event to the log."""
     _log.log(
@@ -90,10 +45,14 @@ class Hooks:
     """Runs the user's commands at events, in a thread of its own: the supervision never waits.
 
     A command gets the event as JSON on its standard input; no shell is involved.
+
+    Attributes:
+        failures: Commands so far that failed, were killed or could not be run, and events dropped.
     """
 
     def __init__(self, hooks: Sequence[HookTable]) -> None:
         self._hooks = tuple(hooks)
+        self.failures = 0
         self._waiting: queue.Queue[tuple[HookTable, Event] | None] = queue.Queue(QUEUE_MAX)
         self._thread = threading.Thread(target=self._run, name="hooks", daemon=True)
         self._thread.start()
@@ -105,6 +64,7 @@ class Hooks:
                 try:
                     self._waiting.put_nowait((hook, event))
                 except queue.Full:
+                    self.failures += 1
                     _log.warning(
                         "hook %s is too slow: event %s was dropped", hook.command[0], event.kind
                     )
@@ -120,12 +80,14 @@ class Hooks:
     def _run(self) -> None:
         while (item := self._waiting.get()) is not None:
             try:
-                _run_hook(*item)
+                self.failures += not _has_run(*item)
             except Exception:  # noqa: BLE001  the next event must not suffer
+                self.failures += 1
                 _log.exception("hook failed")
 
 
-def _run_hook(hook: HookTable, event: Event) -> None:
+def _has_run(hook: HookTable, event: Event) -> bool:
+    """Runs a command at an event; whether it ended as it should."""
     name, data = hook.command[0], json.dumps(asdict(event)).encode()
     try:
         process = subprocess.Popen(  # noqa: S603  the user's own command, from the user's own file
@@ -137,7 +99,7 @@ def _run_hook(hook: HookTable, event: Event) -> None:
         )
     except OSError as error:
         _log.warning("hook %s cannot be run: %s", name, error.strerror or error)
-        return
+        return False
     with process:
         try:
             _, errors = process.communicate(data, timeout=hook.timeout_s)
@@ -145,10 +107,11 @@ def _run_hook(hook: HookTable, event: Event) -> None:
             os.killpg(process.pid, signal.SIGKILL)
             process.communicate()
             _log.warning("hook %s was killed after %g s, at %s", name, hook.timeout_s, event.kind)
-            return
+            return False
     if code := process.returncode:
         output = errors.decode(errors="replace").strip()[-_ERROR_OUTPUT_MAX:]
         _log.warning("hook %s ended with code %d at %s: %s", name, code, event.kind, output)
+    return code == 0
 
 
 class Notifier:

@@ -2,19 +2,18 @@
 
 import logging
 import os
-import resource
 import secrets
 import socket
 import threading
 import time
-from contextlib import ExitStack, suppress
+from contextlib import ExitStack
 from dataclasses import replace
 
 from estune.daemon.admission import Admission
 from estune.daemon.config import DaemonConfig, ServiceTable
 from estune.daemon.events import Event
 from estune.daemon.live_page import serve_page
-from estune.daemon.metrics import MetricsServer, write_metrics
+from estune.daemon.metrics import DaemonHealth, MetricsServer, write_metrics
 from estune.daemon.notifications import Hooks, Notifier, log_event
 from estune.daemon.rig_access import HOLDER_PREFIX
 from estune.daemon.shared_resources import SharedResources
@@ -27,6 +26,7 @@ from estune.remote.security import OPEN, Security, read_security
 from estune.remote.zenoh.daemon_service import DaemonServer
 from estune.remote.zenoh.listening_session import ListeningSession
 from estune.remote.zenoh.network import Network
+from estune.support.open_files import allow_open_files
 
 _POLL_S = 0.25
 _HOOKS_END_WITHIN_S = 5.0
@@ -62,9 +62,10 @@ class DaemonService:
         self._config = config
         self._notifier = notifier or Notifier()
         self._stopping = threading.Event()
+        self._serving = False
         self._published: dict[str, DaemonStatus] = {}
         self._written_at_s = self._watched_at_s = -float("inf")
-        _allow_open_files()
+        allow_open_files(2**20)  # a rig takes up to ten
         with ExitStack() as opened:
             stores = {}
             for rig in config.rig:
@@ -91,7 +92,7 @@ class DaemonService:
                 RigSupervisor(rig, self._supervised[rig.name], shared) for rig in config.rig
             )
             if config.metrics.http_port is not None:
-                metrics = MetricsServer(config.metrics.http_port, self.statuses)
+                metrics = MetricsServer(config.metrics.http_port, self.statuses, self.health)
                 self.metrics_port = metrics.port
                 opened.callback(metrics.close)
             self.page_address = ""
@@ -104,6 +105,11 @@ class DaemonService:
     def statuses(self) -> list[DaemonStatus]:
         """Status of each rig."""
         return [rig.status() for rig in self._supervised.values()]
+
+    def health(self) -> DaemonHealth:
+        """State of the daemon itself."""
+        stuck = tuple(supervisor.name for supervisor in self._supervisors if supervisor.is_stuck)
+        return DaemonHealth(stuck, self._serving and not stuck, self._hooks.failures)
 
     def stop(self) -> None:
         """Has every rig's nominal gains restored, and `run` return. Any thread may call."""
@@ -120,6 +126,7 @@ class DaemonService:
             self._server.serve(self._supervised, announced=not self._config.shared)
             for supervisor in self._supervisors:
                 supervisor.start()
+            self._serving = True
             self._notifier.notify(READY=1, STATUS=_summary(self.statuses()))
             is_stopping = False
             while not all(supervisor.join(0.0) for supervisor in self._supervisors):
@@ -192,13 +199,6 @@ def _lasting(status: DaemonStatus) -> DaemonStatus:
 
 def _summary(statuses: list[DaemonStatus]) -> str:
     return "; ".join(f"{s.rig}: {s.mode}, {s.live or 'unknown'} gains live" for s in statuses)
-
-
-def _allow_open_files() -> None:
-    """Raises the limit of open files to what the system permits: a rig takes up to ten."""
-    _, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
-    with suppress(ValueError, OSError):
-        resource.setrlimit(resource.RLIMIT_NOFILE, (hard, hard))
 
 
 def _listen(service: ServiceTable, instance: str) -> DaemonServer:

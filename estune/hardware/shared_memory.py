@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from estune.errors import RigError
 from estune.trial.records import COLUMNS
 
 BIN_s = 2e-6
@@ -208,7 +209,16 @@ def _size(capacity: int) -> int:
 
 
 def make_file(capacity: int) -> int:
-    """Descriptor of a new block, all zero, for trials of so many samples."""
+    """Descriptor of a new block, all zero, for trials of so many samples.
+
+    Raises:
+        RigError: this system has none.
+    """
+    if not hasattr(os, "memfd_create"):
+        raise RigError(
+            "the real-time loop runs on Linux only; serve the rig there, or let a board close the "
+            "loop, and tune it from here by its endpoint"
+        )
     file = os.memfd_create("estune-rig")
     os.ftruncate(file, _size(capacity))
     return file

@@ -24,7 +24,6 @@ writer. One process writes: a lock file, released by the system if the process d
 second writer. The file's `user_version` is the version of its schema.
 """
 
-import fcntl
 import os
 import shlex
 import sqlite3
@@ -35,6 +34,7 @@ from pathlib import Path
 from typing import IO, Any, NamedTuple, Self
 
 from estune.errors import JournalError
+from estune.support import file_lock
 from estune.support.user import user_name
 
 _LARGE_bytes = 64 * 2**20
@@ -250,7 +250,7 @@ def has_writer(path: Path, kind: FileKind) -> bool:
     """Whether a process holds the right to write this file."""
     try:
         with kind.lock_path(path).open() as lock:
-            fcntl.flock(lock, fcntl.LOCK_SH | fcntl.LOCK_NB)
+            file_lock.lock(lock, shared=True)
     except BlockingIOError:
         return True
     except OSError:  # no lock file, or not readable for this user: no sign of a writer
@@ -273,7 +273,7 @@ def _lock(path: Path, kind: FileKind) -> IO[str]:
     """The right to write, held until closed; the lock file names its holder."""
     lock = kind.lock_path(path).open("a+", encoding="utf-8")
     try:
-        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        file_lock.lock(lock)
     except BlockingIOError:
         lock.seek(0)
         holder = lock.readline().strip()

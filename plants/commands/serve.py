@@ -14,6 +14,7 @@ from estune.errors import InvalidInput, RigError
 from estune.remote import zenoh
 from estune.remote.ledger import LEDGER
 from estune.run.targets import load
+from estune.support.log_lines import LogFormat, begin_logging
 from estune.support.sqlite import has_writer
 from estune.trial import Rig
 
@@ -30,6 +31,7 @@ def serve(
     ledger: str = "",
     allow_remote: Flag = False,
     security: Path | None = None,
+    log_format: LogFormat = "text",
     stop_on_eof: Flag = False,
 ) -> None:
     """Serve a simulated reel, or any plant, as a rig on the network, until Ctrl-C.
@@ -46,8 +48,10 @@ def serve(
         allow_remote: Let other machines reach the rig; without --security, any of them can move
             it.
         security: Credentials file: the users that may reach and command the rig.
+        log_format: JSON lines or text, on standard error; auto is text on a terminal.
         stop_on_eof: Stop when standard input is closed, too: when a parent process has ended.
     """
+    begin_logging(log_format)
     book = None if ledger == "memory" else Path(ledger or f"rigs/{name}.ledger")
     if book is not None and has_writer(book, LEDGER):
         raise RigError(

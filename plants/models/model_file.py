@@ -35,8 +35,11 @@ from plants.effects import Effect, find
 from plants.models import model_tables
 from plants.models.model_tables import KINDS, ModelKind, Reader
 
-_BESIDE = ("effects", "uncertainty")
-"""Tables beside that of the model."""
+_BESIDE = ("effects", "uncertainty", "format")
+"""Keys beside the table of the model."""
+
+FORMAT = 1
+"""Version of the files written, as their key `format`; a file without one has the first."""
 
 _MOVED = {
     f"plants.discrepancy.models.calibration:{name}": f"plants.diagnosis.models.calibration:{name}"
@@ -108,7 +111,12 @@ def to_toml(model: Any, note: str = "", plant: str = "") -> str:
         values = {"plant": plant, **values}
     known = {_key_of(kind, name): share for name, share in model.uncertainty}
     lines = [f"# {line}".rstrip() for line in note.splitlines()]
-    lines += [""] * bool(lines) + [f"[{kind.table}]", *model_tables.toml_lines(values)]
+    lines += [""] * bool(lines) + [
+        f"format = {FORMAT}",
+        "",
+        f"[{kind.table}]",
+        *model_tables.toml_lines(values),
+    ]
     if known:
         lines += ["", "[uncertainty]", *model_tables.toml_lines(known)]
     for effect in getattr(model, "effects", ()):
@@ -153,6 +161,11 @@ def from_toml(
         tables = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
         raise InvalidInput(f"{source}: this is not TOML: {error}") from error
+    if tables.get("format", FORMAT) != FORMAT:
+        raise InvalidInput(
+            f"{source}: format {tables['format']!r} is unknown; this estune reads models of "
+            f"format {FORMAT}: use the estune that wrote it, or a newer one"
+        )
     problems: list[str] = []
     kind = _kind(tables, problems)
     model: Any = None

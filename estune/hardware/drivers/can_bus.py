@@ -56,6 +56,8 @@ class CanSocket:
 
     def __init__(self, interface: str, first: int, last: int) -> None:
         local = interface.startswith("/")
+        if not local and not hasattr(socket, "AF_CAN"):
+            raise RigError("CAN interfaces are reached on Linux only; serve the rig there")
         try:
             if local:
                 self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)

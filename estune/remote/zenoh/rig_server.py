@@ -2,6 +2,7 @@
 
 import atexit
 import logging
+import math
 import secrets
 import threading
 from collections.abc import Callable, Iterable
@@ -121,9 +122,9 @@ class RigServer:
         """Whether it is closed."""
         return self._closed.is_set()
 
-    def wait(self) -> None:
-        """Returns when the server is closed; Ctrl-C interrupts it."""
-        self._closed.wait()
+    def wait(self, within_s: float = math.inf) -> bool:
+        """Returns when the server is closed, or after a time, and whether it is."""
+        return self._closed.wait(None if math.isinf(within_s) else within_s)
 
     def fail(self, reason: str) -> None:
         """Tells the clients why the rig's program ends; `close` follows."""

@@ -7,7 +7,6 @@ knows nothing of a client before it has spoken under a certificate that has a ri
 
 import asyncio
 import logging
-import resource
 import socket
 import ssl
 import tempfile
@@ -20,6 +19,7 @@ from typing import cast
 from estune.errors import InvalidInput, RigError
 from estune.remote.security import Security, Tls, common_name, has_version_3
 from estune.remote.zenoh.endpoints import host_and_port, with_port
+from estune.support.open_files import allow_open_files
 from estune.support.printable import printable
 
 HANDSHAKE_WITHIN_S = 5.0
@@ -90,7 +90,7 @@ class TlsFront:
         except BaseException:
             inner.close()
             raise
-        _allow_files()
+        allow_open_files(OPEN_FILES)
         self.endpoint = f"{endpoint.rpartition(':')[0]}:{self._socket.getsockname()[1]}"
         self._loop = asyncio.new_event_loop()
         self._ending = asyncio.Event()
@@ -249,14 +249,6 @@ class _Client(_End):
     def _close_if_silent(self) -> None:
         if self._opening is None:
             self.transport.abort()
-
-
-def _allow_files() -> None:
-    """Asks for as many open files as the system lets this user have, up to `OPEN_FILES`."""
-    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
-    wanted = OPEN_FILES if hard == resource.RLIM_INFINITY else min(OPEN_FILES, hard)
-    if soft != resource.RLIM_INFINITY and soft < wanted:
-        resource.setrlimit(resource.RLIMIT_NOFILE, (wanted, hard))
 
 
 def _listener_context(endpoint: str, tls: Tls) -> ssl.SSLContext:
