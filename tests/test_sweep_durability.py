@@ -137,6 +137,25 @@ def test_cluster_gives_equal_outcomes_and_its_loss_keeps_finished_cells(tmp_path
     assert all(alike(done[o.cell.key], o) for o in whole.outcomes if o.cell.key in done)
 
 
+@pytest.mark.slow
+def test_cluster_finishes_all_cells_though_a_worker_is_killed(tmp_path):
+    design = tmp_path / "sweep.toml"
+    design.write_text(DESIGN)
+    outcomes: list[CellOutcome] = []
+    with cluster(workers=2) as dask:
+
+        def kill_one(outcome: CellOutcome) -> None:
+            outcomes.append(outcome)
+            if len(outcomes) == 5:
+                dask.workers[0].kill()
+                dask.workers[0].wait()
+
+        result = run_sweep(tmp_path / "cluster", design, dask=dask.address, watch=kill_one)
+    assert len(outcomes) == len(result.outcomes) == 24
+    whole = run_sweep(tmp_path / "whole", design)
+    assert all(map(alike, result.outcomes, whole.outcomes))
+
+
 def test_sweep_without_a_dask_scheduler_is_refused(tmp_path, monkeypatch):
     monkeypatch.setattr("estune.studies.sweep.executors.CLUSTER_TIMEOUT_s", 0.5)
     with pytest.raises(EstuneError, match=r"no Dask scheduler answers at tcp://127\.0\.0\.1:9"):
