@@ -21,36 +21,6 @@ class Diagnosis(DiagnosisResult):
 
     __slots__ = ()
 
-    @property
-    def gap_before(self) -> float:
-        """Prediction error of the refitted base model on data left out, rms, in `unit`."""
-        return self.before.gap
-
-    @property
-    def gap_after(self) -> float:
-        """Prediction error with the effects, likewise."""
-        return self.after.gap
-
-    @property
-    def ratio_before(self) -> float:
-        """Prediction error of the refitted base model, in times the noise floor."""
-        return self.before.ratio
-
-    @property
-    def ratio_after(self) -> float:
-        """Prediction error with the effects, likewise."""
-        return self.after.ratio
-
-    @property
-    def rms_before(self) -> float:
-        """Free-run error of the refitted base model, rms, in `unit`."""
-        return self.before.rms
-
-    @property
-    def rms_after(self) -> float:
-        """Free-run error with the effects, likewise."""
-        return self.after.rms
-
     def heading(self) -> str:
         """The verdict and the prediction error in one line."""
         return summary.heading(self)
