@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from estune.studies.match.procedure import match
     from estune.studies.sweep.sweep import sweep
     from estune.support.version import __version__
+    from estune.trial import TrialRequest
     from estune.trial.profiles import StepProfile
     from estune.tuners.search_space import SearchSpace
 
@@ -37,6 +38,7 @@ __all__ = [
     "SearchSpace",
     "StepCost",
     "StepProfile",
+    "TrialRequest",
     "TuneResult",
     "__version__",
     "compare",
@@ -57,6 +59,7 @@ __getattr__, __dir__ = lazy_exports(
         "SearchSpace": "estune.tuners.search_space",
         "StepCost": "estune.core.cost",
         "StepProfile": "estune.trial.profiles",
+        "TrialRequest": "estune.trial",
         "TuneResult": "estune.run.results.result",
         "__version__": "estune.support.version",
         "compare": "estune.studies.compare.comparison",

@@ -12,9 +12,10 @@ from estune.support.lazy_exports import lazy_exports
 
 if TYPE_CHECKING:
     from plants.bench.demonstrations.moving_cable_end import simulate_moving
+    from plants.diagnosis.experiments.designs import initial_experiments
     from plants.diagnosis.explain import explain
     from plants.diagnosis.improvement.improve import improve
-    from plants.effects import CoulombFriction, Effect
+    from plants.effects import CoulombFriction, Effect, EyeletFriction
     from plants.models.drives import Servo, Stage, servo, stage
     from plants.models.fmu.plant import FmuPlant, fmu_plant
     from plants.models.linear_plant import LinearPlant, linear_plant
@@ -29,6 +30,7 @@ if TYPE_CHECKING:
 __all__ = [
     "CoulombFriction",
     "Effect",
+    "EyeletFriction",
     "FmuPlant",
     "LinearPlant",
     "Plant",
@@ -43,6 +45,7 @@ __all__ = [
     "explain",
     "fmu_plant",
     "improve",
+    "initial_experiments",
     "linear_plant",
     "load_model",
     "python_plant",
@@ -60,6 +63,7 @@ __getattr__, __dir__ = lazy_exports(
     {
         "CoulombFriction": "plants.effects",
         "Effect": "plants.effects",
+        "EyeletFriction": "plants.effects",
         "FmuPlant": "plants.models.fmu.plant",
         "LinearPlant": "plants.models.linear_plant",
         "Plant": "plants.simulation.plant",
@@ -74,6 +78,7 @@ __getattr__, __dir__ = lazy_exports(
         "explain": "plants.diagnosis.explain",
         "fmu_plant": "plants.models.fmu.plant",
         "improve": "plants.diagnosis.improvement.improve",
+        "initial_experiments": "plants.diagnosis.experiments.designs",
         "linear_plant": "plants.models.linear_plant",
         "load_model": "plants.models.model_file",
         "python_plant": "plants.models.python_plant",
