@@ -31,7 +31,7 @@ TIMES = 3.0
 """Size of the effect, in times its usual one: far above the noise, so that its form shows."""
 
 
-class Seen(NamedTuple):
+class ShownRecord(NamedTuple):
     """What one kind of record shows.
 
     Attributes:
@@ -111,12 +111,12 @@ def usual(effect: type[Effect]) -> Effect:
 
 def seen(
     model: Any, effect: type[Effect], records: Sequence[MeasuredRecord], others: Sequence[Any]
-) -> Seen:
+) -> ShownRecord:
     """What records of the effect are taken for, without it and with it."""
     without = plants.explain(model, records, effects=[e for e in others if e is not effect])
     with_it = plants.explain(model, records, effects=[*others, effect])
     best = max(without.candidates, key=lambda c: c.closure if c.closure == c.closure else -1.0)
-    return Seen(
+    return ShownRecord(
         without.verdict,
         " + ".join(e.name for e in without.effects) or "-",
         best.closure,
@@ -127,7 +127,7 @@ def seen(
     )
 
 
-def look_alikes(effect: type[Effect], model: Any, kinds: Sequence[str]) -> dict[str, Seen]:
+def look_alikes(effect: type[Effect], model: Any, kinds: Sequence[str]) -> dict[str, ShownRecord]:
     """What each kind of record, and all together, shows of the effect."""
     waves = excitations(model.sampling_Hz)
     machine = model + usual(effect)
@@ -159,7 +159,7 @@ def main() -> int:
     return print_results(figures, targets, as_json=options.json, tables=True)
 
 
-def _is_mistaken(one: Seen, effect: type[Effect]) -> bool:
+def _is_mistaken(one: ShownRecord, effect: type[Effect]) -> bool:
     """Whether another effect is named without doubt although the right one is a choice."""
     named = [find(name) for name in one.named.split(" + ") if name != "-"]
     families = {e.family or e.name for e in named}

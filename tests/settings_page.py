@@ -7,7 +7,7 @@ import re
 from collections.abc import Iterator
 from pathlib import Path
 
-from estune.run.toml_tables import CONTROLLER, COST, LIMITS, SEARCH, STEP, Group
+from estune.run.toml_tables import CONTROLLER, COST, LIMITS, SEARCH, STEP, SettingsGroup
 
 PAGE = Path(__file__).parents[1] / "docs" / "reference" / "settings.md"
 GROUPS = {"step": STEP, "cost": COST, "search": SEARCH, "limits": LIMITS, "controller": CONTROLLER}
@@ -15,7 +15,7 @@ GROUPS = {"step": STEP, "cost": COST, "search": SEARCH, "limits": LIMITS, "contr
 _SECTION = re.compile(r"(<!-- from the code: (\w+) -->\n).*?(<!-- end -->)", re.DOTALL)
 
 
-def table(group: Group) -> Iterator[str]:
+def table(group: SettingsGroup) -> Iterator[str]:
     """The settings of a group, a row each."""
     yield "| key | default | meaning |\n| --- | --- | --- |\n"
     for member in group.members:

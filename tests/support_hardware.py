@@ -11,7 +11,7 @@ from estune.hardware.compensation.runtime import NoCompensation, PlainCompensati
 from estune.hardware.config import RigConfig, config_from
 from estune.hardware.controller import PlainController
 from estune.hardware.driver import Reading
-from estune.hardware.loop_messages import Begin
+from estune.hardware.loop_messages import BeginTrial
 from estune.hardware.reel_machine.machine import ReelStateMachine
 from estune.hardware.shared_memory import Memory, MotionPhase, SensorLevels, Word, make_file
 from plants.emulator import RIG_FILE
@@ -99,7 +99,7 @@ class VirtualLoop:
         settings = self.rig.settings()
         setpoint = profile.setpoint(settings.sampling_Hz)
         self.memory.setpoint_N[: len(setpoint)] = setpoint.data
-        begin = Begin(
+        begin = BeginTrial(
             number,
             pidf.coefficients(settings, gains),
             len(setpoint),

@@ -7,16 +7,10 @@ from pathlib import Path
 ROOT = Path(__file__).parents[1]
 
 SHARED = {
-    "Begin": "event of the rig protocol; command to the real-time loop, its counterpart",
-    "End": "as Begin",
     "Interval": "of a predicted margin; of an effect's parameter: both are low, value, high",
     "Prediction": "of a step response by the identified loop; of records by a plant's model",
-    "Searched": "a finished search for effects; a finished search for gains, in an experiment",
-    "Stage": "a positioning stage, a plant; a step of the diagnosis",
     "Status": "a message of the rig protocol; a coloured line of a page",
-    "StepTable": "the [step] table of a rig's file; that of a run's file, with other keys",
     "StribeckFriction": "law (10): what a controller compensates; what a model has",
-    "Table": "on a page; in a terminal",
 }
 """Names of several public classes, and why each is kept."""
 

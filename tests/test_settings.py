@@ -11,7 +11,7 @@ from estune.core.setting import declared
 from estune.daemon.config import RigTable
 from estune.errors import InvalidInput
 from estune.hardware.tables import ControllerTable
-from estune.hardware.tables import StepTable as HardwareStepTable
+from estune.hardware.tables import RigStepTable as HardwareStepTable
 from estune.run.plan import Search
 from estune.run.toml_tables import (
     CONTROLLER,
@@ -20,15 +20,15 @@ from estune.run.toml_tables import (
     SEARCH,
     STEP,
     CostTable,
+    RigStepTable,
     SearchTable,
-    StepTable,
 )
 from estune.studies.sweep.design import SweepDesign
 from estune.support.toml_file import validate
 from estune.trial.profiles import StepProfile
 from tests import settings_page
 
-TABLES = {StepTable: STEP, CostTable: COST, SearchTable: SEARCH, ControllerTable: CONTROLLER}
+TABLES = {RigStepTable: STEP, CostTable: COST, SearchTable: SEARCH, ControllerTable: CONTROLLER}
 OPTIONS = {StepOptions: STEP, CostOptions: COST, SearchOptions: SEARCH, LimitOptions: LIMITS}
 
 

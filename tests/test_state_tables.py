@@ -8,7 +8,7 @@ import pytest
 from estune.core.gains import Gains
 from estune.daemon import supervisor_state
 from estune.daemon.supervisor_state import SupervisorEvent, SupervisorMode
-from estune.hardware.loop_messages import Begin
+from estune.hardware.loop_messages import BeginTrial
 from estune.hardware.reel_machine import transitions
 from estune.hardware.reel_machine.transitions import MotionEvent
 from estune.hardware.shared_memory import MotionPhase
@@ -72,7 +72,9 @@ AFTER = {
 def reel_in(phase: MotionPhase):
     """A reel that has come to a phase by samples, with nothing latched, and a trial."""
     loop = VirtualLoop(config(safe__state="hold"))
-    request = Begin(1, loop.plan.live, 632, open_loop=False, cost_max=float("inf"), duration_s=2.0)
+    request = BeginTrial(
+        1, loop.plan.live, 632, open_loop=False, cost_max=float("inf"), duration_s=2.0
+    )
     reel = loop.machine._reel
     if phase is not MotionPhase.OFF:
         loop.ask(Gains(1.0, 40.0, 0.015, 0.005), StepProfile(15.0, 10.0, 0.2, 1.0))

@@ -9,8 +9,7 @@ from cyclopts import Group, Parameter
 from estune.cli.values import share_from
 from estune.core.setting import Declared
 from estune.loop_model.optimum import RobustnessLimits
-from estune.run.toml_tables import COST, LIMITS, SEARCH, STEP
-from estune.run.toml_tables import Group as SettingsGroup
+from estune.run.toml_tables import COST, LIMITS, SEARCH, STEP, SettingsGroup
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -16,7 +16,7 @@ from typing import Any
 
 from estune.core.sentence_enum import SentenceEnum
 from estune.errors import EstuneError, InvalidInput
-from estune.support.state_table import IMPOSSIBLE, Row, StateTable, described
+from estune.support.state_table import IMPOSSIBLE, StateTable, TableRow, described
 
 
 class GainSet(StrEnum):
@@ -295,11 +295,11 @@ _ACTIVE = tuple(_MODE_OF_GOAL.values())
 _RUNNING = (*_ABSENT, SupervisorMode.READYING, *_ACTIVE, SupervisorMode.PAUSED)
 
 
-_RowOf = Row[SupervisorMode, _Transition]
+_RowOf = TableRow[SupervisorMode, _Transition]
 
 
 def _row(*cells: tuple[tuple[SupervisorMode, ...], _Transition]) -> _RowOf:
-    return Row(IMPOSSIBLE, *((cell, modes) for modes, cell in cells))
+    return TableRow(IMPOSSIBLE, *((cell, modes) for modes, cell in cells))
 
 
 def _command(
@@ -307,7 +307,7 @@ def _command(
     stopping: _Transition | str = "it is being stopped",
 ) -> _RowOf:
     others = ((cell, modes) for modes, cell in (*cells, (_STOPPING, stopping)))
-    return Row("it has ended; start the daemon again", *others)
+    return TableRow("it has ended; start the daemon again", *others)
 
 
 TABLE: StateTable[SupervisorEvent, SupervisorMode, _Transition] = StateTable(

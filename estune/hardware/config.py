@@ -38,9 +38,9 @@ from estune.hardware.tables import (
     Positive,
     RealTimeTable,
     ReelTable,
+    RigStepTable,
     SafeTable,
     ScheduleTable,
-    StepTable,
 )
 from estune.reel.calibration import CurrentCalibration, GaugeCalibration
 from estune.reel.guard import Limits
@@ -67,7 +67,7 @@ class RigConfig(TomlTable):
     schedule: ScheduleTable | None = None
     compensation: CompensationTable | None = None
     hybrid: HybridTable | None = None
-    step: StepTable
+    step: RigStepTable
     real_time: RealTimeTable = RealTimeTable()
 
     @property

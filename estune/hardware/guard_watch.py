@@ -3,7 +3,7 @@
 import math
 from dataclasses import replace
 
-from estune.hardware.loop_messages import Begin, LoopPlan
+from estune.hardware.loop_messages import BeginTrial, LoopPlan
 from estune.hardware.shared_memory import Memory, MotionPhase
 from estune.reel import guard
 from estune.reel.guard import GuardState, GuardTrip, Limits, Reason, Sample
@@ -24,7 +24,7 @@ class GuardWatch:
         """Forgets what was seen: the reel has been at rest."""
         self._state = None
 
-    def begin_trial(self, trial: Begin) -> None:
+    def begin_trial(self, trial: BeginTrial) -> None:
         """Adds the limits of a trial."""
         self._cost = 0.0
         self._limits = replace(self._usual, cost_max=trial.cost_max, duration_s=trial.duration_s)

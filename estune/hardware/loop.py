@@ -28,9 +28,9 @@ from estune.hardware.controller import make_controller
 from estune.hardware.driver import Driver, Reading, load_driver
 from estune.hardware.hybrid_control import make_hybrid
 from estune.hardware.loop_messages import (
-    Begin,
+    BeginTrial,
     Done,
-    End,
+    EndLoop,
     Failed,
     LoopPlan,
     Ready,
@@ -150,14 +150,14 @@ class Loop:
             self._ending = True
             return
         match command:
-            case Begin():
+            case BeginTrial():
                 machine.begin(command)
                 return
             case SetLiveGains(live):
                 machine.set_live_gains(live)
             case ResetEstop():
                 machine.reset()
-            case End():
+            case EndLoop():
                 self._ending = True
         self._send(Done())
 

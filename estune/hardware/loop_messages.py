@@ -118,7 +118,7 @@ class LoopPlan:
     timing: RealTime
 
 
-class Begin(NamedTuple):
+class BeginTrial(NamedTuple):
     """Command: run a trial; setpoint and weights are in the shared memory.
 
     Attributes:
@@ -148,7 +148,7 @@ class ResetEstop(NamedTuple):
     """Command: let a rig that has stopped itself take trials again."""
 
 
-class End(NamedTuple):
+class EndLoop(NamedTuple):
     """Command: bring the reel to rest and end."""
 
 

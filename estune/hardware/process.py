@@ -13,7 +13,7 @@ from typing import Any, Protocol, TypeVar
 
 from estune import errors
 from estune.errors import EstuneError, RigError
-from estune.hardware.loop_messages import End, Failed, LoopPlan, Ready, Refused
+from estune.hardware.loop_messages import EndLoop, Failed, LoopPlan, Ready, Refused
 from estune.hardware.shared_memory import Memory, Word, make_file
 
 BEAT_s = 0.02
@@ -114,7 +114,7 @@ class LoopProcess:
     def end(self, within_s: float) -> None:
         """Brings the reel to rest and ends the loop; kills it where it does not end."""
         try:
-            self._pipe.send(End())
+            self._pipe.send(EndLoop())
             self.process.wait(within_s)
         except (OSError, subprocess.TimeoutExpired) as error:
             why = self.memory.reason or error

@@ -20,7 +20,14 @@ from estune.hardware.compensation.plan import CompensationPlan
 from estune.hardware.compensation.runtime import make_compensation
 from estune.hardware.compensation.tables import table_of
 from estune.hardware.config import RigConfig
-from estune.hardware.loop_messages import Begin, Done, Ended, LoopPlan, ResetEstop, SetLiveGains
+from estune.hardware.loop_messages import (
+    BeginTrial,
+    Done,
+    Ended,
+    LoopPlan,
+    ResetEstop,
+    SetLiveGains,
+)
 from estune.hardware.process import ANSWER_WITHIN_s, LoopProcess, RunningLoop
 from estune.hardware.shared_memory import MotionPhase, SensorLevels, Timing, Word
 from estune.trial import (
@@ -251,7 +258,7 @@ class HardwareRig:
 
     def _prepare(
         self, request: TrialRequest, compensation: tuple[CompensationPlan | None, str] | None
-    ) -> Begin:
+    ) -> BeginTrial:
         """Writes setpoint and weights to the shared memory."""
         rate = self._config.sampling_Hz
         setpoint = request.profile.setpoint(rate)
@@ -259,7 +266,7 @@ class HardwareRig:
         self._memory.setpoint_N[:samples] = setpoint.data
         self._memory.weights[:samples] = self._weights(request, setpoint).data
         self._numbers += 1
-        return Begin(
+        return BeginTrial(
             number=self._numbers,
             coefficients=pidf.coefficients(self._description.controller, request.gains),
             samples=samples,
@@ -304,7 +311,7 @@ class HardwareRig:
             + ANSWER_WITHIN_s
         )
 
-    def _record(self, request: TrialRequest, ended: Ended, begin: Begin) -> TrialRecord:
+    def _record(self, request: TrialRequest, ended: Ended, begin: BeginTrial) -> TrialRecord:
         """Record of the trial in the shared memory."""
         columns = self._optional_columns
         if begin.compensation is not None:

@@ -220,7 +220,7 @@ class HybridTable(TomlTable):
     own=True,
     defaults={"step_at_s": 0.2, "duration_s": 1.0},
 )
-class StepTable(TomlTable):
+class RigStepTable(TomlTable):
     """Suggested step trial."""
 
     @cached_property

@@ -13,7 +13,7 @@ from estune.loop_model.identification import (
     cold_start,
     searched_dead_time,
 )
-from estune.loop_model.least_squares import Signals, Solution, signals_of
+from estune.loop_model.least_squares import FitSignals, Solution, signals_of
 from estune.loop_model.loop_fit import NUISANCE, LoopFit, Residuals, summarise
 from estune.loop_model.model import LoopModel
 from estune.loop_model.order import criterion, select_order
@@ -149,13 +149,13 @@ def _fit(
     return found
 
 
-def _criterion(fit: LoopFit, signals: Signals) -> float:
+def _criterion(fit: LoopFit, signals: FitSignals) -> float:
     errors, model = _errors(fit, signals), fit.model
     further = bool(model.friction_N) + bool(model.friction_share)
     return criterion(signals, float(errors @ errors), fit.order, fit.noise, further)
 
 
-def _errors(fit: LoopFit, signals: Signals) -> FloatArray:
+def _errors(fit: LoopFit, signals: FitSignals) -> FloatArray:
     """Prediction errors in the order of the signals."""
     return np.concatenate(
         [fit.errors[i][group.history :] for group in signals.groups for i in group.members]
@@ -180,7 +180,7 @@ def _shortened(record: LoopRecord) -> LoopRecord:
     )
 
 
-def _summarised(records: Sequence[LoopRecord], signals: Signals, found: PoleFit) -> LoopFit:
+def _summarised(records: Sequence[LoopRecord], signals: FitSignals, found: PoleFit) -> LoopFit:
     at = Solution.at(signals, found.coordinates, found.dead, found.noise)
     model = LoopModel(tuple(at.coordinates.tolist()), tuple(at.numerator.tolist()), found.dead)
     left = Residuals(

@@ -21,7 +21,7 @@ import numpy as np
 
 from estune.core.quantities import FloatArray
 from estune.loop_model.identification import PoleFit, by_cost, search_dead_time
-from estune.loop_model.least_squares import Signals, Solution, signals_of
+from estune.loop_model.least_squares import FitSignals, Solution, signals_of
 from estune.loop_model.loop_fit import NUISANCE, LoopFit, Residuals, summarise
 from estune.loop_model.model import LoopModel
 from estune.loop_model.noise_model import NoiseModel
@@ -69,7 +69,7 @@ class _Motion(NamedTuple):
         known: Forces at the last coordinates, by their bytes.
     """
 
-    signals: Signals
+    signals: FitSignals
     records: tuple[LoopRecord, ...]
     gain: float
     rest: tuple[FloatArray, ...]
@@ -208,7 +208,7 @@ def _solution(motion: _Motion, x: FloatArray, forces: list[FloatArray], dead: in
     return Solution.at(driven, motion.split(x)[0], dead, motion.noise)
 
 
-def less_friction(signals: Signals, forces: list[FloatArray]) -> Signals:
+def less_friction(signals: FitSignals, forces: list[FloatArray]) -> FitSignals:
     """The records with the friction taken off their effort."""
     groups = (
         group._replace(effort=group.effort - (force - force[:, :1]))
@@ -217,7 +217,7 @@ def less_friction(signals: Signals, forces: list[FloatArray]) -> Signals:
     return signals._replace(groups=tuple(groups))
 
 
-def friction_of(model: LoopModel, signals: Signals, record: LoopRecord) -> list[FloatArray]:
+def friction_of(model: LoopModel, signals: FitSignals, record: LoopRecord) -> list[FloatArray]:
     """The friction of a model on one record, which begins without any."""
     a = model.sections[0].taps[np.newaxis]
     load = np.abs(record.measurement_N) * model.friction_share / abs(model.static_gain or 1.0)

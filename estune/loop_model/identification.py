@@ -13,7 +13,7 @@ import numpy as np
 
 from estune.core.quantities import FloatArray
 from estune.loop_model.least_squares import (
-    Signals,
+    FitSignals,
     Solution,
     search_vector,
     split_vector,
@@ -55,7 +55,7 @@ def dead_times(settling_samples: float) -> list[int]:
     return sorted({0, 1, 2, *np.geomspace(3, longest, 8).astype(int).tolist()})
 
 
-def cold_start(signals: Signals, noises: Iterable[NoiseModel] = (WHITE,)) -> PoleFit:
+def cold_start(signals: FitSignals, noises: Iterable[NoiseModel] = (WHITE,)) -> PoleFit:
     """The best fit of two poles from a coarse grid, each with its best dead time."""
     scale = 2.0 * math.pi / signals.settling_samples  # rad/sample
     delays = dead_times(signals.settling_samples)
@@ -73,7 +73,7 @@ def cold_start(signals: Signals, noises: Iterable[NoiseModel] = (WHITE,)) -> Pol
     return searched_dead_time(signals, best)
 
 
-def searched_dead_time(signals: Signals, start: PoleFit) -> PoleFit:
+def searched_dead_time(signals: FitSignals, start: PoleFit) -> PoleFit:
     """The best dead time about a fit, the poles improved at each."""
 
     def fit(beside: PoleFit, dead: int) -> PoleFit:
@@ -97,7 +97,7 @@ def search_dead_time(
             step = max(1, step // 3)
 
 
-def improve(signals: Signals, start: PoleFit) -> PoleFit:
+def improve(signals: FitSignals, start: PoleFit) -> PoleFit:
     """Poles and noise of least squares from a start, by Levenberg and Marquardt."""
     from scipy.optimize import least_squares  # noqa: PLC0415  slow to import
 

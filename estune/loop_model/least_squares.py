@@ -38,7 +38,7 @@ NOISE_RANGE = 25.0
 """Largest size of the logarithm of k1 and k2, at which the one noise is all or nothing."""
 
 
-class Group(NamedTuple):
+class RecordGroup(NamedTuple):
     """Records of equal length as deviations.
 
     Attributes:
@@ -54,7 +54,7 @@ class Group(NamedTuple):
     members: tuple[int, ...]
 
 
-class Signals(NamedTuple):
+class FitSignals(NamedTuple):
     """All records of a fit.
 
     Attributes:
@@ -63,7 +63,7 @@ class Signals(NamedTuple):
         resolution_N: Least standard deviation of the measurement that counts.
     """
 
-    groups: tuple[Group, ...]
+    groups: tuple[RecordGroup, ...]
     settling_samples: float
     resolution_N: float
 
@@ -86,7 +86,7 @@ until rounding errors are left."""
 
 def signals_of(
     records: Sequence[LoopRecord], settling_samples: float, longest_dead: int
-) -> Signals:
+) -> FitSignals:
     """Records as deviations.
 
     A record at rest before its first sample has that rest as its past. Of others the first samples
@@ -106,9 +106,9 @@ def signals_of(
         measurement -= np.array(
             [[row[s].mean()] for row, s in zip(measurement, before, strict=True)]
         )
-        groups.append(Group(effort, measurement, history, tuple(members)))
+        groups.append(RecordGroup(effort, measurement, history, tuple(members)))
     largest = max(float(np.abs(g.measurement).max(initial=0.0)) for g in groups)
-    return Signals(tuple(groups), settling_samples, RESOLUTION * largest)
+    return FitSignals(tuple(groups), settling_samples, RESOLUTION * largest)
 
 
 class Solution(NamedTuple):
@@ -137,7 +137,7 @@ class Solution(NamedTuple):
     @classmethod
     def at(
         cls,
-        signals: Signals,
+        signals: FitSignals,
         coordinates: FloatArray,
         dead: int,
         noise: NoiseModel = WHITE,
@@ -170,7 +170,7 @@ class Solution(NamedTuple):
         """Half the sum of squared residuals, with the price of dead time."""
         return 0.5 * self.squares * math.exp(LONGER * self.dead / self.residual.size)
 
-    def search_slopes(self, signals: Signals) -> FloatArray:
+    def search_slopes(self, signals: FitSignals) -> FloatArray:
         """Slopes of the residual along coordinates and logarithms of the noise.
 
         Shape (residuals of all, coordinates and noises). The numerator is held. For white noise
@@ -180,7 +180,7 @@ class Solution(NamedTuple):
             return self._output_slopes(signals)
         return self._numerical_slopes(signals)
 
-    def _output_slopes(self, signals: Signals) -> FloatArray:
+    def _output_slopes(self, signals: FitSignals) -> FloatArray:
         x = self.coordinates
         columns: list[list[FloatArray]] = [[] for _ in x]
         at = 0
@@ -196,7 +196,7 @@ class Solution(NamedTuple):
                 columns[i].append(without(slope, Q).ravel())
         return np.stack([np.concatenate(parts) for parts in columns], axis=1)
 
-    def _numerical_slopes(self, signals: Signals) -> FloatArray:
+    def _numerical_slopes(self, signals: FitSignals) -> FloatArray:
         """Slopes along coordinates and the logarithms of the noise, with the numerator held."""
         columns = []
         start = search_vector(self.coordinates, self.noise)
@@ -206,7 +206,7 @@ class Solution(NamedTuple):
             columns.append((moved.residual - self.residual) / NOISE_STEP)
         return np.stack(columns, axis=1)
 
-    def slopes(self, signals: Signals) -> FloatArray:
+    def slopes(self, signals: FitSignals) -> FloatArray:
         """Slopes of the residual along coordinates, numerator and noise, (residuals, all)."""
         if self.noise.is_white:
             return np.concatenate([self._output_slopes(signals), -self.regressors], axis=1)
@@ -235,14 +235,14 @@ def _tap_slopes(x: FloatArray) -> list[FloatArray]:
     return found
 
 
-def free_parameters(group: Group, poles: int, noise: NoiseModel) -> int:
+def free_parameters(group: RecordGroup, poles: int, noise: NoiseModel) -> int:
     """Start states and offsets of the records of a group, with this number of poles."""
     swinging = 2 if noise.is_white and not group.history else poles
     return len(group.members) * (swinging + 2)
 
 
 def _whitened(
-    group: Group, coordinates: FloatArray, dead: int, noise: NoiseModel, settling: float
+    group: RecordGroup, coordinates: FloatArray, dead: int, noise: NoiseModel, settling: float
 ) -> tuple[FloatArray, FloatArray]:
     """Regressors of the numerator, shape (terms, records, samples), and what they explain."""
     driven, target = delayed(group.effort, dead + 1), group.measurement
@@ -280,7 +280,7 @@ def whiten(
 
 
 def _nuisance(
-    group: Group, coordinates: FloatArray, noise: NoiseModel, settling: float
+    group: RecordGroup, coordinates: FloatArray, noise: NoiseModel, settling: float
 ) -> FloatArray:
     samples = group.effort.shape[1] - group.history
     if noise.is_white and not group.history:

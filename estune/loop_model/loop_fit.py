@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from estune.core.quantities import FloatArray
-from estune.loop_model.least_squares import Signals, whiten
+from estune.loop_model.least_squares import FitSignals, whiten
 from estune.loop_model.model import LoopModel
 from estune.loop_model.noise_model import NoiseModel, shaping
 from estune.loop_model.records import LoopRecord
@@ -106,7 +106,7 @@ class Residuals(NamedTuple):
 
 def summarise(
     records: Sequence[LoopRecord],
-    signals: Signals,
+    signals: FitSignals,
     model: LoopModel,
     noise: NoiseModel,
     left: Residuals,

@@ -22,7 +22,7 @@ from estune.core.filtering import lfilter
 from estune.core.gains import Gains
 from estune.core.pidf import ControllerSettings
 from estune.core.quantities import FloatArray
-from estune.loop_model.poles import Section, pair_coordinates, polynomial, sections_of
+from estune.loop_model.poles import PoleSection, pair_coordinates, polynomial, sections_of
 
 ComplexArray = NDArray[np.complex128]
 
@@ -103,7 +103,7 @@ class LoopModel(NamedTuple):
         return bool(self.friction_N or self.friction_share)
 
     @property
-    def sections(self) -> tuple[Section, ...]:
+    def sections(self) -> tuple[PoleSection, ...]:
         """The poles in sections."""
         return sections_of(self.coordinates)
 

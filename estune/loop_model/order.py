@@ -16,7 +16,7 @@ from estune.core.filtering import lfilter
 from estune.core.quantities import FloatArray
 from estune.loop_model.identification import PoleFit, improve
 from estune.loop_model.least_squares import (
-    Signals,
+    FitSignals,
     Solution,
     delayed,
     free_parameters,
@@ -62,7 +62,7 @@ class Selected(NamedTuple):
     criterion: float
 
 
-def select_order(signals: Signals, start: PoleFit) -> PoleFit:
+def select_order(signals: FitSignals, start: PoleFit) -> PoleFit:
     """The fit of the order and noise that the records ask for, from one of low order."""
     best = _judged(signals, start)
     while True:
@@ -77,7 +77,7 @@ def select_order(signals: Signals, start: PoleFit) -> PoleFit:
         best = min(better, key=lambda one: one.criterion)
 
 
-def _judged(signals: Signals, fit: PoleFit) -> Selected:
+def _judged(signals: FitSignals, fit: PoleFit) -> Selected:
     """A fit with its criterion, infinite where it failed."""
     if not math.isfinite(fit.cost) or any(0.0 < k < NOISE_LEAST for k in fit.noise):
         return Selected(fit, math.inf)
@@ -85,7 +85,7 @@ def _judged(signals: Signals, fit: PoleFit) -> Selected:
 
 
 def criterion(
-    signals: Signals, squares: float, poles: int, noise: NoiseModel, further: int = 0
+    signals: FitSignals, squares: float, poles: int, noise: NoiseModel, further: int = 0
 ) -> float:
     """The criterion of a sum of squares, for a number of poles and of further parameters."""
     n = signals.samples
@@ -96,7 +96,7 @@ def criterion(
     return n * math.log(variance) + count * math.log(n)
 
 
-def _further(signals: Signals, solution: Solution) -> Iterator[Selected]:
+def _further(signals: FitSignals, solution: Solution) -> Iterator[Selected]:
     """Starts of fits with one thing more, and the criterion that the start alone would reach."""
     poles, noise, dead = solution.coordinates, solution.noise, solution.dead
     # In trials from rest what looks like a load is the answer to the step of what no model has.
@@ -135,7 +135,7 @@ def _slowest(poles: FloatArray) -> float:
     return max(float(np.abs(logs).min()), 1e-6)
 
 
-def _pairs(signals: Signals, solution: Solution) -> list[FloatArray]:
+def _pairs(signals: FitSignals, solution: Solution) -> list[FloatArray]:
     """Coordinates of pairs that a search may begin from."""
     slowest = min(_slowest(solution.coordinates), 1.0)
     frequencies = np.geomspace(max(slowest, 1e-3), 2.8, FREQUENCIES)
@@ -152,7 +152,7 @@ def _pairs(signals: Signals, solution: Solution) -> list[FloatArray]:
     return pairs
 
 
-def _gain(signals: Signals, solution: Solution, extra: FloatArray) -> float:
+def _gain(signals: FitSignals, solution: Solution, extra: FloatArray) -> float:
     """Sum of squares that a parallel section with these poles explains of the errors."""
     (section,) = sections_of(extra)
     columns: list[list[FloatArray]] = [[], []]

@@ -37,7 +37,7 @@ UNKNOWN_FROM = 0.5
 """Share of |1 + L| that |C E| may reach: there Ms may be twice what the model says."""
 
 
-class PlantError(NamedTuple):
+class PlantErrorBound(NamedTuple):
     """Bound of the additive error of the plant.
 
     Attributes:
@@ -66,7 +66,7 @@ class ErrorMargin(NamedTuple):
     excited: bool = False
 
 
-def plant_error(fit: LoopFit, records: Sequence[LoopRecord]) -> PlantError:
+def plant_error(fit: LoopFit, records: Sequence[LoopRecord]) -> PlantErrorBound:
     """The bound of a fit by its records, those that were fitted."""
     kept = [i for i in range(len(records)) if i not in fit.left_out]
     longest = max(records[i].samples for i in kept)
@@ -80,7 +80,7 @@ def plant_error(fit: LoopFit, records: Sequence[LoopRecord]) -> PlantError:
         beyond = np.maximum(left - expected, 0.0) / driven
         squared = beyond + DEVIATIONS**2 * noise / (bins * driven)
     seen, moved = bins > 0.0, driven > 0.0
-    return PlantError(
+    return PlantErrorBound(
         edges[seen],
         np.sqrt(np.where(moved, squared, math.inf))[seen],
         np.sqrt(np.where(moved, beyond, 0.0))[seen],
@@ -124,7 +124,7 @@ def _spectra(
 
 
 def error_margin(
-    fit: LoopFit, error: PlantError, gains: Gains, settings: ControllerSettings
+    fit: LoopFit, error: PlantErrorBound, gains: Gains, settings: ControllerSettings
 ) -> ErrorMargin:
     """The largest Ms and the unknown band of a loop with these gains."""
     theta, controller, loop, stable = loop_response(fit.model, gains, settings)

@@ -26,7 +26,7 @@ FASTEST = 1e-20
 """Least magnitude of a pole of z that has coordinates."""
 
 
-class Section(NamedTuple):
+class PoleSection(NamedTuple):
     """One pole, or a pair of them.
 
     Attributes:
@@ -42,20 +42,20 @@ class Section(NamedTuple):
     log_poles: ComplexArray
 
 
-def sections_of(coordinates: Sequence[float] | FloatArray) -> tuple[Section, ...]:
+def sections_of(coordinates: Sequence[float] | FloatArray) -> tuple[PoleSection, ...]:
     """The sections of poles with these coordinates."""
     return _sections(tuple(float(x) for x in coordinates))
 
 
 @lru_cache(maxsize=256)
-def _sections(coordinates: tuple[float, ...]) -> tuple[Section, ...]:
+def _sections(coordinates: tuple[float, ...]) -> tuple[PoleSection, ...]:
     pairs = zip(coordinates[:-1:2], coordinates[1::2], strict=True)
     if len(coordinates) % 2:
         return (*map(_pair, pairs), _single(coordinates[-1]))
     return tuple(map(_pair, zip(coordinates[::2], coordinates[1::2], strict=True)))
 
 
-def _pair(at: tuple[float, float]) -> Section:
+def _pair(at: tuple[float, float]) -> PoleSection:
     w = math.exp(min(max(at[0], LEAST), GREATEST))
     z = math.exp(min(max(at[1], LEAST), -LEAST))
     if z < 1.0:
@@ -65,20 +65,20 @@ def _pair(at: tuple[float, float]) -> Section:
     return _of_logarithms(complex(-w * w / (z * w + spread)), complex(-(z * w + spread)))
 
 
-def _single(x: float) -> Section:
+def _single(x: float) -> PoleSection:
     log_pole = np.array([-math.exp(min(max(x, LEAST), GREATEST))], complex)
     p, rest = float(np.exp(log_pole[0].real)), -math.expm1(log_pole[0].real)
-    return Section(np.array([1.0, -p]), np.array([rest, p]), np.exp(log_pole), log_pole)
+    return PoleSection(np.array([1.0, -p]), np.array([rest, p]), np.exp(log_pole), log_pole)
 
 
-def _of_logarithms(one: complex, other: complex) -> Section:
+def _of_logarithms(one: complex, other: complex) -> PoleSection:
     log_poles = np.array([one, other])
     p, q = np.exp(log_poles)
     u, v = -np.expm1(log_poles)  # 1 - p and 1 - q, with all their digits
     product = (p * q).real
     taps = np.array([1.0, -(p + q).real, product])
     powers = np.array([(u * v).real, (p * v + q * u).real, product])
-    return Section(taps, powers, np.array([p, q]), log_poles)
+    return PoleSection(taps, powers, np.array([p, q]), log_poles)
 
 
 def pair_coordinates(a1: float, a2: float) -> FloatArray:

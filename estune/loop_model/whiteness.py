@@ -6,7 +6,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from estune.core.quantities import FloatArray
-from estune.loop_model.least_squares import Signals
+from estune.loop_model.least_squares import FitSignals
 
 LAGS = 20
 """Lags of the autocorrelation by which prediction errors are judged to be white."""
@@ -16,7 +16,7 @@ CHANCE = 1e-3
 criterion still decides."""
 
 
-def is_white(signals: Signals, errors: FloatArray) -> bool:
+def is_white(signals: FitSignals, errors: FloatArray) -> bool:
     """Whether prediction errors are white, by their autocorrelation and their largest line."""
     from scipy.special import chdtrc, gammaincc  # noqa: PLC0415  slow to import
 
@@ -39,7 +39,7 @@ def is_white(signals: Signals, errors: FloatArray) -> bool:
     )
 
 
-def rows_of(signals: Signals, errors: FloatArray) -> Iterator[FloatArray]:
+def rows_of(signals: FitSignals, errors: FloatArray) -> Iterator[FloatArray]:
     """Errors of each group, shape (records, samples)."""
     at = 0
     for group in signals.groups:

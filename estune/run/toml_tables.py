@@ -33,7 +33,7 @@ def _check_tuner(name: str) -> str:
 TunerName = Annotated[str, AfterValidator(_check_tuner)]
 
 
-class Group(NamedTuple):
+class SettingsGroup(NamedTuple):
     """Settings that stand in one table of a file, under one heading.
 
     Attributes:
@@ -64,16 +64,16 @@ _BOUNDS = Setting(
     "Lowest and highest value of gains, by name, in their own units",
     otherwise="a hundredth and a hundred times the initial value",
 )
-STEP = Group("The step trial", LoadStepProfile, ("loop", "kind"))
-COST = Group(
+STEP = SettingsGroup("The step trial", LoadStepProfile, ("loop", "kind"))
+COST = SettingsGroup(
     "The cost of a trial",
     StepCost,
     ("criterion", "function"),
     (Declared("preset", str, None, _PRESET),),
 )
-SEARCH = Group("The search", Search, (), (Declared("bounds", dict, None, _BOUNDS),))
-LIMITS = Group("Limits of robustness", RobustnessLimits)
-CONTROLLER = Group(
+SEARCH = SettingsGroup("The search", Search, (), (Declared("bounds", dict, None, _BOUNDS),))
+LIMITS = SettingsGroup("Limits of robustness", RobustnessLimits)
+CONTROLLER = SettingsGroup(
     "The controller", ControllerSettings, ("sampling_Hz", "output_min_N", "output_max_N", "form")
 )
 """The groups; those of a tuning, and the part of the controller that is not tuned."""

@@ -29,7 +29,7 @@ class StateTable(Generic[E, M, F]):
 
     __slots__ = ("modes", "rows")
 
-    def __init__(self, modes: type[M], rows: Mapping[E, "Row[M, F]"]) -> None:
+    def __init__(self, modes: type[M], rows: Mapping[E, "TableRow[M, F]"]) -> None:
         self.modes: Sequence[M] = tuple(modes)
         self.rows: Mapping[E, Mapping[M, F | str]] = MappingProxyType(
             {event: row.cells(self.modes) for event, row in rows.items()}
@@ -40,7 +40,7 @@ class StateTable(Generic[E, M, F]):
         return self.rows[event][mode]
 
 
-class Row(Generic[M, F]):
+class TableRow(Generic[M, F]):
     """What one event does: the usual cell, and those of other modes."""
 
     __slots__ = ("_others", "_usual")

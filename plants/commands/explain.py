@@ -14,7 +14,7 @@ from plants.commands.columns import Sources, column_map
 
 if TYPE_CHECKING:
     from plants.diagnosis.report.diagnosis import Diagnosis
-    from plants.diagnosis.report.summary import Table as Rows
+    from plants.diagnosis.report.summary import TextTable as Rows
 
 _STYLES = {"named": "bold green", "none": "bold green"}
 _CANDIDATES = 5
@@ -124,7 +124,7 @@ def _show(diagnosis: "Diagnosis") -> None:
         out.print()
         shown = (*remedies.COLUMNS[:-2],)
         rows = tuple(row[: len(shown)] for row in remedies.rows(offers))
-        out.print(_table(summary.Table(("what can be done", *shown[1:]), rows)))
+        out.print(_table(summary.TextTable(("what can be done", *shown[1:]), rows)))
     for text in remedies.sentences(diagnosis, offers):
         out.print(Text(text), soft_wrap=True)
     best = summary.fitted(diagnosis, _CANDIDATES)

@@ -83,7 +83,7 @@ class FittedModel(NamedTuple):
     fit: CandidateFit
 
 
-class Searched(NamedTuple):
+class ModelSearch(NamedTuple):
     """A variant of the model with its search: where the residual is, the fits, the conclusion."""
 
     fitter: ModelFitter
@@ -110,7 +110,7 @@ class DiagnosisInputs:
     model: Any
     recorded: FittedModel
     line: MainsLine | None
-    done: Searched
+    done: ModelSearch
     wrong: CandidateFit | None
     coarse_step_N: float | None
     choice: EffectChoices
@@ -121,7 +121,7 @@ class DiagnosisInputs:
     waves: TorqueWaves | None = None
 
 
-class Stage(NamedTuple):
+class ModelStage(NamedTuple):
     """A model on the way to the one that is believed.
 
     Attributes:
@@ -202,8 +202,8 @@ def build_diagnosis(inputs: DiagnosisInputs) -> Diagnosis:
 
 
 def _evidenced(
-    inputs: DiagnosisInputs, stages: list[Stage], judged: Conclusion
-) -> tuple[list[Stage], Conclusion]:
+    inputs: DiagnosisInputs, stages: list[ModelStage], judged: Conclusion
+) -> tuple[list[ModelStage], Conclusion]:
     """Without the one of two effects whose size may as well be that at which it does nothing."""
     base, last = stages[0], stages[-1]
     if len(last.fit.effects) < 2:
@@ -226,10 +226,10 @@ def _may_be_nothing(effect: type[Effect], stated: Mapping[str, Interval]) -> boo
     return all(one.low <= at <= one.high for one, at in zip(held, sizes.values(), strict=True))
 
 
-def _validated(inputs: DiagnosisInputs, judged: Conclusion) -> tuple[list[Stage], Conclusion]:
+def _validated(inputs: DiagnosisInputs, judged: Conclusion) -> tuple[list[ModelStage], Conclusion]:
     """The models from the base to what is believed; unknown where data left out do not agree."""
     fitter = inputs.done.fitter
-    stages: list[Stage] = []
+    stages: list[ModelStage] = []
     if inputs.line is not None:
         stages.append(_stage(*inputs.recorded, None))
     fits = judged.stages if inputs.wrong is None else (inputs.done.found.given, inputs.wrong)
@@ -256,7 +256,7 @@ def _validated(inputs: DiagnosisInputs, judged: Conclusion) -> tuple[list[Stage]
     return stages, judged
 
 
-def _not_nothing(inputs: DiagnosisInputs, judged: Conclusion, base: Stage) -> Conclusion:
+def _not_nothing(inputs: DiagnosisInputs, judged: Conclusion, base: ModelStage) -> Conclusion:
     """Unknown where short predictions are within the noise, but something else is far off."""
     if judged.verdict != "none":
         return judged
@@ -279,12 +279,12 @@ def _not_nothing(inputs: DiagnosisInputs, judged: Conclusion, base: Stage) -> Co
     return judged._replace(verdict="unknown", reason=reason)
 
 
-def _stage(fitter: ModelFitter, one: CandidateFit, added: str | None) -> Stage:
+def _stage(fitter: ModelFitter, one: CandidateFit, added: str | None) -> ModelStage:
     ratio, floor = float(np.sqrt(np.mean(held_out(fitter, one) ** 2))), floor_of(fitter)
-    return Stage(fitter, one, SearchStep(added, ratio * floor, floor, ratio))
+    return ModelStage(fitter, one, SearchStep(added, ratio * floor, floor, ratio))
 
 
-def _in_order(stages: Sequence[Stage]) -> list[type[Effect]]:
+def _in_order(stages: Sequence[ModelStage]) -> list[type[Effect]]:
     """The effects of the last stage in the order in which they were added."""
     order = [one.step.effect for one in stages]
     return sorted(
@@ -293,7 +293,7 @@ def _in_order(stages: Sequence[Stage]) -> list[type[Effect]]:
     )
 
 
-def _errors(step: SearchStep, one: Stage) -> ModelErrors:
+def _errors(step: SearchStep, one: ModelStage) -> ModelErrors:
     """Errors of a model: on data left out, and in free run."""
     return ModelErrors(step.gap, step.ratio, free_run_rms(one.fitter, one.fit))
 
@@ -389,7 +389,7 @@ def _calibrations(
     return tuple(found)
 
 
-def _traces(before: Stage, after: Stage) -> tuple[Trace, ...]:
+def _traces(before: ModelStage, after: ModelStage) -> tuple[Trace, ...]:
     """Each record from its start with nothing put right on the way, before and after."""
     runs = [one.fitter.free_run(one.fit) for one in (before, after)]
     scale = PlantScale.of(before.fitter.model.model)

@@ -11,7 +11,7 @@ from plants.diagnosis.build_diagnosis import (
     DiagnosisInputs,
     EffectChoices,
     FittedModel,
-    Searched,
+    ModelSearch,
     build_diagnosis,
 )
 from plants.diagnosis.checks.quality import check
@@ -149,7 +149,7 @@ def _searches(
     noise: NoiseFloor,
     effects: Sequence[type[Effect] | str] | None,
     progress: Progress,
-) -> tuple[FittedModel, MainsLine | None, Searched, EffectChoices]:
+) -> tuple[FittedModel, MainsLine | None, ModelSearch, EffectChoices]:
     """The base fit of the records as they are, their interference, the search without it."""
     progress("fitting the model as given", 0.08)
     some = differing(measurements)
@@ -177,8 +177,8 @@ def _on_all(
     measurements: tuple[MeasuredRecord, ...],
     noise: NoiseFloor,
     line: MainsLine | None,
-    done: Searched,
-) -> tuple[FittedModel, MainsLine | None, Searched]:
+    done: ModelSearch,
+) -> tuple[FittedModel, MainsLine | None, ModelSearch]:
     """Result of a search on some of the records, fitted to all and judged again."""
     fitter = ModelFitter(_for_records(model, measurements, done.fitter.model), measurements, noise)
     recorded = FittedModel(fitter, carried_over(fitter, done.found.base))
@@ -202,7 +202,7 @@ def _for_records(
 
 def _searched(
     variants: Sequence[FittedModel], choice: EffectChoices, noise: NoiseFloor, progress: Progress
-) -> Searched:
+) -> ModelSearch:
     """The search on the variant of the model in which it leaves the least."""
     done, each = [], 1.0 / len(variants)
     for n, (fitter, base) in enumerate(variants):
@@ -212,7 +212,7 @@ def _searched(
         records = record_scale(fitter, where, base.values)
         part = portion(progress, n * each, (n + 1) * each)
         found = search(fitter, base, choice.structural, records, part)
-        done.append(Searched(fitter, where, found, conclude(fitter, found)))
+        done.append(ModelSearch(fitter, where, found, conclude(fitter, found)))
     return min(done, key=lambda one: one.judged.best.J)
 
 

@@ -14,7 +14,7 @@ from estune.hardware.controller import make_controller
 from estune.hardware.driver import Reading
 from estune.hardware.hybrid_control import make_hybrid
 from estune.hardware.loop_messages import (
-    Begin,
+    BeginTrial,
     Done,
     LoopPlan,
     Refused,
@@ -75,7 +75,7 @@ class VirtualLoop:
         del within_s
         answer: object = Done()
         match command:
-            case Begin():
+            case BeginTrial():
                 self.machine.begin(command)
                 while self.machine.answer is None:
                     self.sample()

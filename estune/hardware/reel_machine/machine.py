@@ -5,8 +5,8 @@ from estune.hardware.compensation.runtime import Compensation
 from estune.hardware.controller import Controller
 from estune.hardware.driver import Reading
 from estune.hardware.hybrid_control import HybridControl
-from estune.hardware.loop_messages import Begin, Ended, LoopPlan, Refused
-from estune.hardware.reel_machine.reel import Reel
+from estune.hardware.loop_messages import BeginTrial, Ended, LoopPlan, Refused
+from estune.hardware.reel_machine.reel import ReelState
 from estune.hardware.reel_machine.transitions import TABLE, Change, MotionEvent
 from estune.hardware.shared_memory import Memory, MotionPhase, Word
 from estune.reel.guard import Sample
@@ -27,7 +27,7 @@ class ReelStateMachine:
         hybrid: HybridControl | None = None,
     ) -> None:
         self._plan, self._memory = plan, memory
-        self._reel = Reel(plan, memory, controller, compensation, hybrid)
+        self._reel = ReelState(plan, memory, controller, compensation, hybrid)
 
     @property
     def phase(self) -> MotionPhase:
@@ -55,7 +55,7 @@ class ReelStateMachine:
     def answer(self, answer: Ended | Refused | None) -> None:
         self._reel.answer = answer
 
-    def begin(self, trial: Begin) -> None:
+    def begin(self, trial: BeginTrial) -> None:
         """Accepts a trial, or refuses it."""
         reel = self._reel
         if reel.latched or self._memory.words[Word.ESTOP]:

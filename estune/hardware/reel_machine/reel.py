@@ -14,7 +14,7 @@ from estune.hardware.shared_memory import Memory, MotionPhase, SensorLevels
 from estune.trial import Outcome
 
 
-class Reel:
+class ReelState:
     """State of a reel between samples.
 
     Attributes:

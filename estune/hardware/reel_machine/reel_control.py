@@ -13,7 +13,7 @@ from estune.hardware.compensation.runtime import Compensation, make_compensation
 from estune.hardware.controller import Controller
 from estune.hardware.hybrid_control import HybridControl
 from estune.hardware.live_gains import LiveGains
-from estune.hardware.loop_messages import Begin, LoopPlan
+from estune.hardware.loop_messages import BeginTrial, LoopPlan
 from estune.hardware.reel_machine.held_setpoint import HeldSetpoint
 from estune.reel.hybrid import HybridSignals
 
@@ -53,7 +53,7 @@ class ReelControl:
         """Cable length in m and tension in N that the live gains are for; NaN if fixed."""
         return self._live.operating_point
 
-    def select_compensation(self, trial: Begin | None) -> None:
+    def select_compensation(self, trial: BeginTrial | None) -> None:
         """Compensates as the requested trial asks for, without a jump of the effort."""
         wanted = None if trial is None else trial.compensation
         if wanted is not self._borrowed:
@@ -93,7 +93,7 @@ class ReelControl:
         self._controller.use(self._live.coefficients)
         self._pending = True
 
-    def use_trial(self, trial: Begin) -> None:
+    def use_trial(self, trial: BeginTrial) -> None:
         """Exchanges the gains for those of a trial, likewise."""
         if not trial.open_loop:
             self._controller.use(trial.coefficients)
@@ -155,7 +155,9 @@ class ReelControl:
         self.limited = hybrid.limited
         return effort
 
-    def run(self, trial: Begin, setpoint_N: float, tension_N: float, effort_N: float) -> float:
+    def run(
+        self, trial: BeginTrial, setpoint_N: float, tension_N: float, effort_N: float
+    ) -> float:
         """Effort at a sample of a trial, N."""
         if self._pending:
             self._take_over(setpoint_N, tension_N, effort_N)

@@ -2,7 +2,7 @@
 
 import math
 
-from estune.hardware.loop_messages import Begin, LoopPlan, Refused
+from estune.hardware.loop_messages import BeginTrial, LoopPlan, Refused
 from estune.hardware.shared_memory import Memory, Word
 
 
@@ -16,13 +16,13 @@ class RequestedTrial:
     """
 
     def __init__(self, plan: LoopPlan, memory: Memory) -> None:
-        self.request: Begin | None = None
+        self.request: BeginTrial | None = None
         self.k = 0
         self.first_s = math.nan
         self._motion, self._rate, self._memory = plan.motion, plan.sampling_Hz, memory
         self._settled = self._at_preload = 0
 
-    def note(self, request: Begin) -> None:
+    def note(self, request: BeginTrial) -> None:
         """Notes a request."""
         self.request = request
         self._memory.words[Word.PROGRESS] = 0
@@ -34,7 +34,7 @@ class RequestedTrial:
         return None if self.request is None else self._memory.setpoint_N[0]
 
     @property
-    def under_way(self) -> Begin:
+    def under_way(self) -> BeginTrial:
         """The running trial."""
         assert self.request is not None  # noqa: S101  the phase says so
         return self.request

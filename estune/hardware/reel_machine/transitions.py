@@ -5,11 +5,11 @@ from enum import StrEnum
 from typing import Any
 
 from estune.core.pidf import Coefficients
-from estune.hardware.loop_messages import Begin, Refused
-from estune.hardware.reel_machine.reel import Reel
+from estune.hardware.loop_messages import BeginTrial, Refused
+from estune.hardware.reel_machine.reel import ReelState
 from estune.hardware.shared_memory import MotionPhase, Word
 from estune.reel.guard import GuardTrip, Reason
-from estune.support.state_table import Row, StateTable
+from estune.support.state_table import StateTable, TableRow
 from estune.trial import Outcome
 
 _TRANSIENT = frozenset((Reason.HEARTBEAT, Reason.LATE))
@@ -35,13 +35,13 @@ class MotionEvent(StrEnum):
 # --- a trial is requested: (reel, trial) ---
 
 
-def begin_from_rest(reel: Reel, trial: Begin) -> None:
+def begin_from_rest(reel: ReelState, trial: BeginTrial) -> None:
     """Take up the cable, then begin the trial."""
     reel.trial.note(trial)
     reel.begin_take_up()
 
 
-def begin_from_hold(reel: Reel, trial: Begin) -> None:
+def begin_from_hold(reel: ReelState, trial: BeginTrial) -> None:
     """Move to the preload, then begin the trial."""
     reel.trial.note(trial)
 
@@ -49,13 +49,13 @@ def begin_from_hold(reel: Reel, trial: Begin) -> None:
 # --- gains become the live ones: (reel, gains) ---
 
 
-def set_gains(reel: Reel, live: Coefficients) -> None:
+def set_gains(reel: ReelState, live: Coefficients) -> None:
     """Use them from the next sample on, without a jump of the effort."""
     reel.control.fix_live(live)
     reel.control.use_live()
 
 
-def set_gains_later(reel: Reel, live: Coefficients) -> None:
+def set_gains_later(reel: ReelState, live: Coefficients) -> None:
     """Use them when the trial has ended."""
     reel.control.fix_live(live)
 
@@ -63,7 +63,7 @@ def set_gains_later(reel: Reel, live: Coefficients) -> None:
 # --- a latched stop is cleared: (reel) ---
 
 
-def clear(reel: Reel) -> None:
+def clear(reel: ReelState) -> None:
     """Take trials again, unless the emergency stop is still pressed."""
     if not reel.memory.words[Word.ESTOP]:
         reel.latched = False
@@ -74,20 +74,20 @@ def clear(reel: Reel) -> None:
 # --- an emergency stop, or the end of the rig's program: (reel, outcome, sentence) ---
 
 
-def stop_trial(reel: Reel, outcome: Outcome, sentence: str) -> None:
+def stop_trial(reel: ReelState, outcome: Outcome, sentence: str) -> None:
     """End the trial, latch, and bring the effort to that of the safe state."""
     reel.end_trial(outcome, sentence, reel.trial.k + 1)
     reel.latch(sentence)
     reel.begin_ramp()
 
 
-def stop_moving(reel: Reel, outcome: Outcome, sentence: str) -> None:
+def stop_moving(reel: ReelState, outcome: Outcome, sentence: str) -> None:
     """Refuse a requested trial, latch, and bring the effort to that of the safe state."""
     stop_at_rest(reel, outcome, sentence)
     reel.begin_ramp()
 
 
-def stop_at_rest(reel: Reel, outcome: Outcome, sentence: str) -> None:
+def stop_at_rest(reel: ReelState, outcome: Outcome, sentence: str) -> None:
     """Refuse a requested trial, and latch."""
     reel.refuse_trial(outcome, sentence)
     reel.latch(sentence)
@@ -96,13 +96,13 @@ def stop_at_rest(reel: Reel, outcome: Outcome, sentence: str) -> None:
 # --- the requested trial is aborted: (reel) ---
 
 
-def abort_trial(reel: Reel) -> None:
+def abort_trial(reel: ReelState) -> None:
     """End the trial, and hold the reel by the live gains."""
     outcome = Outcome.CANCELLED
     reel.end_trial(outcome, outcome.sentence, reel.trial.k + 1)
 
 
-def abort_request(reel: Reel) -> None:
+def abort_request(reel: ReelState) -> None:
     """Drop the trial, which has not begun."""
     reel.refuse_trial(Outcome.CANCELLED, Outcome.CANCELLED.sentence)
 
@@ -110,20 +110,20 @@ def abort_request(reel: Reel) -> None:
 # --- a stream of setpoints begins: (reel) ---
 
 
-def follow_from_rest(reel: Reel) -> None:
+def follow_from_rest(reel: ReelState) -> None:
     """Take up the cable, unless a stop is latched."""
     if not reel.latched:
         reel.begin_take_up()
 
 
-def follow(_: Reel) -> None:
+def follow(_: ReelState) -> None:
     """Follow it once no trial is requested."""
 
 
 # --- the guard trips: (reel, trip, time in s, tension in N) ---
 
 
-def trip_in_trial(reel: Reel, trip: GuardTrip, time_s: float, tension_N: float) -> None:
+def trip_in_trial(reel: ReelState, trip: GuardTrip, time_s: float, tension_N: float) -> None:
     """End the trial; the live gains hold the reel where they can, else ramp."""
     reel.memory.reason = trip.sentence
     by_gains = trip.reason.is_caused_by_gains
@@ -138,7 +138,7 @@ def trip_in_trial(reel: Reel, trip: GuardTrip, time_s: float, tension_N: float) 
     reel.begin_ramp()
 
 
-def trip_in_hold(reel: Reel, trip: GuardTrip, _time_s: float, _tension_N: float) -> None:
+def trip_in_hold(reel: ReelState, trip: GuardTrip, _time_s: float, _tension_N: float) -> None:
     """Refuse a trial; ramp, unless only the heartbeat is lost; latch, but for a late computer."""
     _refuse(reel, trip)
     if _holds(reel, trip) and trip.reason in _TRANSIENT:
@@ -148,32 +148,32 @@ def trip_in_hold(reel: Reel, trip: GuardTrip, _time_s: float, _tension_N: float)
     reel.begin_ramp()
 
 
-def trip_in_take_up(reel: Reel, trip: GuardTrip, _time_s: float, _tension_N: float) -> None:
+def trip_in_take_up(reel: ReelState, trip: GuardTrip, _time_s: float, _tension_N: float) -> None:
     """Refuse a requested trial and ramp; latch, but for a stalled computer."""
     _refuse(reel, trip)
     reel.latched = trip.reason not in _TRANSIENT
     reel.begin_ramp()
 
 
-def _refuse(reel: Reel, trip: GuardTrip) -> None:
+def _refuse(reel: ReelState, trip: GuardTrip) -> None:
     reel.memory.reason = trip.sentence
     by_gains = trip.reason.is_caused_by_gains
     reel.refuse_trial(Outcome.GUARD if by_gains else Outcome.INTERRUPTED, trip.sentence)
 
 
-def _holds(reel: Reel, trip: GuardTrip) -> bool:
+def _holds(reel: ReelState, trip: GuardTrip) -> bool:
     return reel.plan.safe.hold and trip.reason.leaves_control
 
 
 # --- the effort of a sample: (reel, time in s, tension in N), effort in N ---
 
 
-def rest(_reel: Reel, _time_s: float, _tension_N: float) -> float:
+def rest(_reel: ReelState, _time_s: float, _tension_N: float) -> float:
     """No effort."""
     return 0.0
 
 
-def take_up(reel: Reel, time_s: float, tension_N: float) -> float:
+def take_up(reel: ReelState, time_s: float, tension_N: float) -> float:
     """A constant effort until the cable is taut; then hold."""
     motion = reel.plan.motion
     if not tension_N >= motion.taut_N:
@@ -184,7 +184,7 @@ def take_up(reel: Reel, time_s: float, tension_N: float) -> float:
     return hold(reel, time_s, tension_N)
 
 
-def hold(reel: Reel, _time_s: float, tension_N: float) -> float:
+def hold(reel: ReelState, _time_s: float, tension_N: float) -> float:
     """The live gains; the trial begins once the reel has settled at its preload."""
     trial, setpoint = reel.trial, reel.setpoint
     setpoint.move(trial.preload_N)
@@ -203,7 +203,7 @@ def hold(reel: Reel, _time_s: float, tension_N: float) -> float:
     return effort
 
 
-def run(reel: Reel, time_s: float, tension_N: float) -> float:
+def run(reel: ReelState, time_s: float, tension_N: float) -> float:
     """The gains of the trial, until its last sample; then hold."""
     trial = reel.trial.under_way
     setpoint_N = reel.trial.next_setpoint(time_s)
@@ -213,7 +213,7 @@ def run(reel: Reel, time_s: float, tension_N: float) -> float:
     return effort
 
 
-def ramp(reel: Reel, _time_s: float, _tension_N: float) -> float:
+def ramp(reel: ReelState, _time_s: float, _tension_N: float) -> float:
     """A ramp to the effort of the safe state; then stopped."""
     target, step = reel.plan.safe.effort_N, reel.ramp_step_N
     effort = reel.effort_N + step
@@ -223,7 +223,7 @@ def ramp(reel: Reel, _time_s: float, _tension_N: float) -> float:
     return effort
 
 
-def stay_safe(reel: Reel, _time_s: float, _tension_N: float) -> float:
+def stay_safe(reel: ReelState, _time_s: float, _tension_N: float) -> float:
     """The effort of the safe state."""
     return reel.plan.safe.effort_N
 
@@ -239,21 +239,23 @@ _AT_REST = (MotionPhase.OFF, MotionPhase.STOPPED)
 TABLE: StateTable[MotionEvent, MotionPhase, Change] = StateTable(
     MotionPhase,
     {
-        MotionEvent.BEGIN: Row(
+        MotionEvent.BEGIN: TableRow(
             begin_from_rest, (begin_from_hold, _HOLD), ("a trial is running", _TRIAL)
         ),
-        MotionEvent.SET_GAINS: Row(set_gains, (set_gains_later, _TRIAL)),
-        MotionEvent.CLEAR: Row(clear),
-        MotionEvent.STOP: Row(stop_at_rest, (stop_trial, _TRIAL), (stop_moving, _TAKE_UP + _HOLD)),
-        MotionEvent.ABORT: Row(abort_request, (abort_trial, _TRIAL)),
-        MotionEvent.SETPOINTS: Row(follow, (follow_from_rest, _AT_REST)),
-        MotionEvent.TRIP: Row(
+        MotionEvent.SET_GAINS: TableRow(set_gains, (set_gains_later, _TRIAL)),
+        MotionEvent.CLEAR: TableRow(clear),
+        MotionEvent.STOP: TableRow(
+            stop_at_rest, (stop_trial, _TRIAL), (stop_moving, _TAKE_UP + _HOLD)
+        ),
+        MotionEvent.ABORT: TableRow(abort_request, (abort_trial, _TRIAL)),
+        MotionEvent.SETPOINTS: TableRow(follow, (follow_from_rest, _AT_REST)),
+        MotionEvent.TRIP: TableRow(
             "the guard only watches a reel that is moved",
             (trip_in_take_up, _TAKE_UP),
             (trip_in_hold, _HOLD),
             (trip_in_trial, _TRIAL),
         ),
-        MotionEvent.SAMPLE: Row(
+        MotionEvent.SAMPLE: TableRow(
             rest,
             (take_up, _TAKE_UP),
             (hold, _HOLD),

@@ -19,7 +19,7 @@ from enum import StrEnum
 from estune.core.sentence_enum import SentenceEnum
 from estune.errors import ProtocolError
 from estune.remote.state_machine.reply_codes import ReplyCode
-from estune.support.state_table import IMPOSSIBLE, Row, StateTable, described
+from estune.support.state_table import IMPOSSIBLE, StateTable, TableRow, described
 
 PATIENCE_S = 30.0
 """Time for which a client waits for a rig that does not reply, by default, s."""
@@ -101,8 +101,8 @@ _GONE = _after(ClientStage.OVER, Action.GONE)
 _AMBIGUOUS = _after(ClientStage.OVER, Action.AMBIGUOUS)
 
 
-def _row(fresh: Move | str, sent: Move | str, in_hand: Move | str) -> Row[ClientStage, Move]:
-    return Row(IMPOSSIBLE, (fresh, _FRESH), (sent, _SENT), (in_hand, _IN_HAND))
+def _row(fresh: Move | str, sent: Move | str, in_hand: Move | str) -> TableRow[ClientStage, Move]:
+    return TableRow(IMPOSSIBLE, (fresh, _FRESH), (sent, _SENT), (in_hand, _IN_HAND))
 
 
 TABLE: StateTable[ReplyCode | ClientInput, ClientStage, Move] = StateTable(

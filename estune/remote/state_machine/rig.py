@@ -22,7 +22,7 @@ from estune.remote.state_machine.state import (
     Transition,
 )
 from estune.remote.state_machine.trials import TrialState
-from estune.support.state_table import IMPOSSIBLE, Row, StateTable
+from estune.support.state_table import IMPOSSIBLE, StateTable, TableRow
 
 
 def step(state: RigState, event: events.Event, now_s: float) -> Transition:
@@ -327,36 +327,38 @@ _SAFE, _CLOSED = (Mode.SAFE,), (Mode.CLOSED,)
 TABLE: StateTable[type[events.Event], Mode, Handler] = StateTable(
     Mode,
     {
-        events.Acquire: Row(lease, (refuse_closed, _CLOSED)),
-        events.Renew: Row(renew, (refuse_closed, _CLOSED)),
-        events.Release: Row(release, (release_and_stop, _UNSTOPPED), (stay, _CLOSED)),
-        events.Expire: Row(
+        events.Acquire: TableRow(lease, (refuse_closed, _CLOSED)),
+        events.Renew: TableRow(renew, (refuse_closed, _CLOSED)),
+        events.Release: TableRow(release, (release_and_stop, _UNSTOPPED), (stay, _CLOSED)),
+        events.Expire: TableRow(
             expire, (expire_and_stop, _UNSTOPPED), (stay, (Mode.IDLE, Mode.CLOSED))
         ),
-        events.SubmitEvent: Row(
+        events.SubmitEvent: TableRow(
             accept,
             (submit_while_busy, _ACTIVE),
             (submit_while_safe, _SAFE),
             (submit_while_closed, _CLOSED),
         ),
-        events.CancelEvent: Row(
+        events.CancelEvent: TableRow(
             cancel_without_trial, (cancel, _UNSTOPPED), (cancel_again, (Mode.ABORTING,))
         ),
-        events.VoidEvent: Row(void, (void_while_taking, (Mode.TAKING,)), (refuse_closed, _CLOSED)),
-        events.SetGainsEvent: Row(
+        events.VoidEvent: TableRow(
+            void, (void_while_taking, (Mode.TAKING,)), (refuse_closed, _CLOSED)
+        ),
+        events.SetGainsEvent: TableRow(
             apply, (busy_with_trial, _ACTIVE), (held_safe, _SAFE), (refuse_closed, _CLOSED)
         ),
-        events.FollowEvent: Row(
+        events.FollowEvent: TableRow(
             follow, (busy_with_trial, _ACTIVE), (held_safe, _SAFE), (refuse_closed, _CLOSED)
         ),
-        events.EstopEvent: Row(estop, (estop_trial, _ACTIVE)),
-        events.ClearEvent: Row(clear, (clear_while_busy, _ACTIVE), (refuse_closed, _CLOSED)),
-        events.Noted: Row(IMPOSSIBLE, (noted, (Mode.TAKING, Mode.ABORTING))),
-        events.Begin: Row(
+        events.EstopEvent: TableRow(estop, (estop_trial, _ACTIVE)),
+        events.ClearEvent: TableRow(clear, (clear_while_busy, _ACTIVE), (refuse_closed, _CLOSED)),
+        events.Noted: TableRow(IMPOSSIBLE, (noted, (Mode.TAKING, Mode.ABORTING))),
+        events.Begin: TableRow(
             IMPOSSIBLE, (begin, (Mode.TAKING, Mode.ACCEPTED)), (refuse_begin, (Mode.ABORTING,))
         ),
-        events.End: Row(IMPOSSIBLE, (end, _ACTIVE)),
-        events.Close: Row(close, (close_trial, _ACTIVE), (stay, _CLOSED)),
+        events.End: TableRow(IMPOSSIBLE, (end, _ACTIVE)),
+        events.Close: TableRow(close, (close_trial, _ACTIVE), (stay, _CLOSED)),
     },
 )
 """Handler by event and mode."""

@@ -18,7 +18,7 @@ from collections.abc import Callable
 from enum import StrEnum
 
 from estune.errors import ProtocolError
-from estune.support.state_table import IMPOSSIBLE, Row, StateTable, described
+from estune.support.state_table import IMPOSSIBLE, StateTable, TableRow, described
 
 
 class TrialState(StrEnum):
@@ -75,12 +75,12 @@ _UNKNOWN, _ACCEPTED, _RUNNING = (
 TABLE: StateTable[TrialEvent, TrialState, Transition] = StateTable(
     TrialState,
     {
-        TrialEvent.SUBMIT: Row(stay, (_become(TrialState.ACCEPTED), _UNKNOWN)),
-        TrialEvent.START: Row(IMPOSSIBLE, (_become(TrialState.RUNNING), _ACCEPTED)),
-        TrialEvent.END: Row(IMPOSSIBLE, (_become(TrialState.ENDED), _ACCEPTED + _RUNNING)),
-        TrialEvent.FAIL: Row(IMPOSSIBLE, (_become(TrialState.FAILED), _ACCEPTED + _RUNNING)),
-        TrialEvent.VOID: Row(stay, (_become(TrialState.VOID), _UNKNOWN)),
-        TrialEvent.BOOT: Row(
+        TrialEvent.SUBMIT: TableRow(stay, (_become(TrialState.ACCEPTED), _UNKNOWN)),
+        TrialEvent.START: TableRow(IMPOSSIBLE, (_become(TrialState.RUNNING), _ACCEPTED)),
+        TrialEvent.END: TableRow(IMPOSSIBLE, (_become(TrialState.ENDED), _ACCEPTED + _RUNNING)),
+        TrialEvent.FAIL: TableRow(IMPOSSIBLE, (_become(TrialState.FAILED), _ACCEPTED + _RUNNING)),
+        TrialEvent.VOID: TableRow(stay, (_become(TrialState.VOID), _UNKNOWN)),
+        TrialEvent.BOOT: TableRow(
             stay,
             (_become(TrialState.NEVER_STARTED), _ACCEPTED),
             (_become(TrialState.INTERRUPTED), _RUNNING),

@@ -11,7 +11,7 @@ from estune.support.notebook_card import card
 from estune.trial import RigDescription
 from plants.diagnosis.report.diagnosis import Diagnosis
 from plants.diagnosis.report.json_form import finite_json
-from plants.diagnosis.report.summary import Table
+from plants.diagnosis.report.summary import TextTable
 
 COLUMNS = ("gains", "model as given", "improved model", "measured")
 
@@ -129,7 +129,7 @@ class Improvement:
             names = ", ".join(one.experiments) or "all records anew"
             lines.append(f"round {n} ({names}): {one.diagnosis.heading()}")
         if self.costs:
-            lines += Table(COLUMNS, self.rows()).lines()
+            lines += TextTable(COLUMNS, self.rows()).lines()
         return "\n".join([*lines, *self.remarks])
 
     def to_json(self) -> dict[str, Any]:

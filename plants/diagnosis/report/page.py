@@ -207,7 +207,7 @@ def _data(d: DiagnosisResult) -> list[Block]:
     return blocks
 
 
-def _table(table: summary.Table) -> html_page.Table:
+def _table(table: summary.TextTable) -> html_page.Table:
     return html_page.Table(table.columns, table.rows, table.numeric)
 
 

@@ -22,7 +22,7 @@ _PLACES_MAX = 7
 """Decimals beyond which a number is written with an exponent."""
 
 
-class Table(NamedTuple):
+class TextTable(NamedTuple):
     """A table of strings; numbers are written with their units.
 
     Attributes:
@@ -93,7 +93,7 @@ def _title(d: DiagnosisResult, name: str) -> str:
     return titles.get(name, name.replace("_", " "))
 
 
-def gaps(d: DiagnosisResult) -> Table:
+def gaps(d: DiagnosisResult) -> TextTable:
     """Prediction errors: of the model as given, refitted, and refitted with the effects."""
     models = (d.given, d.before, d.after)
     rows = [
@@ -113,11 +113,11 @@ def gaps(d: DiagnosisResult) -> Table:
         rows.append(("explained of the power above the floor", "", "", _percent(d.closure)))
     columns = ("", "model as given", "refitted", "with the effects")
     if d.effects:
-        return Table(columns, tuple(rows))
-    return Table(columns[:3], tuple(row[:3] for row in rows if row[1]))
+        return TextTable(columns, tuple(rows))
+    return TextTable(columns[:3], tuple(row[:3] for row in rows if row[1]))
 
 
-def parameters(d: DiagnosisResult) -> Table:
+def parameters(d: DiagnosisResult) -> TextTable:
     """The fitted parameters of each effect, with 95 % confidence intervals."""
     scale = PlantScale.of(d.base_model)
     rows = []
@@ -129,10 +129,10 @@ def parameters(d: DiagnosisResult) -> Table:
             shown = value if known else "not determined"
             own = "" if declared[name].is_phase else declared[name].unit
             rows.append((effect.name, scale.parameter(name, own), shown, interval, unit))
-    return Table(("effect", "parameter", "value", "95 % interval", "unit"), tuple(rows))
+    return TextTable(("effect", "parameter", "value", "95 % interval", "unit"), tuple(rows))
 
 
-def not_excited(d: DiagnosisResult) -> Table:
+def not_excited(d: DiagnosisResult) -> TextTable:
     """Effects that these records cannot show, the reason, and the experiment that would."""
     alike = defaultdict[str, list[str]](list)
     for name, why in d.not_excited.items():
@@ -141,10 +141,10 @@ def not_excited(d: DiagnosisResult) -> Table:
     for why, names in alike.items():
         shown = {d.shown_by.get(name) or "-" for name in names}
         rows.append((", ".join(names), why, shown.pop() if len(shown) == 1 else "-"))
-    return Table(("effect", "why", "shown by"), tuple(rows))
+    return TextTable(("effect", "why", "shown by"), tuple(rows))
 
 
-def calibrations(d: DiagnosisResult) -> Table:
+def calibrations(d: DiagnosisResult) -> TextTable:
     """The base model's numbers: as given, fitted alone, fitted with the effects."""
     fits = ("base", "with_effects") if d.effects else ("base",)
     heads = ("fitted alone", "with the effects") if d.effects else ("fitted",)
@@ -152,10 +152,10 @@ def calibrations(d: DiagnosisResult) -> Table:
         (c.name, number(c.given), *(_with_half_width(getattr(c, fit)) for fit in fits), c.unit)
         for c in d.calibrations
     ]
-    return Table(("", "given", *heads, "unit"), tuple(rows))
+    return TextTable(("", "given", *heads, "unit"), tuple(rows))
 
 
-def ranking(d: DiagnosisResult) -> Table:
+def ranking(d: DiagnosisResult) -> TextTable:
     """All effects that were tried as the first one, best first."""
     rows = [
         (
@@ -169,21 +169,21 @@ def ranking(d: DiagnosisResult) -> Table:
         *("effect", "screening R²", "probability", "of its family"),
         *("explained", "times the floor left"),
     )
-    return Table(columns, tuple(rows))
+    return TextTable(columns, tuple(rows))
 
 
-def fitted(d: DiagnosisResult, most: int) -> Table:
+def fitted(d: DiagnosisResult, most: int) -> TextTable:
     """The best of the effects that were fitted."""
     columns, rows = ranking(d)
-    return Table(columns, tuple(row for row in rows if row[-1] != "-")[:most])
+    return TextTable(columns, tuple(row for row in rows if row[-1] != "-")[:most])
 
 
-def steps(d: DiagnosisResult) -> Table:
+def steps(d: DiagnosisResult) -> TextTable:
     """Prediction error on data left out, step by step."""
     rows = [
         (step_name(s.effect), _in(s.gap, d), _in(s.floor, d), number(s.ratio)) for s in d.steps
     ]
-    return Table(("", "error, rms", "noise floor", "times the floor"), tuple(rows))
+    return TextTable(("", "error, rms", "noise floor", "times the floor"), tuple(rows))
 
 
 def step_name(effect: str | None) -> str:
@@ -191,7 +191,7 @@ def step_name(effect: str | None) -> str:
     return "base fit" if effect is None else f"+ {effect}"
 
 
-def distortions(d: DiagnosisResult) -> Table:
+def distortions(d: DiagnosisResult) -> TextTable:
     """Power of periodic records on lines they do not excite."""
     scale = PlantScale.of(d.base_model)
     rows = [
@@ -202,10 +202,10 @@ def distortions(d: DiagnosisResult) -> Table:
         )
         for x in d.where.distortion
     ]
-    return Table(("record", "channel", "even lines, over the noise", "odd lines"), tuple(rows))
+    return TextTable(("record", "channel", "even lines, over the noise", "odd lines"), tuple(rows))
 
 
-def noises(d: DiagnosisResult) -> Table:
+def noises(d: DiagnosisResult) -> TextTable:
     """The noise of each channel, and how it was estimated."""
     scale = PlantScale.of(d.base_model)
     rows = [
@@ -213,16 +213,16 @@ def noises(d: DiagnosisResult) -> Table:
         for channel, n in d.noise.channels.items()
         for title, unit in [scale.channel(channel)]
     ]
-    return Table(("channel", "noise, rms", "step of the reading", "from"), tuple(rows))
+    return TextTable(("channel", "noise, rms", "step of the reading", "from"), tuple(rows))
 
 
-def findings(d: DiagnosisResult) -> Table:
+def findings(d: DiagnosisResult) -> TextTable:
     """Issues of the data."""
     rows = [
         (f.level, f.source, f.column or "-", "-" if f.row is None else str(f.row), f.sentence)
         for f in d.findings
     ]
-    return Table(("", "file", "column", "row", ""), tuple(rows))
+    return TextTable(("", "file", "column", "row", ""), tuple(rows))
 
 
 def main_channel(d: DiagnosisResult) -> str:

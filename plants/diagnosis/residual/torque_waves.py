@@ -45,7 +45,7 @@ PARTS = 3
 QUANTILE = 1.96
 
 
-class Motion(NamedTuple):
+class TorqueMotion(NamedTuple):
     """Current, angle and the terms of the motion in one record, each of shape (samples,)."""
 
     torque_Nm: FloatArray
@@ -139,7 +139,7 @@ def torque_waves(
     )
 
 
-def _motion(m: MeasuredRecord, b: BaseNumbers) -> Motion:
+def _motion(m: MeasuredRecord, b: BaseNumbers) -> TorqueMotion:
     assert m.angle_rad is not None  # noqa: S101  only such records are taken
     smoother = Smoother(max(WIDTH_s, 1.0 / m.sampling_Hz), m.sampling_Hz)
     command = m.command_A(b.newtons_per_ampere) * b.newtons_per_ampere * b.drum_radius_m
@@ -150,29 +150,31 @@ def _motion(m: MeasuredRecord, b: BaseNumbers) -> Motion:
     slow = speed <= FAST * max(float(np.median(speed)), 1e-300)
     v = velocity[inside][slow]
     terms = np.column_stack([v, np.sign(v)])
-    return Motion(torque[inside][slow], angle[inside][slow], terms)
+    return TorqueMotion(torque[inside][slow], angle[inside][slow], terms)
 
 
-def _columns(m: Motion, orders: Sequence[float], *, moving: bool) -> FloatArray:
+def _columns(m: TorqueMotion, orders: Sequence[float], *, moving: bool) -> FloatArray:
     """One, sine and cosine of each order, and where it helps velocity and its sign."""
     waves = [f(order * m.angle_rad) for order in orders for f in (np.sin, np.cos)]
     columns = [np.ones(m.angle_rad.size), *waves, *(m.terms.T if moving else ())]
     return np.column_stack(columns)
 
 
-def _fitted(parts: Sequence[Motion], orders: Sequence[float], *, moving: bool) -> FloatArray:
+def _fitted(parts: Sequence[TorqueMotion], orders: Sequence[float], *, moving: bool) -> FloatArray:
     columns = np.vstack([_columns(m, orders, moving=moving) for m in parts])
     torque = np.concatenate([m.torque_Nm for m in parts])
     found: FloatArray = np.linalg.lstsq(columns, torque, rcond=1e-9)[0]
     return found
 
 
-def _rest(m: Motion, orders: Sequence[float], fitted: FloatArray, *, moving: bool) -> FloatArray:
+def _rest(
+    m: TorqueMotion, orders: Sequence[float], fitted: FloatArray, *, moving: bool
+) -> FloatArray:
     rest: FloatArray = m.torque_Nm - _columns(m, orders, moving=moving) @ fitted
     return rest
 
 
-def _left_out(parts: list[Motion], orders: Sequence[float], *, moving: bool) -> float:
+def _left_out(parts: list[TorqueMotion], orders: Sequence[float], *, moving: bool) -> float:
     """Root mean square of what is left in each part by a fit to the others, N m."""
     rests = []
     for n, part in enumerate(parts):
@@ -181,19 +183,19 @@ def _left_out(parts: list[Motion], orders: Sequence[float], *, moving: bool) -> 
     return float(np.sqrt(np.mean(np.concatenate(rests) ** 2)))
 
 
-def _parts(motions: Sequence[Motion]) -> list[Motion]:
+def _parts(motions: Sequence[TorqueMotion]) -> list[TorqueMotion]:
     """The records; of one alone, its turns in parts that each have all angles."""
     if len(motions) > 1:
         return list(motions)
     (m,) = motions
     edges = np.linspace(0, m.angle_rad.size, PARTS + 1).astype(int)
     return [
-        Motion(m.torque_Nm[a:b], m.angle_rad[a:b], m.terms[a:b])
+        TorqueMotion(m.torque_Nm[a:b], m.angle_rad[a:b], m.terms[a:b])
         for a, b in zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True)
     ]
 
 
-def _orders(motions: Sequence[Motion]) -> tuple[float, ...]:
+def _orders(motions: Sequence[TorqueMotion]) -> tuple[float, ...]:
     """Periods a turn of the waves that are worth it, the greatest first."""
     extent = max(float(np.ptp(m.angle_rad)) for m in motions)
     samples = sum(m.angle_rad.size for m in motions)
@@ -206,7 +208,8 @@ def _orders(motions: Sequence[Motion]) -> tuple[float, ...]:
         return ()
     stride = max(1, samples // SEARCHED)
     some = [
-        Motion(m.torque_Nm[::stride], m.angle_rad[::stride], m.terms[::stride]) for m in motions
+        TorqueMotion(m.torque_Nm[::stride], m.angle_rad[::stride], m.terms[::stride])
+        for m in motions
     ]
     angle = np.concatenate([m.angle_rad for m in some])
     torque = np.concatenate([m.torque_Nm for m in some])
