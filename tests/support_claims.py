@@ -60,14 +60,14 @@ def check_chaos(figures: Figures, targets: Figures) -> None:
 def check_loop_claims(figures: Figures, _targets: Figures) -> None:
     """Margins claimed in `experiments.loop_claims`.
 
-    Nine of ten searches within the class of the identified loop end with a claim, and no claimed
-    sensitivity is exceeded by more than a tenth.
+    Nine of ten searches within the class of the identified loop end with a claim, and the true
+    sensitivity is above the end of its interval in at most one of 200 searches.
     """
     rows = figures["rows"]
     inside = [row for row in rows if row["kind"] == "family"]
     n = sum(row["seeds"] for row in inside)
     assert round(sum(row["claims"] * row["seeds"] for row in inside)) >= least_hits(n, 0.9)
-    assert all(row["broken"] <= 1.1 for row in rows if row["broken"] is not None)
+    assert sum(row["broken_claims"] for row in rows) <= sum(row["seeds"] for row in rows) / 200
 
 
 CHECKS: dict[str, Callable[[Figures, Figures], None]] = {

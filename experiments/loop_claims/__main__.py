@@ -1,14 +1,16 @@
 """How few trials does the model-based search need, does it keep its limits, do its claims hold?
 
 Command: `python -m experiments.loop_claims`.
-Target: median of 12 trials to the stop, limits kept in 95 %, no claimed Ms exceeded by more than a
-tenth.
+Target: median of 12 trials to the stop, limits kept in 95 %, the true Ms above the
+end of a claimed interval in at most one of 200 searches.
 
 Searches run on families of plants within the class of the identified loop (second order with dead
 time, reels), on loops drawn at random (orders one to five), and on reels outside the class
 (friction, backlash, ripple, stiffening). Each is compared with the true optimum within the limits,
-which the search does not know. After the search four trials repeat the recommended gains, and the
-claim is compared with the margins of the plant's own linear part.
+which the search does not know. After the search three trials repeat the initial gains and three
+the recommended ones, and the claim is compared with the margins of the whole plant, measured by a
+small multisine. Lightly damped modes of random share, damping and frequency lie beside the plant
+in phase and in antiphase, and behind it.
 """
 
 import math
@@ -19,15 +21,19 @@ from typing import Any
 import numpy as np
 
 from estune.loop_model.optimum import RobustnessLimits
-from experiments.loop_claims.cases import LoopCase, families, outside, random_loops
+from experiments.loop_claims.cases import LoopCase, families, modes, outside, random_loops
 from experiments.loop_claims.search import Searched, search
 from experiments.loop_claims.truth import EVALUATIONS, TrueLoop, Truth, constrained_optimum
 from experiments.results import Target, at_least, at_most, command_line, print_results
 
 TRIALS_MAX = 24
+UNSAFE_SENSITIVITY = 2.5
+"""True Ms above which nothing may be claimed, whatever the interval says."""
+
 KINDS: dict[str, Callable[[int, int], Iterator[LoopCase]]] = {
     "family": lambda *_: families(),
     "outside": lambda *_: outside(),
+    "mode": modes,
     "random": random_loops,
 }
 
@@ -71,6 +77,8 @@ def _row(found: Sequence[Searched]) -> dict[str, Any]:
         "claims": len(claimed) / len(found),
         "covered": float(np.mean(inside)) if inside else math.nan,
         "broken": max((one.at.sensitivity / one.claimed[1] for one in known), default=math.nan),
+        "broken_claims": sum(one.at.sensitivity > one.claimed[1] for one in known),
+        "unsafe_claims": sum(one.at.sensitivity > UNSAFE_SENSITIVITY for one in claimed),
         "misfit": float(np.nanmedian([one.misfit for one in found])),
     }
 
@@ -92,8 +100,10 @@ def targets_of(rows: Sequence[dict[str, Any]], noise: float) -> dict[str, Target
             "median_trials_to_stop": at_most(_median(within, "trials"), 12.0),
             "kept": at_least(float(np.mean([row["kept"] for row in within])), 0.95),
         }
-    broken = [row["broken"] for row in rows if not math.isnan(row["broken"])]
-    targets["broken_claim"] = at_most(max(broken, default=0.0), 1.1)
+    searched = sum(row["seeds"] for row in rows)
+    broken, beyond = (sum(row[key] for row in rows) for key in ("broken_claims", "unsafe_claims"))
+    targets["broken_claims"] = at_most(broken / searched, 1.0 / 200.0)
+    targets["unsafe_claims"] = at_most(beyond, 0)
     if family:
         worst = max(row["worst_excess"] for row in family)
         targets |= {
@@ -122,7 +132,7 @@ def main() -> int:
     parser = command_line(__doc__, quick="a search on each of three families and one other")
     parser.add_argument("--seeds", type=int, default=20, help="searches on each plant")
     parser.add_argument("--seed0", type=int, default=1000, help="first seed: see seeds.md")
-    parser.add_argument("--random", type=int, default=30, help="number of random loops")
+    parser.add_argument("--random", type=int, default=30, help="random loops, and modes")
     parser.add_argument("--noise", type=float, default=0.03, help="noise of the cost, as a share")
     parser.add_argument("--only", choices=list(KINDS), help="only plants of this kind")
     options = parser.parse_args()

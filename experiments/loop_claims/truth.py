@@ -2,7 +2,6 @@
 
 import math
 from dataclasses import dataclass, replace
-from functools import cached_property
 from typing import NamedTuple
 
 import cma
@@ -12,9 +11,11 @@ import plants
 from estune.core.cost import StepCost
 from estune.core.gains import Gains
 from estune.core.margins import SampledPlant, controller_response, is_stable
-from estune.core.quantities import ComplexArray, FloatArray
-from estune.interop import sampled_model
+from estune.core.quantities import FloatArray
+from estune.trial.profiles import StepProfile
+from plants.effects import CoulombFriction, DahlHysteresis, StribeckFriction
 from plants.models.linear_plant import LinearPlant
+from plants.models.reel import Reel
 from plants.simulation.plant import Plant
 
 NOISE_DRAWS = 4
@@ -22,6 +23,21 @@ NOISE_DRAWS = 4
 
 SEED = 777_000  # of those draws; no search has this seed
 ANGLES = np.concatenate([np.geomspace(1e-4, 0.1, 300), np.linspace(0.1, math.pi, 1500)])
+ABOUT = np.concatenate([-(2.0 ** np.arange(-1.0, 8.0, 0.25)), 2.0 ** np.arange(-1.0, 8.0, 0.25)])
+"""Angles of the response, and further ones about each resonance, in its half widths."""
+
+PERIOD, PERIODS = 4096, 3
+"""Samples of the small multisine by which Ms is measured, and how often it is repeated."""
+
+MULTISINE = 1e-3
+"""Standard deviation of it, as a share of the step."""
+
+GROWING = 1.2
+"""Ratio of the last period to the one before, from which a loop is unstable."""
+
+STICKING = (CoulombFriction, DahlHysteresis, StribeckFriction)
+"""Effects that hold the drum in a small multisine: Ms is that of the loop without them."""
+
 EVALUATIONS = 400
 """Evaluations of the cost from each start."""
 
@@ -36,7 +52,7 @@ class Truth(NamedTuple):
     Attributes:
         cost: Mean cost over the measurement noise; infinite where the loop diverges.
         overshoot: Without noise, as a share of the step.
-        sensitivity: Ms of the plant's linear part; NaN without one.
+        sensitivity: Ms of the whole plant, without what sticks.
     """
 
     cost: float
@@ -44,39 +60,56 @@ class Truth(NamedTuple):
     sensitivity: float
 
 
-class LinearPart(NamedTuple):
-    """Response of a plant's own linear model on `ANGLES`.
-
-    Attributes:
-        plant: The sampled model.
-        response: G, shape (angles,).
-    """
-
-    plant: SampledPlant
-    response: ComplexArray
-
-
-def linear_part(plant: Plant) -> LinearPart | None:
-    """The plant's own linear model, sampled; None without one."""
-    model = plant.describe("plant", Gains(1.0, 1.0, 0.0, 0.0)).linear_model
-    if model is None:
-        return None
-    sampled = sampled_model(model, plant.controller)
-    return LinearPart(sampled, sampled.response(ANGLES))
-
-
 def true_sensitivity(plant: Plant, gains: Gains) -> float:
-    """Ms of the loop with the plant's own linear model; NaN without one, infinite if unstable."""
-    return _sensitivity(linear_part(plant), plant, gains)
+    """Ms of the loop with the whole plant, infinite if it is unstable.
+
+    Of a linear plant by its own model. Otherwise a small multisine is added to the measurement at
+    the end of the step, and Ms is the largest ratio of what is measured to what was added.
+    """
+    if isinstance(plant, LinearPlant) and not plant.effects:
+        return _linear_sensitivity(plant, gains)
+    if isinstance(plant, Reel):
+        kept = tuple(e for e in plant.effects if not isinstance(e, STICKING))
+        plant = replace(plant, effects=kept)
+    return _measured_sensitivity(plant, gains)
 
 
-def _sensitivity(part: LinearPart | None, plant: Plant, gains: Gains) -> float:
-    if part is None:
-        return math.nan
-    if not is_stable(part.plant, gains, plant.controller):
+def _linear_sensitivity(plant: LinearPlant, gains: Gains) -> float:
+    sampled = plant.sampled
+    if not is_stable(sampled, gains, plant.controller):
         return math.inf
-    loop = controller_response(gains, plant.controller, ANGLES) * part.response
+    theta = _angles(sampled)
+    loop = controller_response(gains, plant.controller, theta) * sampled.response(theta)
     return float(np.max(1.0 / np.abs(1.0 + loop)))
+
+
+def _angles(sampled: SampledPlant) -> FloatArray:
+    """The grid, finer about the resonances of a plant."""
+    modes = sampled.modes[sampled.modes.imag > 0.0]
+    about = (modes.imag[:, np.newaxis] - np.outer(modes.real, ABOUT)).ravel()
+    return np.union1d(ANGLES, about[(about > ANGLES[0]) & (about < math.pi)])
+
+
+def _measured_sensitivity(plant: Plant, gains: Gains) -> float:
+    """The multisine at rest, after one period in which the loop settles."""
+    step, rate = plant.profile, plant.controller.sampling_Hz
+    level, size = step.preload_N + step.step_N, abs(step.step_N)
+    profile = StepProfile(level, 1e-9 * size, 2.0 / rate, PERIODS * PERIOD / rate)
+    lines = np.arange(1, PERIOD // 2)
+    spectrum = np.zeros(PERIOD // 2 + 1, complex)
+    # Phases of Schroeder, which keep the sum low.
+    spectrum[lines] = np.exp(1j * math.pi * lines * (lines - 1) / lines.size)
+    period = np.fft.irfft(spectrum, PERIOD)
+    added = np.resize(MULTISINE * size * period / period.std(), profile.samples(rate))
+    response = plants.simulate(plant, gains, profile=profile, noise_N=added)
+    if response.diverged_at is not None:
+        return math.inf
+    measured = response.tension_N - level
+    before, last = measured[-2 * PERIOD : -PERIOD], measured[-PERIOD:]
+    if last.std() > GROWING * before.std():
+        return math.inf
+    ratio = np.fft.rfft(last)[lines] / np.fft.rfft(added[-PERIOD:])[lines]
+    return float(np.abs(ratio).max())
 
 
 def with_noise(plant: Plant, share: float) -> Plant:
@@ -99,17 +132,13 @@ class TrueLoop:
     plant: Plant
     cost: StepCost
 
-    @cached_property
-    def _linear_part(self) -> LinearPart | None:
-        return linear_part(self.plant)
-
     def at(self, gains: Gains) -> Truth:
         """Cost, overshoot and sensitivity of gains."""
         plant, step = self.plant, self.plant.profile
         rows = np.tile(gains.as_tuple(), (NOISE_DRAWS, 1))
         costs = plants.batch_costs(plant, rows, None, self.cost, seed=SEED, workers=1)
         quiet = plants.simulate(plant, gains)
-        sensitivity = _sensitivity(self._linear_part, plant, gains)
+        sensitivity = true_sensitivity(plant, gains)
         if not np.isfinite(costs).all() or quiet.diverged_at is not None:
             return Truth(math.inf, math.inf, sensitivity)
         after = quiet.tension_N[step.step_index(plant.controller.sampling_Hz) :]
@@ -138,7 +167,7 @@ def constrained_optimum(
         at = loop.at(Gains(*np.exp(x).tolist()))
         if not math.isfinite(at.cost):
             return 20.0
-        Ms = 0.0 if math.isnan(at.sensitivity) else math.log(at.sensitivity / max_sensitivity)
+        Ms = math.log(at.sensitivity / max_sensitivity)
         beyond = max(min(Ms, 5.0), 0.0) + max(at.overshoot - overshoot, 0.0)
         return math.log(at.cost) + PENALTY * beyond
 
