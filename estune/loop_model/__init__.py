@@ -1,1 +1,64 @@
-"""The control loop as identified from the records of step trials, and what it predicts."""
+"""The control loop as identified from records: predictions, margins, and what may be claimed.
+
+Theory of operation
+-------------------
+
+A record is setpoint, measurement and effort of a loop in operation: a step trial from rest, or
+ordinary service with any setpoint (`records`). The plant is y = G u + H e, u the effort, e
+white.
+
+- `poles`, `model`: G has up to six poles in second-order sections, a numerator of one term more
+  in powers of 1 - q^-1, and a dead time of whole samples. Both keep their digits at hundreds of
+  samples a period. Ms is read on a grid that is finer about each resonance, and again about its
+  peak; the loop is stable where the characteristic polynomial neither turns about the origin nor
+  is negative at one: without the second a negative gain had Ms 1.31 with a pole at 1.015.
+- `noise_model`: H holds a load at the input, a drift at the output and white noise by two
+  numbers.
+- `least_squares`: for given poles, noise and dead time all else is linear. `identification`
+  searches these few numbers; `order` adds poles, a load or a drift where prediction errors are
+  not white (`whiteness`) and the Bayesian information criterion falls; `friction` does so for
+  dry friction.
+- `fitting` leaves out a record that the others contradict: one whose prediction by them is worse
+  than three times the worst of theirs.
+- `plant_error` bounds what the true plant may differ from G by, in each band; `intervals` holds
+  the uncertainty of the parameters; `claim` says what of the loop is known, or which band is
+  not.
+- `optimum`, `drawn_optima`, `limit_price`, `prediction`, `sampled_loop`: the best gains within
+  limits, by the model.
+
+What is guaranteed
+------------------
+
+Margins are claimed only of a loop that the identified one predicts, with two trials near its
+gains, and whose plant is known wherever the controller's gain times the plant's error matters
+against |1 + L|. The upper end of the interval of Ms contains that error. It is a statement on
+the linear part at the amplitude of the records. A mode whose damping is below 2 % is bounded as
+far as the records resolve it.
+
+Choices that are not obvious
+----------------------------
+
+- Records from rest have free start states of the first pair of poles only. With free states of a
+  mode a damping of 0.6 % was fitted as zero: the states of seven records took up noise, most
+  where the mode hardly decays.
+- The criterion counts the start states of every record. Without them it chose a drift of size
+  1e-11, because a noise model has more of them.
+- In trials from rest no load is searched, and what is left of them counts as error of the plant:
+  the answer of a plant that is not linear repeats with every trial and does not average out.
+- The direct method uses what the noise excites through the feedback, too. It excites a band the
+  more, the more the controller does there, which is where it matters: ten records of the
+  reference reel bound the share of |1 + L| to 0.27 up to half the sampling rate, four records to
+  0.9.
+- Friction and modes are compared by the criterion. Six poles fit the friction of the reference
+  reel as well as a linear model can; one friction parameter fits it better.
+
+What was tried and lost
+-----------------------
+
+- Noise of first differences before the step: with 20 samples before it a noise of 2 % was 0.6 %
+  of misfit. What the model leaves has as many samples as there are, and no response in it.
+- A limit of the misfit as a share of the step: a narrow mode has little of it. On a 4 Hz plant
+  with a mode at 60 Hz 0.29 % allowed a claim of 1.67 where Ms was 2.05.
+- The frequency of a mode begun at the peak of the residual's spectrum alone: the loop moves it
+  by more than its width, and the search ended beside it. Starts lie up to a bin to both sides.
+"""

@@ -27,8 +27,9 @@ START_DAMPINGS = (0.2, 1.0)
 START_NOISES = (WHITE, NoiseModel(1.0, 0.0), NoiseModel(100.0, 0.0))
 """Noises that a search in records of ordinary service begins from."""
 
-STARTS = 3
-"""Starts that are improved."""
+STARTS = 2
+"""Starts that are improved, and one more without dead time: on a plant of 4 Hz in two trials of
+the same gains most starts of the coarse grid ended at 25 samples of dead time and more."""
 
 by_cost = attrgetter("cost")
 
@@ -59,17 +60,18 @@ def cold_start(signals: FitSignals, noises: Iterable[NoiseModel] = (WHITE,)) -> 
     """The best fit of two poles from a coarse grid, each with its best dead time."""
     scale = 2.0 * math.pi / signals.settling_samples  # rad/sample
     delays = dead_times(signals.settling_samples)
-    starts = [np.log([scale * f, z]) for f in START_FREQUENCIES for z in START_DAMPINGS]
+    poles = [np.log([scale * f, z]) for f in START_FREQUENCIES for z in START_DAMPINGS]
     coarse = [
         min(
             (PoleFit(Solution.at(signals, x, d, noise).cost, x, d, noise) for d in delays),
             key=by_cost,
         )
-        for x in starts
+        for x in poles
         for noise in noises
     ]
-    found = [improve(signals, one) for one in sorted(coarse, key=by_cost)[:STARTS]]
-    best = min(found, key=by_cost)
+    ranked = sorted(coarse, key=by_cost)
+    starts = [*ranked[:STARTS], ranked[0]._replace(dead=0)]
+    best = min((improve(signals, one) for one in starts), key=by_cost)
     return searched_dead_time(signals, best)
 
 

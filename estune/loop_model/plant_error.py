@@ -33,6 +33,13 @@ mode of this damping. A narrower one is bounded as far as the records resolve it
 DEVIATIONS = 2.0
 """Standard deviations of an error that the noise would hide: a complex one exceeds them in 2 %."""
 
+EXCESS_DEVIATIONS = 3.0
+"""Standard deviations of the noise's power in a band that count as noise: in some of 50 bands of
+three bins two are exceeded by chance."""
+
+MOST = 0.7
+"""Share of a bound from which what is unexplained is the larger part of its square."""
+
 UNKNOWN_FROM = 0.5
 """Share of |1 + L| that |C E| may reach: there Ms may be twice what the model says."""
 
@@ -58,7 +65,7 @@ class ErrorMargin(NamedTuple):
         sensitivity: Largest Ms that the bound allows; infinite where it allows an unstable loop.
         unknown: Lowest and highest frequency, rad/sample, of the band in which the bound is not
             small against the loop; None where it is small everywhere.
-        excited: Whether the effort excites that band, and the model does not explain the answer.
+        excited: Whether what the model leaves unexplained is the reason, not too little effort.
     """
 
     sensitivity: float
@@ -76,7 +83,7 @@ def plant_error(fit: LoopFit, records: Sequence[LoopRecord]) -> PlantErrorBound:
         one = _spectra(fit, records[i], i, edges)
         left, driven, noise, bins = left + one[0], driven + one[1], noise + one[2], bins + one[3]
     with np.errstate(divide="ignore", invalid="ignore"):
-        expected = noise * (1.0 + DEVIATIONS / np.sqrt(bins))
+        expected = noise * (1.0 + EXCESS_DEVIATIONS / np.sqrt(bins))
         beyond = np.maximum(left - expected, 0.0) / driven
         squared = beyond + DEVIATIONS**2 * noise / (bins * driven)
     seen, moved = bins > 0.0, driven > 0.0
@@ -139,10 +146,12 @@ def error_margin(
     sensitivity = 1.0 / least if least > 0.0 else math.inf
     if not unknown.size:
         return ErrorMargin(sensitivity, None)
-    angles, worst = theta[inside], unknown[np.argmax(share[unknown])]
-    left = float(np.interp(angles[worst], error.theta, error.unexplained))
+    angles = theta[inside]
+    left = np.interp(angles, error.theta, error.unexplained)
     ends = float(angles[unknown[0]]), float(angles[unknown[-1]])
-    return ErrorMargin(sensitivity, ends, excited=left > 0.5 * float(bound[worst]))
+    enough = np.abs(controller[inside]) * left > UNKNOWN_FROM * size
+    excited = bool(np.any(enough & (left > MOST * bound)))
+    return ErrorMargin(sensitivity, ends, excited)
 
 
 def unknown_band(unknown: tuple[float, float], sampling_Hz: float) -> str:
