@@ -6,12 +6,18 @@ every two rounds an even drift adds the same to each mean.
 
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from statistics import fmean, variance
 from typing import NamedTuple, Self
 
 from estune.core.gains import Gains
 from estune.errors import InvalidInput
+
+EARLY_END = 0.8
+"""Share of the error probability of an interval that is spent: the rest pays for repeats that end
+once the interval is narrow, which happens most easily by a scatter that is small by chance. With
+it 95 % intervals of such repeats hold the true change in 0.94 to 0.98 of 40 000 runs at noise of
+1 to 3 %, without it in 0.93 to 0.98 (`tests/test_comparison.py`)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,33 +107,6 @@ def repeatability(groups: Iterable[Sequence[float]]) -> float:
     return math.sqrt(squares / freedom) if freedom else math.nan
 
 
-def repeats_needed(
-    expected: float, noise: float, *, least: int, most: int, confidence: float = 0.95
-) -> int:
-    """Repeats of each of two gains needed to resolve their difference to a quarter of itself.
-
-    The fewest n with t(2n - 2) noise sqrt(2/n) <= |expected|/4, t the quantile of the confidence.
-    To be computed before the repeats: repeating until an interval looks narrow enough makes it
-    too narrow.
-
-    Args:
-        expected: Likely difference of the log costs.
-        noise: Standard deviation of the log cost between repeats; nan if unknown.
-        least: No fewer than this, and no fewer than two.
-        most: No more than this, unless `least` is more.
-        confidence: Of the interval, 0 to 1.
-    """
-    from scipy.special import stdtrit  # noqa: PLC0415  slow to import
-
-    n = max(2, least)
-    while n < most:
-        t = float(stdtrit(2 * n - 2, 0.5 * (1.0 + confidence)))
-        if t * noise * math.sqrt(2.0 / n) <= 0.25 * abs(expected):  # not so for nan
-            break
-        n += 1
-    return n
-
-
 class InterleavedRepeats(NamedTuple):
     """Gains repeated in alternating order, and their costs so far.
 
@@ -178,6 +157,15 @@ class InterleavedRepeats(NamedTuple):
         """Index of the gains with the least mean cost; None if all were unsafe."""
         means = {i: fmean(self.costs[i]) if self.costs[i] else math.inf for i in self.safe}
         return min(means, key=means.__getitem__, default=None)
+
+    def change(self, confidence: float = 0.95) -> Change:
+        """Change of the cost from the first gains to the second, both safe.
+
+        The interval holds for repeats that end as soon as it is narrow.
+        """
+        spent = 1.0 - EARLY_END * (1.0 - confidence)
+        found = compare_costs(self.costs[0], self.costs[1], spent)
+        return replace(found, confidence=confidence)
 
     def with_cost(self, cost: float) -> Self:
         """The comparison with the cost of the gains run last; infinite if unsafe."""

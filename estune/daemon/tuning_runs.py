@@ -5,7 +5,7 @@ import math
 from typing import NamedTuple
 
 from estune import api
-from estune.core.comparison import Change, compare_costs
+from estune.core.comparison import Change
 from estune.core.control_chart import ChartState
 from estune.core.gains import Gains
 from estune.daemon.config import RigTable, plan_settings
@@ -35,7 +35,7 @@ class RunDecision(NamedTuple):
     Attributes:
         better: Gains with a statistically significant improvement; None if there are none.
         sentence: The reason.
-        start_chart: Control chart for the initial gains; None where repeats were unsafe.
+        start_chart: Control chart for the initial gains; None where repeats were unsafe or one.
         chart: Control chart for the better gains.
     """
 
@@ -103,7 +103,9 @@ class TuningRuns:
 
         def chart(costs: tuple[float, ...], *others: tuple[float, ...]) -> ChartState | None:
             safe = [other for other in others if math.inf not in other]
-            return None if math.inf in costs else self._settings.watch.chart.begin(costs, *safe)
+            if math.inf in costs or max(map(len, (costs, *safe))) < 2:
+                return None
+            return self._settings.watch.chart.begin(costs, *safe)
 
         if repeats is None:
             return RunDecision(None, summarise(session).message, chart(session.baseline), None)
@@ -111,7 +113,7 @@ class TuningRuns:
         if len(repeats.safe) < 2:
             start_chart = chart((*session.baseline, *start))
             return RunDecision(None, summarise(session).message, start_chart, None)
-        change = compare_costs(start, best, settings.confidence)
+        change = repeats.change(settings.confidence)
         start_chart = chart(start, best)
         better, sentence = self._judged(verdict_on(run, change), change)
         if not better:

@@ -1,5 +1,6 @@
 """Whether the gains of a run keep the limits of the run, whichever tuner found them."""
 
+import math
 from collections.abc import Iterable, Iterator, Sequence
 from enum import StrEnum
 from typing import NamedTuple
@@ -25,6 +26,10 @@ by 0.4 %."""
 
 PHASE_MARGIN_ALLOWED_deg = 2.0
 """The same of the phase margin, whose intervals are 1 to 2 degrees wide where Ms is claimed."""
+
+
+FEWEST_REPEATS = 4
+"""Repeats from which their own scatter gives the interval: of two its quantile is 12.7."""
 
 
 class LimitState(StrEnum):
@@ -67,7 +72,7 @@ def limit_verdict(
     limits = plan.limits
     if limits is None:  # a run of an earlier version is not judged
         return LimitVerdict()
-    found = list(_judged(limits, claim, measured_overshoot(plan, gains, records)))
+    found = list(_judged(limits, claim, measured_overshoot(plan, gains, records, claim)))
     for state in (LimitState.BROKEN, LimitState.NOT_SHOWN):
         reasons = dict.fromkeys(reason for judged, reason in found if judged is state)
         if reasons:
@@ -76,19 +81,22 @@ def limit_verdict(
 
 
 def measured_overshoot(
-    plan: Plan, gains: Gains, records: Iterable[TrialRecord]
+    plan: Plan, gains: Gains, records: Iterable[TrialRecord], claim: Claim | None = None
 ) -> Interval | None:
     """Mean overshoot of the records with some gains, as a share of the step; None without any.
 
-    Its 95 % interval is by Student's t; of one record it has no width.
+    Its 95 % interval is by Student's t. Fewer than `FEWEST_REPEATS` have the width of the interval
+    that is claimed, which rests on all records, or that of `OVERSHOOT_ALLOWED`.
     """
     done = [r for r in records if r.outcome is Outcome.DONE and r.gains == gains]
     values = np.array([metrics_of(record, plan.step).overshoot for record in done])
     values = values[np.isfinite(values)]
     if not values.size:
         return None
-    mean, half = float(values.mean()), 0.0
-    if values.size > 1:
+    mean, half = float(values.mean()), OVERSHOOT_ALLOWED
+    if claim and claim.margins and math.isfinite(claim.margins.overshoot.high):
+        half = max(claim.margins.overshoot.high - claim.margins.overshoot.value, 0.0)
+    if values.size >= FEWEST_REPEATS:
         from scipy.special import stdtrit  # noqa: PLC0415  slow to import
 
         spread = float(values.std(ddof=1)) / float(np.sqrt(values.size))

@@ -316,8 +316,9 @@ def _advanced(tuning: TuningRun, record: TrialRecord, cost: float, margin: float
     """The session after a trial."""
     plan, rig = tuning.plan, tuning.description
     before = tuning.session
-    searching, first = before.phase is Phase.SEARCH, not before.baseline
-    needed = (plan.uses_records and searching) or (plan.start_source and first)
+    learning = before.phase in (Phase.BASELINE, Phase.SEARCH)
+    first = not before.baseline
+    needed = (plan.uses_records and learning) or (plan.start_source and first)
     signals = loop_signals(record, plan.step, rig).record if needed else None
     session = after_trial(before, record.outcome, cost, margin, signals)
     if plan.start_source and signals is not None and first and session.baseline:

@@ -18,7 +18,7 @@ from estune.tuners.interface import (
     RecordUsingTuner,
 )
 
-TRIALS, REPEATS = 120, 3
+TRIALS, REPEATS = 120, 2
 """Defaults of the greatest number of search trials and of repeats."""
 
 TOLERANCE = 0.02
@@ -26,6 +26,9 @@ TOLERANCE = 0.02
 
 CONSECUTIVE_SETTLED = 4
 """Consecutive trials with a remaining improvement below the tolerance that end the search."""
+
+PRECISION = 0.1
+"""Default of the half-width of the interval of the improvement, as a share of it."""
 
 CONFIRMATION_REPEATS_MAX = 10
 """Maximum repeats of each gains in a confirmation, unless the plan asks for more."""
@@ -44,8 +47,9 @@ class Search:
     repeats: Annotated[
         int,
         Setting(
-            "Trials of the initial gains before the search and of each candidate in the choice; "
-            "also the minimum of each in the confirmation",
+            "Least repeats of the initial and of the tuned gains in the confirmation; tuners that "
+            "do not identify the loop also begin with as many trials of the initial gains, and "
+            "choose between candidates by as many of each",
             least=1,
         ),
     ] = REPEATS
@@ -59,6 +63,16 @@ class Search:
             below=1.0,
         ),
     ] = TOLERANCE
+    precision: Annotated[
+        float,
+        Setting(
+            "Half-width of the interval of the improvement, as a share of it, at which the "
+            "repeats of the confirmation end",
+            share=True,
+            above=0.0,
+            below=1.0,
+        ),
+    ] = PRECISION
     eta_max: Annotated[
         float | None,
         Setting(
@@ -137,10 +151,20 @@ class Plan(Search):
         return self.uses_records or bool(self.start_source)
 
     @property
+    def baseline_trials(self) -> int:
+        """Trials of the initial gains before the search: one record identifies the loop."""
+        return 1 if self.uses_records else self.repeats
+
+    @property
     def settled_trials(self) -> int:
         """Consecutive trials with little improvement left that end the search."""
         tuner = self.tuner
         return tuner.settled_trials if isinstance(tuner, RecordUsingTuner) else CONSECUTIVE_SETTLED
+
+    def needs_choice(self, tuner_state: Any) -> bool:
+        """Whether repeats choose between the recommendation of a search and its best trial."""
+        tuner = self.tuner
+        return not (isinstance(tuner, RecordUsingTuner) and tuner.is_predicted(tuner_state))
 
     def may_end(self, tuner_state: Any) -> bool:
         """Whether the search may end by its tolerance."""

@@ -1,10 +1,12 @@
 """State machine of one tuning run: the trial history determines the next request.
 
-A run has four phases. `baseline` repeats the initial gains, and in `search` the tuner proposes.
-`choose` repeats the tuner's recommendation and its best trial, interleaved; `confirm` repeats the
-better of the two and the initial gains, interleaved. Choice and confirmation use different trials,
-so that lucky costs in the choice do not bias the confirmed improvement. Nothing here reads a clock
-or a file: replaying a journal's trials restores the session and all later proposals bit for bit.
+A run has four phases. `baseline` runs the initial gains, and in `search` the tuner proposes.
+`choose` repeats the tuner's recommendation and its best trial, interleaved, unless the tuner
+predicts costs by an identified loop; `confirm` repeats the better of the two and the initial
+gains, interleaved, until the interval of the improvement is narrow. Choice and confirmation use
+different trials, so that lucky costs in the choice do not bias the confirmed improvement. Nothing
+here reads a clock or a file: replaying a journal's trials restores the session and all later
+proposals bit for bit.
 """
 
 import math
@@ -13,12 +15,12 @@ from enum import StrEnum
 from statistics import fmean
 from typing import Any
 
-from estune.core.comparison import InterleavedRepeats, repeatability, repeats_needed
+from estune.core.comparison import InterleavedRepeats
 from estune.core.gains import Gains
 from estune.loop_model.records import LoopRecord
 from estune.run.plan import CONFIRMATION_REPEATS_MAX, Plan
 from estune.trial import Outcome, TrialRequest
-from estune.tuners.interface import CostPrediction, PredictingTuner
+from estune.tuners.interface import CostPrediction, PredictingTuner, RecordUsingTuner
 from estune.tuners.observation import Observation
 
 
@@ -80,7 +82,7 @@ class Session:
         """The phase of the next trial; None if there is none."""
         if self.failure:
             return None
-        if len(self.baseline) < self.plan.repeats:
+        if len(self.baseline) < self.plan.baseline_trials:
             return Phase.BASELINE
         if not self.search_end:
             return Phase.SEARCH
@@ -105,7 +107,9 @@ class Session:
             return self.confirmation.missing
         if self.choice is not None:
             return self.choice.missing + 2 * repeats
-        return self.plan.trials - self.search_trials + 5 * repeats - len(self.baseline)
+        to_come = self.plan.trials - self.search_trials + 2 * repeats
+        to_come += 0 if self.plan.uses_records else 2 * repeats  # of the choice
+        return to_come + self.plan.baseline_trials - len(self.baseline)
 
     @property
     def recommendation(self) -> Gains:
@@ -197,6 +201,9 @@ def after_trial(
         changed = {"failure": _unsafe_start(session, outcome, cost)}
     elif phase is Phase.BASELINE:
         changed = {"baseline": (*session.baseline, cost)}
+        if isinstance(session.plan.tuner, RecordUsingTuner):
+            told = Observation(cost, margin=margin, record=record)
+            changed["tuner_state"] = session.plan.tuner.tell_start(session.tuner_state, told)
     elif phase is Phase.SEARCH:
         observation = Observation(math.nan if censored else cost, censored, margin, record)
         changed = _after_search(session, observation)
@@ -204,12 +211,11 @@ def after_trial(
         choice = session.choice.with_cost(math.inf if censored else cost)
         changed = {"choice": choice}
         if choice.next_index is None and choice.best is not None:
-            gains, costs = choice.gains[choice.best], choice.costs[choice.best]
-            expected = fmean(costs) if costs else math.nan
-            changed["confirmation"] = _confirmation(session, gains, expected, choice.costs)
+            changed["confirmation"] = _confirmation(session.plan, choice.gains[choice.best])
     else:
         assert session.confirmation is not None, phase  # noqa: S101  the last phase there is
-        changed = {"confirmation": session.confirmation.with_cost(math.inf if censored else cost)}
+        confirmation = session.confirmation.with_cost(math.inf if censored else cost)
+        changed = {"confirmation": _extended(confirmation, session.plan)}
     return replace(
         session,
         number=session.number + 1,
@@ -261,39 +267,38 @@ def _after_search(session: Session, observation: Observation) -> dict[str, Any]:
         return changed
     changed["search_end"] = end
     # The recommendation rests on all trials; the best single trial may be luck, or may not.
-    points = (tuner.recommend(state), state.best_point)
+    points = [tuner.recommend(state)]
+    if plan.needs_choice(state):
+        points.append(state.best_point)
     gains = tuple(dict.fromkeys(map(tuner.space.gains, points)))
     if len(gains) > 1:
         changed["choice"] = InterleavedRepeats.new(gains, plan.repeats)
     else:
-        ended = replace(session, tuner_state=state)
-        expected = math.nan if state.best_cost is None else state.best_cost
-        changed["confirmation"] = _confirmation(ended, gains[0], expected)
+        changed["confirmation"] = _confirmation(plan, gains[0])
     return changed
 
 
-def _confirmation(
-    session: Session,
-    gains: Gains,
-    expected: float,
-    costs: tuple[tuple[float, ...], ...] = (),
-) -> InterleavedRepeats | None:
-    """The repeats that confirm candidate gains; None if those are the initial ones.
-
-    `expected` is the candidate's expected cost, `costs` are those of repeats beside the baseline.
-    """
-    plan = session.plan
+def _confirmation(plan: Plan, gains: Gains) -> InterleavedRepeats | None:
+    """The repeats that confirm candidate gains; None if those are the initial ones."""
     if gains == plan.start:
         return None
-    convergence = plan.convergence(session.tuner_state)
-    noise = repeatability((session.baseline, *costs)) if convergence is None else convergence.noise
-    rounds = repeats_needed(
-        math.log(expected / fmean(session.baseline)),
-        noise,
-        least=plan.repeats,
-        most=CONFIRMATION_REPEATS_MAX,
-    )
-    return InterleavedRepeats.new((plan.start, gains), rounds)
+    return InterleavedRepeats.new((plan.start, gains), max(plan.repeats, 2))
+
+
+def _extended(repeats: InterleavedRepeats, plan: Plan) -> InterleavedRepeats:
+    """The repeats with one more round where the interval of the improvement is still too wide.
+
+    It is narrow enough at a share `precision` of the improvement, or where it excludes an
+    improvement above the tolerance of the search.
+    """
+    most = max(CONFIRMATION_REPEATS_MAX, plan.repeats)
+    if repeats.next_index is not None or len(repeats.safe) < 2 or repeats.rounds >= most:
+        return repeats
+    change = repeats.change()
+    narrow = change.high - change.low <= 2.0 * plan.precision * abs(change.estimate)
+    if narrow or change.low > -plan.tolerance:
+        return repeats
+    return repeats._replace(rounds=repeats.rounds + 1)
 
 
 def _unsafe_start(session: Session, outcome: Outcome, cost: float) -> str:

@@ -51,9 +51,9 @@ the cost of the first trial."""
 
 ITERATIONS = 40
 FIRST_ITERATIONS = 12
-CLOSE_FROM = 3
-"""Iterations of the search for the optimum, and those before the third trial, when the optimum is
-still further away than a trial may go."""
+CLOSE_FROM = 2
+"""Iterations of the search for the optimum, and those before the second record, when the optimum
+is still further away than a trial may go."""
 
 SCATTERED = 16
 """Low-discrepancy points of which the best is one more start of the search for the optimum."""
@@ -93,7 +93,7 @@ class IdentifiedLoopTuner:
     space: SearchSpace
     trial: StepTrial | None = None
     limits: RobustnessLimits = field(default_factory=RobustnessLimits)
-    reach: float = 1.2
+    reach: float = 2.5
     memory: int = 10
     name: Literal["model_based"] = "model_based"
 
@@ -138,6 +138,16 @@ class IdentifiedLoopTuner:
     def ask(self, state: IdentifiedLoopState) -> Point:
         """The point of the next trial."""
         return state.proposal
+
+    def tell_start(
+        self, state: IdentifiedLoopState, observation: Observation
+    ) -> IdentifiedLoopState:
+        """The state after a trial of the initial gains."""
+        return self.tell(state._replace(proposal=self.space.start), observation)
+
+    def is_predicted(self, state: IdentifiedLoopState) -> bool:
+        """Whether the identified loop proposes, not the fallback."""
+        return state.fit is not None and not state.fallen_back
 
     def tell(self, state: IdentifiedLoopState, observation: Observation) -> IdentifiedLoopState:
         """The state after the trial last asked for."""
@@ -267,11 +277,10 @@ class IdentifiedLoopTuner:
         best = np.array(state.base)
         search = self._search(state, fit.model)
         foreseen = abs(state.errors[-1]) < FORESEEN  # not with NaN
-        scattered = 0 if foreseen else SCATTERED
         optimum = search.minimise(
             [np.array(state.centre), best],
             iterations=FIRST_ITERATIONS if len(state.costs) < CLOSE_FROM else ITERATIONS,
-            scattered=scattered,
+            scattered=0 if foreseen else SCATTERED,
         )
         if not math.isfinite(optimum.prediction.cost):
             return self._fall_back(state)
@@ -302,19 +311,22 @@ class IdentifiedLoopTuner:
         self, state: IdentifiedLoopState, fit: LoopFit, safe: FloatArray, wanted: FloatArray
     ) -> FloatArray:
         """The furthest point on the way to a proposal that is safe by all likely models."""
-        theta = fit.model.parameters
-        away = SAFE_DEVIATIONS * parameter_deviations(fit).T
-        likely = [
-            fit.model.with_parameters(theta + s * column) for column in away for s in (-1, 1)
-        ]
-        limit = SAFE_RATIO * math.exp(state.costs[0])
         for share in (1.0, 0.7, 0.45, 0.25):
             x = safe + share * (wanted - safe)
-            gains = self.space.gains(self.space.point(tuple(x.tolist())))
-            trial = self._trial(state)
-            if all(predict(model, trial, gains, fit.noise_N).cost < limit for model in likely):
+            if self._is_safe(state, fit, x):
                 return x
         return safe + 0.1 * (wanted - safe)
+
+    def _is_safe(self, state: IdentifiedLoopState, fit: LoopFit, x: FloatArray) -> bool:
+        """Whether all likely models predict a safe trial."""
+        theta, trial = fit.model.parameters, self._trial(state)
+        away = SAFE_DEVIATIONS * parameter_deviations(fit).T
+        likely = (
+            fit.model.with_parameters(theta + s * column) for column in away for s in (-1, 1)
+        )
+        limit = SAFE_RATIO * math.exp(state.costs[0])
+        gains = self.space.gains(self.space.point(tuple(x.tolist())))
+        return all(predict(model, trial, gains, fit.noise_N).cost < limit for model in likely)
 
     def _convergence(
         self,

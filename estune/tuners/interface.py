@@ -144,6 +144,14 @@ class RecordUsingTuner(Protocol):
         """Consecutive trials with little improvement left that end a search."""
         ...
 
+    def tell_start(self, state: Any, observation: Observation) -> Any:
+        """The state after a trial of the initial gains, before the first proposal."""
+        ...
+
+    def is_predicted(self, state: Any) -> bool:
+        """Whether its model predicts the costs, so that the recommendation rests on all trials."""
+        ...
+
     def for_trial(self, trial: StepTrial, limits: RobustnessLimits | None) -> Self:
         """The tuner for a step trial; without limits with its own."""
         ...

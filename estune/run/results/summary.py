@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from statistics import fmean, variance
 from typing import Self
 
-from estune.core.comparison import Change, InterleavedRepeats, compare_costs
+from estune.core.comparison import Change, InterleavedRepeats
 from estune.core.gains import Gains
 from estune.core.metrics import LoadMetrics, StepMetrics
 from estune.interop import Margins, margins
@@ -59,7 +59,7 @@ def summarise(session: Session) -> RunSummary:
     plan, repeats = session.plan, session.confirmation
     complete = session.phase is None and not session.failure
     compared = repeats if complete and repeats is not None and len(repeats.safe) == 2 else None
-    change = None if compared is None else compare_costs(compared.costs[0], compared.costs[1])
+    change = None if compared is None else compared.change()
     improved = change is not None and change.is_decrease
     start_costs = session.baseline if compared is None else compared.costs[0]
     start = _mean(start_costs)
