@@ -33,7 +33,7 @@ from estune.core.cost import StepCost
 from estune.core.gains import Gains
 from estune.core.quantities import FloatArray
 from estune.run.planning import make_plan
-from estune.run.session import Phase, after_trial, new_session, next_request
+from estune.run.session import after_trial, new_session, next_request
 from estune.trial.loop_records import loop_signals
 from estune.trial.scoring import cost_of
 from estune.tuners import create_tuner
@@ -287,7 +287,7 @@ def measure_tuners(trials: int) -> dict[str, float]:
 
 
 def model_based_us(seed: int) -> float:
-    """Time of the search for each search trial of a tuning by the records, to its own stop."""
+    """Time of the search for each trial of a tuning by the records, to its own stop."""
     rig = REEL.rig(seed=seed)
     about = rig.describe()
     plan = make_plan(
@@ -298,11 +298,10 @@ def model_based_us(seed: int) -> float:
         record = rig.run(request)
         cost = cost_of(record, plan.step, plan.cost, about.newtons_per_ampere)
         began = time.process_time()
-        searching = session.phase is Phase.SEARCH
-        signals = loop_signals(record, plan.step, about).record if searching else None
+        signals = loop_signals(record, plan.step, about).record
         session = after_trial(session, record.outcome, cost, record=signals)
         spent += time.process_time() - began
-    return spent / session.search_trials * 1e6
+    return spent / session.number * 1e6
 
 
 def median_block(trials: Iterator[None], count: int) -> float:

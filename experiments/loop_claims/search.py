@@ -73,7 +73,9 @@ def search(case: LoopCase, optimum: Truth, noise: float, seed: int, trials_max: 
     rng, run = np.random.default_rng(seed), _trials(case, seed)
     space = SearchSpace.around(case.start, BOUNDS_FACTOR)
     tuner = IdentifiedLoopTuner(space, trial)
-    state, start_cost = tuner.start(), run(case.start, 0)[0]
+    start_cost, first = run(case.start, 0)
+    told = start_cost * math.exp(noise * rng.standard_normal())
+    state = tuner.tell_start(tuner.start(), Observation(told, record=first))
     unsafe = settled = k = 0
     near: list[bool] = []
     while k < trials_max and settled < tuner.settled_trials:
