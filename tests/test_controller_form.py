@@ -2,6 +2,7 @@
 
 import itertools
 import math
+from dataclasses import replace
 
 import control
 import numpy as np
@@ -9,11 +10,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+import estune
+import plants
 from estune.core.controller_equation import controller_polynomials, unlimited_effort
 from estune.core.controller_form import OWN_FORM, ControllerForm
 from estune.core.gains import Gains
 from estune.core.pidf import ControllerSettings, bumpless, coefficients, state_at_rest, step
 from estune.errors import InvalidInput
+from estune.trial import TrialRequest
+from estune.trial.controller_fit import fitted_form
 
 H, LAG = 1.0 / 200.0, 0.012
 SETTINGS = ControllerSettings(200.0, LAG, -math.inf, math.inf)
@@ -148,3 +153,58 @@ def test_what_differs_from_the_own_form_is_told():
         controller_polynomials(
             ControllerSettings(200.0, 0.0, -1.0, 1.0), GAINS, ControllerForm(derivative="exact")
         )
+
+
+@pytest.fixture(scope="module")
+def trial():
+    rig = plants.reference_reel(0.8).rig(seed=2)
+    about = rig.describe()
+    return rig.run(TrialRequest("form", 0, about.gains, about.step)), about
+
+
+def with_form(record, about, form):
+    """The record as if its controller had run another form with the same measurement."""
+    effort = unlimited_effort(
+        *(about.controller, record.gains, record.setpoint_N, record.tension_N),
+        first_N=float(record.current_A[0]) * about.newtons_per_ampere,
+        form=form,
+    )
+    return replace(record, current_A=effort / about.newtons_per_ampere)
+
+
+def test_undeclared_form_is_that_which_reproduces_the_logged_effort(trial):
+    record, about = trial
+    assert fitted_form(record, about) is None
+    for form in FORMS[1::11]:
+        assert fitted_form(with_form(record, about, form), about) == form
+
+
+def test_log_that_no_form_reproduces_shows_none(trial):
+    record, about = trial
+    noise = np.random.default_rng(1).normal(0.0, 0.2, record.current_A.size)
+    assert fitted_form(replace(record, current_A=noise), about) is None
+    ignored = with_form(replace(record, gains=Gains(3.0, 1.0, 0.5, 0.3)), about, OWN_FORM)
+    assert fitted_form(replace(ignored, gains=record.gains), about) is None
+
+
+class OtherForm:
+    """A reel whose controller is another: its rig declares nothing, and logs what it did."""
+
+    def __init__(self, form):
+        self._rig, self._form = plants.reference_reel(0.8).rig(), form
+
+    def __getattr__(self, name):
+        return getattr(self._rig, name)
+
+    def run(self, request):
+        record, about = self._rig.run(request), self._rig.describe()
+        return with_form(record, about, self._form)
+
+
+def test_rig_of_another_form_is_told_so_and_resumes(tmp_path):
+    form = ControllerForm(derivative="exponential", derivative_on="error")
+    short = {"trials": 1, "watch": None, "folder": tmp_path, "run": "other"}
+    result = estune.tune(OtherForm(form), **short)
+    assert result.fitted_form == form == result.rig.controller.form
+    assert any("derivative on: error" in remark for remark in result.remarks())
+    assert estune.load(tmp_path / "other").fitted_form == form

@@ -63,6 +63,8 @@ def load_finished(journal: Journal) -> TuningRun:
     if journal.fact("status") != "finished" or tuning.session.phase is not None:
         raise JournalError(f"{journal.folder}: the run was not finished, and {_REMEDY}")
     loop.read_kept_records(tuning, journal)
+    if tuning.first_record is not None:
+        loop.adopt_form(tuning, tuning.first_record)
     return tuning
 
 

@@ -8,11 +8,13 @@ from itertools import islice
 from pathlib import Path
 from typing import Literal, NamedTuple
 
+from estune.core.controller_form import ControllerForm
 from estune.errors import Interrupted, InvalidInput, JournalError, RigError, UnsafeStart
 from estune.run import snapshot
 from estune.run.failed_trials import run_trial
 from estune.run.journal import CompletedTrial, Journal, JournalEntry
 from estune.run.plan import Plan
+from estune.run.planning import step_trial
 from estune.run.session import (
     Phase,
     Session,
@@ -26,9 +28,10 @@ from estune.run.start import first_record_fault
 from estune.run.trial_quality import check_noise
 from estune.support.blas import one_blas_thread
 from estune.trial import Outcome, Rig, RigDescription, TrialRecord, TrialRequest, empty_record
+from estune.trial.controller_fit import fitted_form
 from estune.trial.loop_records import loop_signals
 from estune.trial.scoring import constraint_margin, cost_of
-from estune.tuners.interface import CostPrediction
+from estune.tuners.interface import CostPrediction, RecordUsingTuner
 
 CONSECUTIVE_VOID_MAX = 10
 """Consecutive void trials that end a run."""
@@ -114,6 +117,8 @@ class TuningRun:
         intervals: Stored confidence intervals of an archived run, as in
             `estune.run.results.summary.RunSummary`; None where the tuner computes them.
         recent_records: Records of the last trials, void ones excluded.
+        fitted_form: Form of the controller that the first record shows, where the rig declares
+            none and does not run estune's own; the description and the plan have it.
     """
 
     plan: Plan
@@ -125,6 +130,24 @@ class TuningRun:
     tuned_record: TrialRecord | None
     intervals: tuple[tuple[str, float, float], ...] | None = None
     recent_records: deque[TrialRecord] = field(default_factory=lambda: deque(maxlen=RECENT_MAX))
+    fitted_form: ControllerForm | None = None
+
+
+def adopt_form(tuning: TuningRun, record: TrialRecord) -> None:
+    """Takes over the form of the rig's controller that the first record shows."""
+    controller = tuning.description.controller
+    if controller.form is not None or not tuning.plan.needs_records:
+        return
+    form = fitted_form(record, tuning.description)
+    if form is None:
+        return
+    tuning.fitted_form = form
+    tuning.description = replace(tuning.description, controller=replace(controller, form=form))
+    plan, tuner = tuning.plan, tuning.plan.tuner
+    if isinstance(tuner, RecordUsingTuner):
+        trial = step_trial(tuning.description, plan.step, plan.cost)
+        plan = replace(plan, tuner=tuner.for_trial(trial, plan.limits))
+    tuning.plan, tuning.session = plan, replace(tuning.session, plan=plan)
 
 
 def start(plan: Plan, description: RigDescription, journal: Journal | None) -> TuningRun:
@@ -159,6 +182,8 @@ def replay(plan: Plan, description: RigDescription, journal: Journal) -> TuningR
             )
         tuning.session = session_after(tuning, entry, journal)
     read_kept_records(tuning, journal)
+    if replayed and tuning.first_record is not None:
+        adopt_form(tuning, tuning.first_record)
     return tuning
 
 
@@ -314,8 +339,9 @@ def _record_trial(
 
 def _advanced(tuning: TuningRun, record: TrialRecord, cost: float, margin: float) -> Session:
     """The session after a trial."""
-    plan, rig = tuning.plan, tuning.description
-    before = tuning.session
+    if not tuning.session.baseline:
+        adopt_form(tuning, record)
+    plan, rig, before = tuning.plan, tuning.description, tuning.session
     learning = before.phase in (Phase.BASELINE, Phase.SEARCH)
     first = not before.baseline
     needed = (plan.uses_records and learning) or (plan.start_source and first)

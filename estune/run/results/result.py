@@ -122,6 +122,7 @@ def from_tuning(tuning: TuningRun) -> TuneResult:
         start_gains=plan.start,
         verdict=summary,
         limits=verdict.limits if summary.improved else None,
+        fitted_form=tuning.fitted_form,
         entries=tuple(tuning.entries),
         folder=tuning.journal.folder if tuning.journal else None,
         plan=plan,

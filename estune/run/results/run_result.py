@@ -13,6 +13,7 @@ import numpy as np
 from scipy.optimize import OptimizeResult
 
 from estune.core.comparison import Change, repeatability
+from estune.core.controller_form import ControllerForm
 from estune.core.gains import GAIN_NAMES, Gains
 from estune.errors import JournalError
 from estune.loop_model.claim import Claim, unexplained
@@ -65,6 +66,8 @@ class RunResult(OptimizeResult):  # type: ignore[misc]  # scipy ships no type in
         start_gains: Initial gains.
         verdict: Summary of the run.
         limits: Whether the tuned gains keep the limits of the run; None without tuned gains.
+        fitted_form: Form of the rig's controller by its logged effort, where the rig declares none
+            and does not run estune's own.
         entries: Every completed trial, void ones too.
         folder: The run on disk, or None.
         plan: Plan of the run.
@@ -90,6 +93,7 @@ class RunResult(OptimizeResult):  # type: ignore[misc]  # scipy ships no type in
     start_gains: Gains
     verdict: RunSummary
     limits: LimitVerdict | None
+    fitted_form: ControllerForm | None
     entries: tuple[JournalEntry, ...]
     folder: Path | None
     plan: Plan
@@ -304,6 +308,11 @@ def _start_remarks(result: RunResult) -> Iterator[str]:
     if result.plan.start_source:
         source = result.plan.start_source
         yield f"the search began at {source}, which are not live on the rig yet"
+    if result.fitted_form is not None:
+        yield (
+            f"the logged effort is that of another form of the controller ({result.fitted_form}), "
+            "by which the loop was identified; declare it as form in the rig's controller settings"
+        )
     space = result.plan.tuner.space
     left = left_out(result.start_gains, space.names, result.plan.cost.settling_time_s)
     if left and space.form == "parallel":

@@ -1,0 +1,91 @@
+"""The form of a rig's controller, from the effort it logged."""
+
+import math
+from collections.abc import Iterator
+from dataclasses import fields
+from itertools import product
+from typing import get_args, get_type_hints
+
+import numpy as np
+
+from estune.core.controller_equation import unlimited_effort
+from estune.core.controller_form import OWN_FORM, ControllerForm
+from estune.core.quantities import FloatArray
+from estune.errors import InvalidInput
+from estune.trial.description import RigDescription
+from estune.trial.records import SATURATED, Outcome, TrialRecord
+
+REPRODUCED = 0.01
+"""Residual of the increments of the effort, as a share of them, up to which a form reproduces the
+log. On the reference reel other forms leave 0.3 to 60 %, a log rounded to 0.1 mA 0.4 %."""
+
+EXACT = 1e-4
+"""Residual from which on other forms need not be tried: that of a simulated reel is 6e-6."""
+
+FORGOTTEN = 7.0
+"""Time constants after which a filter has forgotten all but a thousandth."""
+
+ALIKE = 2.0
+"""Ratio of residuals up to which two forms reproduce a log equally well: that with fewer
+differences from estune's own is taken."""
+
+
+def fitted_form(record: TrialRecord, rig: RigDescription) -> ControllerForm | None:
+    """The form that reproduces the logged effort of a trial where estune's own does not.
+
+    None where its own does, where no form does, or where the record cannot show it.
+    """
+    logged = record.controller_A * rig.newtons_per_ampere
+    if record.outcome is not Outcome.DONE or (record.flags & SATURATED).any():
+        return None
+    if not np.isfinite(logged).all() or not np.diff(logged).any():
+        return None
+    if _residual(record, rig, logged, OWN_FORM) <= EXACT:
+        return None
+    residuals = {form: _residual(record, rig, logged, form) for form in _forms()}
+    least = min(residuals.values())
+    if least > REPRODUCED:
+        return None
+    found = min(
+        (form for form, residual in residuals.items() if residual <= ALIKE * least),
+        key=lambda form: (_differences(form), residuals[form]),
+    )
+    return None if found == OWN_FORM else found
+
+
+def _residual(
+    record: TrialRecord, rig: RigDescription, logged: FloatArray, form: ControllerForm
+) -> float:
+    """Root mean square of what a form leaves of the increments of the effort, as a share.
+
+    Without the samples in which the filter still knows what was before the record.
+    """
+    try:
+        effort = unlimited_effort(
+            rig.controller,
+            record.gains,
+            record.setpoint_N,
+            record.tension_N,
+            first_N=0.0,
+            form=form,
+        )
+    except InvalidInput:
+        return math.inf
+    settings = rig.controller
+    forgotten = math.ceil(FORGOTTEN * settings.derivative_filter_s * settings.sampling_Hz) + 3
+    known = slice(min(forgotten, logged.size // 4), None)
+    moves, left = np.diff(logged)[known], (np.diff(effort) - np.diff(logged))[known]
+    return float(np.linalg.norm(left) / max(float(np.linalg.norm(moves)), 1e-300))
+
+
+def _forms() -> Iterator[ControllerForm]:
+    """All forms."""
+    kinds = get_type_hints(ControllerForm)
+    for values in product(*(get_args(kinds[field.name]) for field in fields(ControllerForm))):
+        yield ControllerForm(*values)
+
+
+def _differences(form: ControllerForm) -> int:
+    return sum(
+        getattr(form, field.name) != getattr(OWN_FORM, field.name) for field in fields(form)
+    )
