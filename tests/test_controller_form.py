@@ -176,7 +176,10 @@ def test_undeclared_form_is_that_which_reproduces_the_logged_effort(trial):
     record, about = trial
     assert fitted_form(record, about) is None
     for form in FORMS[1::11]:
-        assert fitted_form(with_form(record, about, form), about) == form
+        shown = with_form(record, about, form)
+        found = fitted_form(shown, about)
+        if found != form:  # two forms are one: exact and exponential of the whole measurement
+            assert with_form(record, about, found).current_A == pytest.approx(shown.current_A)
 
 
 def test_log_that_no_form_reproduces_shows_none(trial):
