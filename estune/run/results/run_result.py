@@ -324,7 +324,9 @@ def _robustness(result: RunResult) -> str:
     margins, limits = result.claim.margins, result.limits
     if limits is not None and limits.reason:
         return limits.reason
-    return "no margins claimed" if margins is None else f"Ms {margins.sensitivity.value:.2f}"
+    if margins is None:
+        return "no margins claimed"
+    return f"Ms {margins.sensitivity.value:.2f}, at most {margins.sensitivity.high:.2f}"
 
 
 def _robustness_remarks(result: RunResult) -> tuple[str, ...]:
