@@ -11,8 +11,8 @@ from estune.cli import app
 from estune.core.gains import Gains
 from estune.errors import InvalidInput
 from estune.loop_model.claim import Claim
+from estune.loop_model.intervals import Interval, PredictedMargins
 from estune.loop_model.optimum import RobustnessLimits
-from estune.loop_model.prediction import Interval, PredictedMargins
 from estune.run.ending import RunEnding
 from estune.run.limit_verdict import LimitState, limit_verdict
 from estune.run.toml_tables import SearchTable

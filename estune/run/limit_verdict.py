@@ -17,9 +17,9 @@ from estune.trial import Outcome, TrialRecord
 from estune.trial.scoring import metrics_of
 
 SENSITIVITY_ALLOWED = 0.12
-"""Share by which the interval of Ms may reach beyond its limit. Searches end at the limit, and with
-seven records of steps, which hardly excite what lies above the crossover, the upper ends of their
-intervals lie 5 to 12 % above it on reels and second-order plants."""
+"""Share by which the interval of Ms may reach beyond its limit. Searches end at the limit, and
+with seven records of steps, which hardly excite what lies above the crossover, the upper ends of
+their intervals lie 5 to 12 % above it on reels and second-order plants."""
 
 OVERSHOOT_ALLOWED = 0.01
 """The same of the overshoot, as a share of the step: on the emulated reel that of repeats scatters
