@@ -55,7 +55,7 @@ def test_friction_is_identified_and_the_limits_are_kept_and_claimed():
     plant = plants.reference_reel() + CoulombFriction(torque_Nm=0.05)
     result = tune(plant)
     found = result.identified.fit.model.friction_N
-    assert found == pytest.approx(0.05 / plants.reference_reel().drum_radius_m, rel=0.05)
+    assert found == pytest.approx(0.05 / plants.reference_reel().drum_radius_m, rel=0.1)
     truth = true_sensitivity(plant, result.gains)
     assert truth <= 1.65
     assert result.claim.margins.sensitivity.low <= truth <= result.claim.margins.sensitivity.high

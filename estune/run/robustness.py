@@ -196,7 +196,8 @@ def not_robust(
     error_N, allowed_N = _end_error(responses[:, index:], final_N)
     allowed_N = max(allowed_N, END_ERROR * abs(step.step_N))
     if before := [r.tension_N[index:] for r in done if r.gains == plan.start]:
-        allowed_N = max(allowed_N, abs(_end_error(np.array(before), final_N)[0]))
+        left_N, explained_N = _end_error(np.array(before), final_N)
+        allowed_N += abs(left_N) + explained_N
     if abs(error_N) > allowed_N:
         ends = f"{error_N:+.2g} {rig.measurement_unit}".rstrip()
         return f"the response ends {ends} off its setpoint (allowed {rig.measured(allowed_N, 2)})"
