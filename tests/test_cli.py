@@ -457,10 +457,10 @@ def test_rig_lost_during_stop_is_not_reported_as_confirmed(monkeypatch, capsys, 
 
 def test_list_shows_the_newest_run_first(arithmetic_run, here, tmp_path):
     for name, begun in (("b", "2026-03-02"), ("a", "2026-01-05"), ("c", "2026-02-01")):
-        shutil.copytree(arithmetic_run, tmp_path / name)
-        with Journal.open(tmp_path / name, write=True) as journal:
+        shutil.copytree(arithmetic_run, tmp_path / "many" / name)
+        with Journal.open(tmp_path / "many" / name, write=True) as journal:
             journal.note(created_at=f"{begun}T12:00:00+00:00")
-    listed = json.loads(here("list", "--folder", tmp_path, "--json"))
+    listed = json.loads(here("list", "--folder", tmp_path / "many", "--json"))
     assert [row["run"] for row in listed] == ["b", "c", "a"]
 
 

@@ -1,6 +1,7 @@
 """The live page in a real browser: a run in processes of its own, and a daemon."""
 
 import json
+import shutil
 import subprocess
 import sys
 from functools import partial
@@ -9,14 +10,17 @@ import pytest
 from axe_playwright_python.sync_playwright import Axe
 from playwright.sync_api import expect
 
+from estune import tune
 from estune.errors import InvalidInput, JournalError, RigError
 from estune.remote import zenoh
+from estune.run.journal import Journal
 from estune.support.user import user_at_host
 from estune.web.server import PageServer
-from estune.web.views import rig_view, run_view
+from estune.web.views import folder_views, rig_view, run_view
 from tests.serve_rig import served
 from tests.support_browser import browser, needs_browser, opened
 from tests.support_daemon import daemon, rig_served, rig_table
+from tests.support_runs import ArithmeticRig
 
 pytestmark = needs_browser
 
@@ -158,6 +162,27 @@ def test_page_without_its_server_says_that_it_is_disconnected(chromium):
         server.close()
         expect(page.locator("#state")).to_have_text("page disconnected")
         page.close()
+
+
+def test_list_of_runs_is_sorted_and_filtered_by_keyboard(chromium, tmp_path):
+    tune(ArithmeticRig(), trials=2, run="first", folder=tmp_path, watch=None)
+    for name, begun in (("old", "2026-01-05"), ("new", "2026-12-24")):
+        shutil.copytree(tmp_path / "first", tmp_path / name)
+        with Journal.open(tmp_path / name, write=True) as journal:
+            journal.note(created_at=f"{begun}T12:00:00+00:00")
+    server = PageServer(folder_views(tmp_path))
+    with opened(chromium, server.address) as page:
+        links = page.locator("#views tbody a")
+        expect(links).to_have_text(["new", "first", "old"])
+        expect(page.locator("#views tbody tr").first).to_contain_text("finished")
+        page.get_by_role("button", name="name", exact=True).press("Enter")
+        expect(links).to_have_text(["first", "new", "old"])
+        page.get_by_role("searchbox").press_sequentially("ol")
+        expect(links).to_have_text(["old"])
+        links.first.press("Enter")
+        expect(page.locator("#title")).to_have_text("old")
+        assert serious(page) == []
+    server.close()
 
 
 NEW_GAINS = {"P": 0.5, "I": 14.0, "D": 0.011, "setpoint_filter_s": 0.02}

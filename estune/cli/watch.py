@@ -19,9 +19,7 @@ PORT = 8765
 
 
 def watch(
-    what: str = api.RUNS,
-    /,
-    *,
+    *what: str,
     rig: str | None = None,
     port: int = PORT,
     host: str = "127.0.0.1",
@@ -30,14 +28,14 @@ def watch(
     security: Path | None = None,
     folder: Path = Path(api.RUNS),
 ) -> None:
-    """Show a run, a folder of runs, a rig or a daemon live on a page in the browser.
+    """Show runs, rigs and daemons live on a page in the browser.
 
     The page shows; it commands nothing unless started with --allow-commands. It cannot slow or
     stop a run.
 
     Args:
         what: A run (its name, or its folder), a folder of runs, or the endpoint of rigs or of a
-            daemon.
+            daemon; several are on one page. The folder runs by default.
         rig: Name of one rig at the endpoint; all of them by default.
         port: Port of the page; 0 takes a free one.
         host: Address of this machine at which the page is served.
@@ -50,8 +48,10 @@ def watch(
     """
     from estune.web.server import PageServer  # noqa: PLC0415  slow to import
 
+    credentials = security_from(security)
+    sources = [_views(one, rig, credentials, folder) for one in what or (api.RUNS,)]
     server = PageServer(
-        _views(what, rig, security_from(security), folder),
+        lambda: [view for views in sources for view in views()],
         host=host,
         port=port,
         may_command=allow_commands,

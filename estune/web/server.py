@@ -3,13 +3,16 @@
 import asyncio
 import hmac
 import json
+import math
 import secrets
 import socket
 import threading
+import time
 from collections.abc import AsyncIterator
 from functools import partial
 from importlib.resources import files
 from ipaddress import ip_address
+from typing import Any
 
 import uvicorn
 from starlette.applications import Starlette
@@ -29,6 +32,8 @@ UPDATE_S = 0.1
 """Interval at which a page is sent what has changed."""
 BEAT_S = 0.5
 """Interval at which a page is told that the server is there, and the age of the data."""
+LIST_S = 2.0
+"""Age up to which one list of views serves all pages, of which each asks every 3 s."""
 PAGES_MAX = 100
 """Pages open at a time; browsers that were left behind are refused beyond it."""
 COMMAND_MAX_BYTES = 4096
@@ -87,6 +92,8 @@ class PageServer:
         self._views = views
         self._key = secrets.token_urlsafe(16) if may_command else ""
         self._pages = 0
+        self._listing = threading.Lock()
+        self._list_made = -math.inf, ""
         shown = f"[{host}]" if ":" in host else host
         self.address = f"http://{shown}:{self.port}/" + (f"#key={self._key}" if self._key else "")
         names = {shown, "localhost", "127.0.0.1", "[::1]", *_own_names(allow_remote=allow_remote)}
@@ -127,14 +134,24 @@ class PageServer:
         )
 
     async def _list(self, _request: Request) -> Response:
-        try:
-            views = await run_in_threadpool(self._views)
-        except EstuneError as error:
-            return JSONResponse({"views": [], "fault": str(error)}, headers=_HEADERS)
-        for view in views:
-            view.glance()
-        listed = [{"name": view.name, "kind": view.kind, "line": _line(view)} for view in views]
-        return JSONResponse({"views": listed, "fault": ""}, headers=_HEADERS)
+        text = await run_in_threadpool(self._listed)
+        return Response(text, media_type="application/json", headers=_HEADERS)
+
+    def _listed(self) -> str:
+        """The list as JSON, made at most once in `LIST_S` for all pages."""
+        with self._listing:
+            at_s, text = self._list_made
+            if time.monotonic() - at_s < LIST_S:
+                return text
+            try:
+                views = self._views()
+                for view in views:
+                    view.glance()
+                text = to_json({"views": [_row(view) for view in views], "fault": ""})
+            except EstuneError as error:
+                text = to_json({"views": [], "fault": str(error)})
+            self._list_made = time.monotonic(), text
+            return text
 
     async def _view(self, name: str) -> View | None:
         views = await run_in_threadpool(self._views)
@@ -261,15 +278,15 @@ def _content(name: str) -> bytes | None:
     return None if file is None or name.rpartition(".")[2] not in _TYPES else file.read_bytes()
 
 
-def _line(view: View) -> str:
-    """State of a view in a line; empty while nobody has looked at it."""
-    daemon, run, rig = (view.board.get(name) for name in ("daemon", "state", "rig"))
+def _row(view: View) -> dict[str, Any]:
+    """A view in the list; the state of a rig is known once it has been looked at."""
+    row = {"name": view.name, "kind": view.kind, "state": ""} | view.summary()
+    daemon, rig = view.board.get("daemon"), view.board.get("rig")
     if daemon is not None:
-        return f"{daemon['mode']}, {daemon['live'] or 'unknown'} gains live"
-    if run is not None:
-        best = "" if run["best"] is None else f", best cost {run['best']['cost']:.3g}"
-        return f"{run['status'].partition(':')[0]}, {run['done']} trials{best}"
-    return "" if rig is None else str(rig["mode"])
+        row["state"] = f"{daemon['mode']}, {daemon['live'] or 'unknown'} gains live"
+    elif view.kind == "rig" and rig is not None:
+        row["state"] = str(rig["mode"])
+    return row
 
 
 def _check_reach(host: str, *, allow_remote: bool) -> None:

@@ -28,11 +28,12 @@ from estune.web.reader import Reader
 from estune.web.rig_actions import RigActions
 from estune.web.rig_reader import RigReader
 from estune.web.run_reader import RunReader
+from estune.web.run_summary import RunSummary
 from estune.web.tuning_source import TuningSource
 
 LINK_S = 2.0
 """Time that a rig has to answer before the page says that there is no link, s."""
-RUNS_MAX = 100
+RUNS_MAX = 2000
 """Newest runs of a folder that are listed."""
 
 Execute = Callable[[str, Mapping[str, Any]], str]
@@ -48,6 +49,7 @@ class View:
         board: Its values.
         commands: What a page may command, by name.
         tuning: What its tuning page shows.
+        summary: What the list of views shows of it beside its state.
     """
 
     def __init__(
@@ -60,8 +62,10 @@ class View:
         commands: Mapping[str, Execute] | None = None,
         tuning: TuningSource | None = None,
         actions: RigActions | None = None,
+        summary: Callable[[], dict[str, Any]] = dict,
     ) -> None:
         self.name = name
+        self.summary = summary
         self._actions = actions
         self.tuning = tuning or TuningSource()
         self.kind = kind
@@ -124,6 +128,7 @@ def run_view(folder: Path, security: Security = OPEN) -> View:
         commands=commands,
         tuning=TuningSource(folder),
         actions=actions,
+        summary=RunSummary(folder).row,
     )
 
 
@@ -146,7 +151,8 @@ def folder_views(folder: Path, security: Security = OPEN) -> Views:
 def _unreadable(folder: Path) -> View:
     """A run whose journal cannot be read; the page says why."""
     board = Board()
-    return View(folder.name, "run", board, [RunReader(board, folder)])
+    summary = RunSummary(folder).row
+    return View(folder.name, "run", board, [RunReader(board, folder)], summary=summary)
 
 
 def _is_running(board: Board) -> bool:

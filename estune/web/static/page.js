@@ -1,6 +1,7 @@
 // The page: follows one view by server-sent events, and draws what has changed.
 
 import { openForm } from "./form.js";
+import { RunTable } from "./runs.js";
 import { Sections } from "./sections.js";
 import { TuningSection } from "./tuning.js";
 
@@ -15,7 +16,7 @@ if (key) {
 
 let stream = null, view = "", shown = null;
 let beat = { at: performance.now(), ages: {} };
-const tuning = new TuningSection();
+const tuning = new TuningSection(), runs = new RunTable();
 export const sections = () => shown; // of the view on the page
 let allowed = [], kind = "";
 
@@ -205,17 +206,8 @@ async function list() {
   } catch {
     return; // the state says that the server does not answer
   }
-  const nav = $("views"), names = answer.views.map((one) => one.name);
-  nav.hidden = names.length < 2;
-  nav.replaceChildren(...answer.views.map((one) => {
-    const link = document.createElement("a"), line = document.createElement("small");
-    link.href = `?view=${encodeURIComponent(one.name)}`;
-    link.textContent = one.name;
-    line.textContent = one.line;
-    if (one.name === view) link.setAttribute("aria-current", "page");
-    link.append(line);
-    return link;
-  }));
+  const names = answer.views.map((one) => one.name);
+  runs.show(answer.views, view);
   if (stream && (stream.readyState === EventSource.CLOSED || silent_s > AGAIN_S)) open(view);
   shown?.offer(names.filter((name) => name !== view));
   const wanted = new URLSearchParams(location.search).get("view");

@@ -1,0 +1,58 @@
+"""A run in one row of the list, from its journal alone, read anew when the journal has changed."""
+
+from pathlib import Path
+from typing import Any
+
+from estune.errors import EstuneError
+from estune.run.journal import FILE_NAME, Journal, being_written
+from estune.run.session import Phase
+from estune.trial import Outcome
+
+_COMPARED = (Phase.BASELINE, Phase.SEARCH)
+
+
+class RunSummary:
+    """The row of one run. Any thread may ask.
+
+    Args:
+        folder: The run.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        self._read: tuple[tuple[int, ...], dict[str, Any]] = (), {}
+
+    def row(self) -> dict[str, Any]:
+        """Rig, time of the begin, state, trials, cost at the start and the best."""
+        stamp = self._stamp()
+        if stamp != self._read[0]:
+            self._read = stamp, self._row()
+        row = self._read[1]
+        if row.get("state") == "running" and not being_written(self._folder):
+            return row | {"state": "interrupted"}
+        return row
+
+    def _stamp(self) -> tuple[int, ...]:
+        """Times at which the journal's files were written."""
+        file = self._folder / FILE_NAME
+        files = (file, file.with_name(f"{FILE_NAME}-wal"))
+        return tuple(one.stat().st_mtime_ns for one in files if one.exists())
+
+    def _row(self) -> dict[str, Any]:
+        try:
+            with Journal.open(self._folder) as journal:
+                entries = [e for e in journal.entries() if e.outcome is not None]
+                status, begun = str(journal.fact("status")), journal.fact("created_at")
+                rig = journal.fact("rig")["name"]
+        except EstuneError as error:
+            return {"state": f"unreadable: {error}"}
+        done = [e for e in entries if e.outcome is Outcome.DONE and e.phase in _COMPARED]
+        baseline = [e.cost for e in done if e.phase is Phase.BASELINE]
+        return {
+            "rig": rig,
+            "begun": begun,
+            "state": status.partition(":")[0],
+            "trials": len(entries),
+            "start_cost": sum(baseline) / len(baseline) if baseline else None,
+            "cost": min((e.cost for e in done), default=None),
+        }

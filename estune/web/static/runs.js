@@ -1,0 +1,63 @@
+// The list of rigs and runs: sorted by a column, filtered by words.
+
+const $ = (id) => document.getElementById(id);
+const cost = (x) => (x == null ? "" : Number(x.toPrecision(4)).toString());
+const COLUMNS = [
+  ["name", "name", (x) => x], ["rig", "rig", (x) => x ?? ""], ["state", "state", (x) => x],
+  ["begun", "begun", (x) => (x ? new Date(x).toLocaleString() : "")], ["trials", "trials", (x) => x ?? ""],
+  ["start_cost", "cost before", cost], ["cost", "best cost", cost],
+];
+
+export class RunTable {
+  constructor() {
+    this.rows = [];
+    this.by = "begun";
+    this.falling = true;
+    $("filter").addEventListener("input", () => this.draw());
+    $("views").querySelector("thead tr").replaceChildren(...COLUMNS.map(([key, label]) => {
+      const th = document.createElement("th"), button = document.createElement("button");
+      th.scope = "col";
+      button.type = "button";
+      button.textContent = label;
+      button.addEventListener("click", () => {
+        this.falling = this.by === key ? !this.falling : key === "begun";
+        this.by = key;
+        this.draw();
+      });
+      th.append(button);
+      return th;
+    }));
+  }
+
+  // New rows, of which one is shown on the page.
+  show(rows, current) {
+    const content = JSON.stringify([rows, current]);
+    if (content === this.content) return;
+    Object.assign(this, { content, rows, current });
+    $("views").hidden = rows.length < 2;
+    this.draw();
+  }
+
+  draw() {
+    const words = $("filter").value.toLowerCase().split(/\s+/).filter(Boolean), sign = this.falling ? -1 : 1;
+    const text = (row) => COLUMNS.map(([key, , shown]) => shown(row[key])).join(" ").toLowerCase();
+    const order = (p, q) => { // rows without a value come last
+      const [a, b] = [p[this.by] ?? "", q[this.by] ?? ""];
+      if (a === "" || b === "") return (a === "") - (b === "");
+      return sign * (typeof a === "number" ? a - b : String(a).localeCompare(String(b)));
+    };
+    const shown = this.rows.filter((row) => words.every((word) => text(row).includes(word))).sort(order);
+    $("views").querySelectorAll("th").forEach((th, n) => th.setAttribute("aria-sort", COLUMNS[n][0] !== this.by ? "none" : this.falling ? "descending" : "ascending"));
+    $("views").querySelector("tbody").replaceChildren(...shown.map((row) => {
+      const tr = document.createElement("tr");
+      COLUMNS.forEach(([key, , form], n) => {
+        const cell = tr.insertCell();
+        if (n) return cell.append(form(row[key]));
+        const link = Object.assign(document.createElement("a"), { href: `?view=${encodeURIComponent(row.name)}`, textContent: row.name });
+        if (row.name === this.current) link.setAttribute("aria-current", "page");
+        cell.append(link);
+      });
+      return tr;
+    }));
+  }
+}
