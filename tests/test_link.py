@@ -16,8 +16,9 @@ from hypothesis.stateful import (
 from estune.errors import ProtocolError
 from estune.remote.state_machine import client, events, rig, trials
 from estune.remote.state_machine.client import Action, ClientInput, ClientStage
+from estune.remote.state_machine.events import RigAction
 from estune.remote.state_machine.reply_codes import OF_TRIAL, ReplyCode
-from estune.remote.state_machine.state import LEASE_S, Mode, RigAction, RigState, Transition
+from estune.remote.state_machine.state import LEASE_S, Mode, RigState, Transition
 from estune.remote.state_machine.trials import TrialEvent, TrialState
 
 # --- one trial id ---

@@ -85,4 +85,4 @@ def test_reel_is_tuned_by_ramps(tmp_path):
     assert result.success
     again = estune.load(tmp_path / "ramp")
     assert again.plan.step.ramp_s == 0.1
-    assert again.rig.step_text(step).endswith(", ramp_s 0.1")
+    assert again.rig.step_text(step).endswith("N (ramp_s 0.1)")

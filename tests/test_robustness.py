@@ -12,6 +12,7 @@ import plants
 from estune.core.cost import default_cost
 from estune.core.gains import Gains
 from estune.core.pidf import ControllerSettings
+from estune.core.response import StepShape
 from estune.errors import InvalidInput
 from estune.loop_model.claim import claim
 from estune.loop_model.fitting import fit_loop
@@ -167,7 +168,7 @@ def records_without_response(samples=150):
 
 def test_dead_time_longer_than_a_trial_is_told():
     gains, controller = Gains(1.0, 1.0, 0.0, 0.0), ControllerSettings(100.0, 0.0, -1e9, 1e9)
-    trial = StepTrial(controller, default_cost(0.5), 0.0, 1.0, 20, 150)
+    trial = StepTrial(controller, default_cost(0.5), 0.0, StepShape(20, 1.0), 150)
     records = [r._replace(gains=gains) for r in records_without_response()]
     fit = fit_loop(records, 100.0, 0.5)
     assert not fit.responds

@@ -69,7 +69,7 @@ class NamedSignals:
             for member in declared(type(step))
             if member.default is not MISSING and getattr(step, member.name) != member.default
         ]
-        return ", ".join([text, *more])
+        return f"{text} ({', '.join(more)})" if more else text
 
 
 @dataclass(frozen=True, slots=True)
