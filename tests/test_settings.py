@@ -10,8 +10,7 @@ from estune.cli.options import CostOptions, LimitOptions, SearchOptions, StepOpt
 from estune.core.setting import declared
 from estune.daemon.config import RigTable
 from estune.errors import InvalidInput
-from estune.hardware.tables import ControllerTable
-from estune.hardware.tables import RigStepTable as HardwareStepTable
+from estune.hardware.tables import ControllerTable, RigStepTable
 from estune.run.plan import Search
 from estune.run.toml_tables import (
     CONTROLLER,
@@ -20,15 +19,15 @@ from estune.run.toml_tables import (
     SEARCH,
     STEP,
     CostTable,
-    RigStepTable,
     SearchTable,
+    StepTable,
 )
 from estune.studies.sweep.design import SweepDesign
 from estune.support.toml_file import validate
 from estune.trial.profiles import StepProfile
 from tests import settings_page
 
-TABLES = {RigStepTable: STEP, CostTable: COST, SearchTable: SEARCH, ControllerTable: CONTROLLER}
+TABLES = {StepTable: STEP, CostTable: COST, SearchTable: SEARCH, ControllerTable: CONTROLLER}
 OPTIONS = {StepOptions: STEP, CostOptions: COST, SearchOptions: SEARCH, LimitOptions: LIMITS}
 
 
@@ -58,7 +57,7 @@ def test_every_setting_is_a_key_an_option_and_a_row_of_the_page():
     tuning = RigTable.model_fields["tuning"].annotation
     assert names(LIMITS) | names(SEARCH) <= set(tuning.model_fields)
     own = {member.name for member in declared(StepProfile)} - {"loop", "kind"}
-    assert set(HardwareStepTable.model_fields) == own
+    assert set(RigStepTable.model_fields) == own
     for options, group in OPTIONS.items():
         assert names(group) - {"bounds"} == set(inspect.signature(options).parameters)
     text = settings_page.PAGE.read_text("utf-8")
