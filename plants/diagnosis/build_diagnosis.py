@@ -139,7 +139,7 @@ def build_diagnosis(inputs: DiagnosisInputs) -> Diagnosis:
     """The verdict with all its evidence."""
     stages, judged = _evidenced(inputs, *_validated(inputs, inputs.done.judged))
     before, after = stages[0], stages[-1]
-    judged = _not_nothing(inputs, judged, before)
+    judged = _not_nothing(inputs, judged, after)
     first = intervals(before.fitter, before.fit, before.fit)
     last = intervals(after.fitter, after.fit, before.fit) if after is not before else first
     steps = [one.step for one in stages]
@@ -256,17 +256,19 @@ def _validated(inputs: DiagnosisInputs, judged: Conclusion) -> tuple[list[ModelS
     return stages, judged
 
 
-def _not_nothing(inputs: DiagnosisInputs, judged: Conclusion, base: ModelStage) -> Conclusion:
+def _not_nothing(inputs: DiagnosisInputs, judged: Conclusion, last: ModelStage) -> Conclusion:
     """Unknown where short predictions are within the noise, but something else is far off."""
     if judged.verdict != "none":
         return judged
     contradictions = []
     worst = max(inputs.done.where.blocks, key=lambda block: block.ratio, default=None)
-    if worst is not None and worst.ratio**2 > CONSTANTS.incomplete:
+    # The balances are of the linear model: effects that the model has are left in them.
+    linear = not inputs.done.fitter.model.effects
+    if worst is not None and linear and worst.ratio**2 > CONSTANTS.incomplete:
         contradictions.append(f"the {worst.title} is at {worst.ratio:.2g} times its noise")
-    apart, moved = free_run_rms(base.fitter, base.fit), moved_rms(base.fitter)
+    apart, moved = free_run_rms(last.fitter, last.fit), moved_rms(last.fitter)
     if apart > CONSTANTS.free_run * moved:
-        unit = written_unit(base.fitter.model.output, base.fitter.model.model)
+        unit = written_unit(last.fitter.model.output, last.fitter.model.model)
         contradictions.append(
             f"a free run is {si(apart, unit)} off, of a motion of {si(moved, unit)}"
         )
