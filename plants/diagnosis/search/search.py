@@ -20,7 +20,7 @@ from plants.diagnosis.search.model_fitter import (
 )
 from plants.diagnosis.search.nameless_laws import NAMELESS
 from plants.diagnosis.search.score_context import ScoreContext
-from plants.diagnosis.search.score_test import ScreeningResult, screen
+from plants.diagnosis.search.screening import ScreeningResult, screen
 from plants.diagnosis.search.starts import coarse_fit, fit_added, may_be_nonlinear
 from plants.effects import Effect, RecordScale, Role
 

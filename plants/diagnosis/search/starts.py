@@ -15,7 +15,7 @@ import numpy as np
 from estune.core.quantities import FloatArray
 from plants.diagnosis.search.constants import CONSTANTS
 from plants.diagnosis.search.model_fitter import CandidateFit, ModelFitter, simpler_of
-from plants.diagnosis.search.score_test import ScreeningResult
+from plants.diagnosis.search.screening import ScreeningResult
 from plants.effects import Effect, Port, Role
 
 ROUGH = np.array([0.1, 0.3, 1.0, 2.0, 3.5, 6.0, 12.0])
