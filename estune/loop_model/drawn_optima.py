@@ -68,6 +68,8 @@ def draw_optima(
         # What a draw violates at the centre is the model's doubt and no improvement.
         own = replace(own, limits=own.limits.loosened_to(here), _known={})
         drawn = own.minimise([x], iterations=ITERATIONS)
-        gains.append(max(math.log(here.cost / drawn.prediction.cost), 0.0))
+        # A search that leaves the stable region has found nothing better.
+        there = drawn.prediction.cost if math.isfinite(drawn.prediction.cost) else here.cost
+        gains.append(max(math.log(here.cost / there), 0.0))
         optima.append(drawn.coordinates)
     return DrawnOptima(x, tuple(gains), np.array(optima))

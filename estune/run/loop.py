@@ -12,6 +12,7 @@ from estune.core.controller_form import ControllerForm
 from estune.errors import Interrupted, InvalidInput, JournalError, RigError, UnsafeStart
 from estune.run import snapshot
 from estune.run.failed_trials import run_trial
+from estune.run.first_trial import check_answer
 from estune.run.journal import CompletedTrial, Journal, JournalEntry
 from estune.run.plan import Plan
 from estune.run.planning import step_trial
@@ -258,10 +259,11 @@ def run(
 
 
 def _check_posed(tuning: TuningRun) -> None:
-    """Refuses to search by trials whose cost is mostly noise, unless forced."""
+    """Refuses to search on a rig that does not answer, or by noise, unless forced."""
     session, first = tuning.session, tuning.first_record
     begins = session.phase is Phase.SEARCH and not session.search_trials
     if begins and first is not None and not tuning.plan.forced:
+        check_answer(first, tuning.plan, tuning.description)
         check_noise(first, tuning.plan, tuning.description, session.baseline[0])
 
 

@@ -22,6 +22,9 @@ COST_PER_MISFIT = 5.0
 """Size of the surface of the log cost per misfit beyond `MISFIT_MIN`: on plants outside the class
 the cost of trials up to a logarithm away differs by 1 to 3 times the misfit."""
 
+NOISE_MIN = 1e-3
+"""Least standard deviation of the log cost: without any, trials at one place leave no inverse."""
+
 OVERSHOOT_NOISE = 0.01
 """Standard deviation of a measured overshoot, as a share of the step."""
 
@@ -57,7 +60,7 @@ class ResidualSurface(NamedTuple):
             misfit: rho of the model.
             noise: Standard deviation of the log cost of a trial.
         """
-        size = COST_PER_MISFIT * (misfit - MISFIT_MIN)
+        size, noise = COST_PER_MISFIT * (misfit - MISFIT_MIN), max(noise, NOISE_MIN)
         known = [i for i, pair in enumerate(differences) if np.isfinite(pair).all()]
         if size <= 0.0 or not known:
             return None

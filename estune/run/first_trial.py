@@ -1,0 +1,63 @@
+"""What the first trial of a run shows of a rig that cannot be tuned, with the remedy."""
+
+import math
+
+import numpy as np
+
+from estune.core.quantities import FloatArray
+from estune.errors import InvalidInput
+from estune.run.plan import Plan
+from estune.trial import RigDescription, TrialRecord
+
+ANSWERED = 5.0
+"""Least change of the measurement over a trial, in standard errors of its means: noise alone
+reaches 5 in one trial of a million."""
+
+MEANS = 4
+"""The last quarter of the samples after the step is compared with those before it."""
+
+
+def check_answer(record: TrialRecord, plan: Plan, rig: RigDescription) -> None:
+    """Refuses a rig whose measurement does not follow its effort, or follows it the wrong way.
+
+    Raises:
+        InvalidInput: the measurement does not answer the effort of the first trial, answers with
+            the wrong sign, or the effort stays at its limit.
+    """
+    index = plan.step.step_index(record.sampling_Hz)
+    effort = record.current_A * rig.newtons_per_ampere
+    if not 1 < index < effort.size - MEANS:
+        return
+    moved, moved_error = _change(effort, index)
+    answer, error = _change(record.tension_N, index)
+    if not abs(moved) > ANSWERED * moved_error:
+        return
+    what = f"trial {record.trial_id}: the {rig.measurement_name}"
+    moves = f"while the {rig.command_name} changes by {rig.commanded(moved)}"
+    if abs(answer) <= ANSWERED * error:
+        raise InvalidInput(
+            f"{what} does not answer: it changes by {rig.measured(answer, 2)} {moves}; check the "
+            "sensor and the drive, make the trial longer, or force the run (--force)"
+        )
+    if answer * plan.step.step_N < 0.0 and moved * plan.step.step_N > 0.0:
+        raise InvalidInput(
+            f"{what} changes by {rig.measured(answer, 2)} {moves}: the plant has the wrong sign, "
+            "and no positive gains can control it; reverse the measurement or the drive, or force "
+            "the run (--force)"
+        )
+    controller, tail = rig.controller, effort[-max(effort[index:].size // 10, 1) :]
+    at_limit = (tail <= controller.output_min_N) | (tail >= controller.output_max_N)
+    if at_limit.all():
+        raise InvalidInput(
+            f"trial {record.trial_id} ends with the {rig.command_name} at its limit of "
+            f"{rig.commanded(float(tail[-1]))}: the step is too large for the drive; choose a "
+            "smaller one, or force the run (--force)"
+        )
+
+
+def _change(values: FloatArray, index: int) -> tuple[float, float]:
+    """Mean of a trial's end less that before its step, and the standard error by its noise."""
+    before, after = values[:index], values[-max((values.size - index) // MEANS, 1) :]
+    noise = float(np.std(np.diff(values))) / math.sqrt(2.0)
+    error = noise * math.sqrt(1.0 / before.size + 1.0 / after.size)
+    return float(after.mean() - before.mean()), error
