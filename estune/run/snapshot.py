@@ -144,7 +144,6 @@ class _Unpickler(pickle.Unpickler):
         self._modules = _MODULES if own == "estune" else (*_MODULES, own)
 
     def persistent_load(self, _: Any) -> Plan:
-        """The plan."""
         return self._plan
 
     def find_class(self, module: str, name: str) -> Any:

@@ -61,7 +61,6 @@ class _Axis(NamedTuple):
         return (values - origin) / (self.high - self.low)
 
     def value(self, coordinate: float, origin: float) -> float:
-        """The value at a coordinate."""
         if self.log:
             return origin * math.exp(coordinate)
         return origin + coordinate * (self.high - self.low)

@@ -130,7 +130,6 @@ class _Place(NamedTuple):
     keys: str
 
     def cell(self, seed: int) -> Cell:
-        """The cell of a seed."""
         key = self.keys[seed * KEY_LENGTH : (seed + 1) * KEY_LENGTH]
         (length, tension, tuner), (search, start, step, cost, model) = self.where, self.settings
         place = self.rig, length, tension, tuner

@@ -168,7 +168,6 @@ class _PackedOutcomes:
         self._stored[place] = 1
 
     def outcome(self, place: int) -> CellOutcome:
-        """The outcome of a cell."""
         row = _PACKED.unpack_from(self._packed, place * _PACKED.size)
         ending, message, trials, unsafe_trials, has_gains, has_errors, *values = row
         count = len(GAIN_NAMES)

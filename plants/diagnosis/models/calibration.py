@@ -130,5 +130,4 @@ def _straightened(p: Values, stretch: Signal) -> tuple[Signal, Signal]:
 
 
 def _stretched(p: Values, tension: Signal) -> Signal:
-    """The stretch at a tension."""
     return stretched(tension, p.slack_N) if "slack_N" in vars(p) else tension
