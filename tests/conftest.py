@@ -15,6 +15,7 @@ LONGEST = (
     "test_docs",
     *INDEPENDENT,
     "test_improve",
+    "test_daemon_faults",
     "test_daemon",
     "test_cli",
     "test_explain",
