@@ -11,7 +11,7 @@ from estune.trial import Outcome
 _COMPARED = (Phase.BASELINE, Phase.SEARCH)
 
 
-class RunSummary:
+class ListedRun:
     """The row of one run. Any thread may ask.
 
     Args:

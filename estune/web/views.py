@@ -28,7 +28,7 @@ from estune.web.reader import Reader
 from estune.web.rig_actions import RigActions
 from estune.web.rig_reader import RigReader
 from estune.web.run_reader import RunReader
-from estune.web.run_summary import RunSummary
+from estune.web.run_summary import ListedRun
 from estune.web.tuning_source import TuningSource
 
 LINK_S = 2.0
@@ -128,7 +128,7 @@ def run_view(folder: Path, security: Security = OPEN) -> View:
         commands=commands,
         tuning=TuningSource(folder),
         actions=actions,
-        summary=RunSummary(folder).row,
+        summary=ListedRun(folder).row,
     )
 
 
@@ -151,7 +151,7 @@ def folder_views(folder: Path, security: Security = OPEN) -> Views:
 def _unreadable(folder: Path) -> View:
     """A run whose journal cannot be read; the page says why."""
     board = Board()
-    summary = RunSummary(folder).row
+    summary = ListedRun(folder).row
     return View(folder.name, "run", board, [RunReader(board, folder)], summary=summary)
 
 
