@@ -16,13 +16,15 @@ from estune.core.gains import Gains
 from estune.errors import ProtocolError
 from estune.remote.ledger import MemoryLedger
 from estune.remote.zenoh.trial_execution import SharedRigState, TrialExecutor
+from estune.support.printable import printable
 from estune.trial import OPTIONAL_COLUMNS, Outcome, TrialRecord, TrialRequest, record_frame
 from tests.support_rigs import description, response, same
 from tests.support_runs import ArithmeticRig
 
 finite = st.floats(allow_nan=False, allow_infinity=False)
 positive = st.floats(min_value=0.0, exclude_min=True, allow_infinity=False)
-text = st.text(st.characters(codec="utf-8"), max_size=20)
+# What is not printable is replaced when a frame is decoded.
+text = st.text(st.characters(codec="utf-8"), max_size=20).map(printable)
 
 
 @st.composite
