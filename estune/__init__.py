@@ -9,6 +9,10 @@ The library in three calls::
 and over many lengths at once::
 
     result = estune.sweep("sweep.toml")
+
+and from logs of a loop in service::
+
+    suggestion = estune.suggest("logs", gains=estune.Gains(2.0, 0.5, 0.0, 0.0))
 """
 
 from typing import TYPE_CHECKING
@@ -22,6 +26,7 @@ if TYPE_CHECKING:
     from estune.core.pidf import ControllerSettings
     from estune.errors import EstuneError
     from estune.run.results.result import TuneResult
+    from estune.service_records.suggestion import suggest
     from estune.studies.compare.comparison import compare
     from estune.studies.law.start import start_from
     from estune.studies.match.procedure import match
@@ -46,6 +51,7 @@ __all__ = [
     "match",
     "resume",
     "start_from",
+    "suggest",
     "sweep",
     "tune",
 ]
@@ -67,6 +73,7 @@ __getattr__, __dir__ = lazy_exports(
         "match": "estune.studies.match.procedure",
         "resume": "estune.api",
         "start_from": "estune.studies.law.start",
+        "suggest": "estune.service_records.suggestion",
         "sweep": "estune.studies.sweep.sweep",
         "tune": "estune.api",
     },

@@ -31,6 +31,7 @@ SAMPLED = {
     "hidden_effects",
     "loop_prior",
     "sample_efficiency",
+    "service_records",
 }
 """Experiments whose targets are shares or means of hundreds of cases: too many to be quick."""
 

@@ -31,6 +31,7 @@ COMMANDS = (
     ("sweep", "sweep:sweep", "Tune over cable lengths and fit the gains over length.", 60),
     ("match", "match:match", "Tune several reels to the same cost.", 70),
     ("compare", "compare:compare", "Compare tuners on one plant or rig.", 75),
+    ("suggest", "suggest:suggest", "Judge and improve gains by records of a running loop.", 78),
     ("list", "runs:list_runs", "List the runs of a folder.", 80),
     ("watch", "watch:watch", "Show a run, a rig or a daemon live in the browser.", 85),
     ("show", "runs:show", "Show the result of a run.", 90),

@@ -33,12 +33,12 @@ mode of this damping. A narrower one is bounded as far as the records resolve it
 DEVIATIONS = 2.0
 """Standard deviations of an error that the noise would hide: a complex one exceeds them in 2 %."""
 
-EXCESS_DEVIATIONS = 3.0
-"""Standard deviations of the noise's power in a band that count as noise: in some of 50 bands of
-three bins two are exceeded by chance."""
-
 MOST = 0.7
 """Share of a bound from which what is unexplained is the larger part of its square."""
+
+CHANCE = 0.02
+"""Probability that noise alone is taken for something unexplained in any of the bands, half of
+which overlap with the next."""
 
 UNKNOWN_FROM = 0.5
 """Share of |1 + L| that |C E| may reach: there Ms may be twice what the model says."""
@@ -83,7 +83,7 @@ def plant_error(fit: LoopFit, records: Sequence[LoopRecord]) -> PlantErrorBound:
         one = _spectra(fit, records[i], i, edges)
         left, driven, noise, bins = left + one[0], driven + one[1], noise + one[2], bins + one[3]
     with np.errstate(divide="ignore", invalid="ignore"):
-        expected = noise * (1.0 + EXCESS_DEVIATIONS / np.sqrt(bins))
+        expected = noise * _largest(bins)
         beyond = np.maximum(left - expected, 0.0) / driven
         squared = beyond + DEVIATIONS**2 * noise / (bins * driven)
     seen, moved = bins > 0.0, driven > 0.0
@@ -117,17 +117,37 @@ def _spectra(
         effort = whiten((effort - effort[0])[np.newaxis], H.zeros, H.poles)[0]
         left, noise_N = fit.errors[number], fit.residual_N
     start = int(np.argmax(left != 0.0))
-    moves = np.diff(left[start:]), np.diff(effort[start:])
-    samples = moves[0].size
+    power = _step_power if record.at_rest else _service_power
+    powers = [power(signal[start:]) for signal in (left, effort)]
+    samples = left.size - start - 1 if record.at_rest else left.size - start
     theta = 2.0 * math.pi * np.arange(1, samples // 2) / samples
-    # Of differences, in which a record that ends elsewhere than it begins has no jump.
-    weight = samples * np.abs(2.0 * np.sin(theta / 2.0)) ** 2
-    powers = [np.abs(np.fft.rfft(move)[1 : theta.size + 1]) ** 2 / weight for move in moves]
     half = np.maximum(HALF_WIDTH * centres, 1.01 * math.pi / samples)
     low, high = np.searchsorted(theta, centres - half), np.searchsorted(theta, centres + half)
     sums = [np.concatenate([[0.0], np.cumsum(power)]) for power in powers]
     bins = (high - low).astype(float)
     return sums[0][high] - sums[0][low], sums[1][high] - sums[1][low], noise_N**2 * bins, bins
+
+
+def _step_power(signal: FloatArray) -> FloatArray:
+    """Power at each bin from the first on, of a signal that ends elsewhere than it begins.
+
+    Its differences have no jump at the ends.
+    """
+    moves = np.diff(signal)
+    theta = 2.0 * math.pi * np.arange(1, moves.size // 2) / moves.size
+    weight = moves.size * np.abs(2.0 * np.sin(theta / 2.0)) ** 2
+    return np.asarray(np.abs(np.fft.rfft(moves)[1 : theta.size + 1]) ** 2 / weight)
+
+
+def _service_power(signal: FloatArray) -> FloatArray:
+    """Power at each bin from the first on, of a signal without a beginning or an end.
+
+    A window takes off both: the differences of white noise have a jump there, whose power at low
+    frequencies is far above that of the noise.
+    """
+    window = np.hanning(signal.size)
+    spectrum = np.abs(np.fft.rfft((signal - signal.mean()) * window)) ** 2
+    return np.asarray(spectrum[1 : signal.size // 2] / np.sum(window**2))
 
 
 def error_margin(
@@ -165,3 +185,14 @@ def unknown_band(unknown: tuple[float, float], sampling_Hz: float) -> str:
     if high > 0.45 * sampling_Hz:
         return f"above {low:.3g} Hz"
     return f"from {low:.3g} to {high:.3g} Hz" if high > 1.05 * low else f"about {low:.3g} Hz"
+
+
+def _largest(bins: FloatArray) -> FloatArray:
+    """Largest power of noise in any band, over its mean; shape (bands,).
+
+    The power of a band is a chi-squared variable of two degrees of freedom for each bin.
+    """
+    from scipy.special import gammaincinv  # noqa: PLC0415  slow to import
+
+    bands = 0.5 * max(int((bins > 0.0).sum()), 2)
+    return np.asarray(gammaincinv(bins, 1.0 - CHANCE / bands) / bins)

@@ -51,7 +51,12 @@ class Evened(NamedTuple):
     issues: tuple[DataIssue, ...]
 
 
-def evened(columns: Columns, time_s: FloatArray, stated_Hz: float | None) -> Evened:
+def evened(
+    columns: Columns,
+    time_s: FloatArray,
+    stated_Hz: float | None,
+    measured: tuple[str, ...] = MEASURED,
+) -> Evened:
     """Columns with one time stamp for each row, on an even grid.
 
     Rows within half a sample of the grid are taken as they are; others are resampled.
@@ -60,6 +65,7 @@ def evened(columns: Columns, time_s: FloatArray, stated_Hz: float | None) -> Eve
         columns: Columns but time.
         time_s: Time stamps, finite, shape (samples,), three or more.
         stated_Hz: The rate the metadata names, or None.
+        measured: Names of the columns that are interpolated; others are held.
 
     Raises:
         Unusable: stamps are out of order, or contradict the stated rate.
@@ -78,7 +84,7 @@ def evened(columns: Columns, time_s: FloatArray, stated_Hz: float | None) -> Eve
         raise Unusable(_contradiction(stated_Hz, found_Hz), COLUMN)
     off = max(_off_grid(time_s[part], found_Hz) for part in rows)
     if off > OFF_GRID + rounding_s * found_Hz:
-        return resampled(columns, dict.fromkeys(columns, time_s), stated_Hz)
+        return resampled(columns, dict.fromkeys(columns, time_s), stated_Hz, measured)
     issues = _gap_issues(time_s, gaps)
     if off > JITTER + rounding_s * found_Hz:
         sentence = (
@@ -90,7 +96,12 @@ def evened(columns: Columns, time_s: FloatArray, stated_Hz: float | None) -> Eve
     return Evened(found_Hz if stated_Hz is None else stated_Hz, parts, tuple(issues))
 
 
-def resampled(columns: Columns, clocks: Columns, stated_Hz: float | None) -> Evened:
+def resampled(
+    columns: Columns,
+    clocks: Columns,
+    stated_Hz: float | None,
+    measured: tuple[str, ...] = MEASURED,
+) -> Evened:
     """Columns with stamps of their own on one grid, that of the first measured column.
 
     Measurements are interpolated linearly, commands held; nothing reaches beyond the ends of a
@@ -100,11 +111,12 @@ def resampled(columns: Columns, clocks: Columns, stated_Hz: float | None) -> Eve
         columns: Columns but time, one of them measured.
         clocks: Time stamps of each column, same shape.
         stated_Hz: The rate the metadata names, or None for the usual one of the stamps.
+        measured: Names of the columns that are interpolated; others are held.
 
     Raises:
         Unusable: stamps are out of order, contradict the stated rate, or leave too little.
     """
-    lead = next(name for name in MEASURED if name in columns)
+    lead = next(name for name in measured if name in columns)
     for stamps in clocks.values():
         _check_order(stamps)
     steps = np.diff(clocks[lead])
@@ -113,13 +125,13 @@ def resampled(columns: Columns, clocks: Columns, stated_Hz: float | None) -> Eve
         raise Unusable(_contradiction(stated_Hz, 1.0 / usual_s), COLUMN)
     rate = stated_Hz or 1.0 / usual_s
     first = max(float(stamps[0]) for stamps in clocks.values())
-    last = min(float(clocks[name][-1]) for name in columns if name in MEASURED)
+    last = min(float(clocks[name][-1]) for name in columns if name in measured)
     begin = float(clocks[lead][np.searchsorted(clocks[lead], first)]) if first <= last else first
     grid = begin + np.arange(max(int((last - begin) * rate + SAME_INSTANT) + 1, 0)) / rate
     within = np.ones(grid.size, np.bool_)
     on_grid = {COLUMN: grid}
     for name, values in columns.items():
-        if name in MEASURED:
+        if name in measured:
             on_grid[name] = np.interp(grid, clocks[name], values)
             within &= _within(grid, clocks[name])
         else:
@@ -132,11 +144,21 @@ def resampled(columns: Columns, clocks: Columns, stated_Hz: float | None) -> Eve
             COLUMN,
         )
     parts = tuple({n: v[part] for n, v in on_grid.items()} for part in _runs(within))
-    return Evened(rate, parts, tuple(_resampling_issues(clocks, lead, rate, last, len(parts))))
+    return Evened(
+        rate,
+        parts,
+        tuple(_resampling_issues(clocks, lead, rate, last, len(parts), measured=measured)),
+    )
 
 
 def _resampling_issues(
-    clocks: Columns, lead: str, rate: float, last_s: float, parts: int
+    clocks: Columns,
+    lead: str,
+    rate: float,
+    last_s: float,
+    parts: int,
+    *,
+    measured: tuple[str, ...],
 ) -> list[DataIssue]:
     off = _off_grid(clocks[lead], _rate(clocks[lead]))
     sentence = (
@@ -147,7 +169,7 @@ def _resampling_issues(
         sentence += f"; split into {parts} parts at gaps"
     issues = [DataIssue("warning", sentence, COLUMN)]
     for name, stamps in clocks.items():
-        if name not in MEASURED and last_s - stamps[-1] > 1.0 / rate:
+        if name not in measured and last_s - stamps[-1] > 1.0 / rate:
             early = f"it ends {last_s - stamps[-1]:.3g} s before the measurements; its last value"
             issues.append(DataIssue("warning", f"{early} is held", name))
     return issues

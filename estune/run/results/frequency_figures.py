@@ -46,9 +46,11 @@ class PlantResponse:
     draws: ComplexArray
 
     @classmethod
-    def of_fit(cls, fit: LoopFit, rig: RigDescription) -> "PlantResponse":
+    def of_fit(
+        cls, fit: LoopFit, settings: ControllerSettings, settling_time_s: float
+    ) -> "PlantResponse":
         """The loop identified from records."""
-        frequency, theta = _grid(rig)
+        frequency, theta = _grid(settings.sampling_Hz, settling_time_s)
         deviations = parameter_deviations(fit)
         # A fixed seed: the same run gives the same page.
         normal = np.random.default_rng(0).standard_normal((DRAWS, deviations.shape[0]))
@@ -63,7 +65,7 @@ class PlantResponse:
         """The rig's own linear model; None without one."""
         if rig.linear_model is None:
             return None
-        frequency, theta = _grid(rig)
+        frequency, theta = _grid(rig.controller.sampling_Hz, rig.settling_time_s)
         plant = sampled_model(rig.linear_model, rig.controller).response(theta)
         return cls(frequency, plant, np.empty((0, frequency.size), complex))
 
@@ -156,10 +158,9 @@ def _controller(
     return controller_response(gains, settings, theta)
 
 
-def _grid(rig: RigDescription) -> tuple[FloatArray, FloatArray]:
+def _grid(rate: float, settling_time_s: float) -> tuple[FloatArray, FloatArray]:
     """Frequencies in Hz, and in rad/sample."""
-    rate = rig.controller.sampling_Hz
-    lowest = min(1.0 / (_SETTLINGS * rig.settling_time_s), 0.05 * rate)
+    lowest = min(1.0 / (_SETTLINGS * settling_time_s), 0.05 * rate)
     frequency = np.geomspace(lowest, 0.499 * rate, _POINTS)
     return frequency, 2.0 * np.pi * frequency / rate
 

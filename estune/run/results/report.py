@@ -162,7 +162,9 @@ def _loop(result: RunResult) -> Iterator[Block]:
     """Bode and Nyquist figures of the loop, or why there are none."""
     rig, claim, fit = result.rig, result.claim, result.identified.fit
     if claim.margins is not None and fit is not None:
-        response: PlantResponse | None = PlantResponse.of_fit(fit, rig)
+        response: PlantResponse | None = PlantResponse.of_fit(
+            fit, rig.controller, rig.settling_time_s
+        )
         known = (
             "The loop is identified from the run's own records; its linear model leaves "
             f"{claim.misfit:.2%} of the step unexplained. The band and the pale curves are models "

@@ -1,0 +1,167 @@
+"""`estune suggest`: margins and better gains from records of a running loop."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, get_args, get_type_hints
+
+from cyclopts import Parameter
+from rich.text import Text
+
+from estune.cli import output
+from estune.cli.options import NO_LIMITS, LimitOptions
+from estune.cli.values import Flag, Values, check_folder_exists, numbers_from
+from estune.errors import InvalidInput
+
+if TYPE_CHECKING:
+    from estune.core.controller_form import ControllerForm
+    from estune.core.gains import Gains
+    from estune.service_records.suggestion import Suggestion
+
+_STYLES = {"change": "bold green", "keep": "bold green"}
+_SHORT = {"F": "setpoint_filter_s"}
+
+
+def suggest(
+    records: Path,
+    /,
+    *,
+    gains: Annotated[str | None, Parameter(show_default=False)] = None,
+    map_: Annotated[Values, Parameter(name="--map")] = (),
+    sampling_Hz: Annotated[float | None, Parameter(name="--sampling")] = None,
+    derivative_filter_s: Annotated[float | None, Parameter(name="--derivative-filter")] = None,
+    form: Values = (),
+    reverse: Flag = False,
+    settling_time_s: Annotated[float | None, Parameter(name="--settling")] = None,
+    step: float | None = None,
+    limits: LimitOptions = NO_LIMITS,
+    report: Path | None = None,
+    next_: Annotated[Path | None, Parameter(name="--next")] = None,
+    json: Flag = False,
+) -> int:
+    """Judge the gains of a running loop by its records, and recommend better ones.
+
+    Args:
+        records: A log, a folder of logs of one loop, or a run: CSV with any separators, Parquet,
+            MATLAB, ROS 1 and 2 bags, MCAP, TDMS. No steps are needed.
+        gains: The gains that ran, such as "P=1.2,I=40,D=0.01,F=0.005": of P e + I int(e) - D
+            dy/dt, F the setpoint filter in s. By default those in the metadata of the records.
+        map_: Channels: time=t,setpoint=sp,measurement=pv,effort=out.
+        sampling_Hz: Sampling rate, where the records have no times.
+        derivative_filter_s: Time constant of the derivative filter, s.
+        form: Form of the controller, such as integral=backward,derivative_on=error.
+        reverse: More effort lowers the measurement.
+        settling_time_s: Settling time asked for, s; that of the gains in use by default.
+        step: Step that the predictions are for; the range of the setpoint by default.
+        limits: What the recommended gains keep.
+        report: Write a report as one HTML page that works offline.
+        next_: Folder for the trial that would show what these records do not, for estune
+            run-experiment.
+        json: Print JSON.
+
+    Exits with 9 where the records do not show enough, and with 10 where other gains ran than those
+    stated.
+
+    Raises:
+        InvalidInput: no record can be used, or an option cannot be read.
+    """
+    check_folder_exists("--report", report)
+    from estune.service_records import suggestion as service  # noqa: PLC0415  slow to import
+
+    found = service.suggest(
+        records,
+        gains=None if gains is None else gains_from(gains),
+        columns=dict(_pairs("--map", map_)),
+        sampling_Hz=sampling_Hz,
+        derivative_filter_s=derivative_filter_s,
+        form=_form(form),
+        reverse=reverse,
+        settling_time_s=settling_time_s,
+        step=step,
+        limits=limits.limits,
+    )
+    if report is not None:
+        found.report(report)
+    trial = _written(found, next_) if next_ is not None else None
+    if json:
+        output.print_json(found.to_json())
+    else:
+        _show(found, report, trial)
+    return found.exit_code
+
+
+def gains_from(text: str) -> "Gains":
+    """Gains written `P=1.2,I=40,D=0.01,F=0.005`; those left out are zero.
+
+    Raises:
+        InvalidInput: they cannot be read, or P is missing.
+    """
+    from estune.core.gains import GAIN_NAMES, Gains  # noqa: PLC0415  of no use to other commands
+
+    given = {
+        _SHORT.get(name, name): value for name, value in numbers_from(text.split(",")).items()
+    }
+    unknown = set(given) - set(GAIN_NAMES)
+    if unknown or "P" not in given:
+        wrong = f"there is no {', '.join(sorted(unknown))}" if unknown else "P is missing"
+        raise InvalidInput(f"--gains {text}: {wrong}; write P=2,I=0.5,D=0,F=0")
+    return Gains(*(given.get(name, 0.0) for name in GAIN_NAMES))
+
+
+def _pairs(option: str, texts: Values) -> list[tuple[str, str]]:
+    pairs = [part.partition("=") for text in texts for part in text.split(",") if part]
+    for name, equals, value in pairs:
+        if not (name and equals and value):
+            raise InvalidInput(f"{option} {name}{equals}{value} is not of the form NAME=VALUE")
+    return [(name.strip(), value.strip()) for name, _, value in pairs]
+
+
+def _form(texts: Values) -> "ControllerForm | None":
+    """The form of the controller; None where nothing is said of it.
+
+    Raises:
+        InvalidInput: there is no such property, or no such value.
+    """
+    given = _pairs("--form", texts)
+    if not given:
+        return None
+    from estune.core.controller_form import ControllerForm  # noqa: PLC0415  as of gains_from
+
+    hints = get_type_hints(ControllerForm)
+    for name, value in given:
+        if name not in hints:
+            raise InvalidInput(f"--form has no {name}; it has {', '.join(hints)}")
+        if value not in get_args(hints[name]):
+            known = ", ".join(get_args(hints[name]))
+            raise InvalidInput(f"--form {name}={value}: give one of {known}")
+    # The values were checked against the types above.
+    values: dict[str, Any] = dict(given)
+    return ControllerForm(**values)
+
+
+def _written(found: "Suggestion", folder: Path) -> Path | None:
+    from estune.service_records.advice import experiment  # noqa: PLC0415  slow to import
+
+    wanted = experiment(found)
+    return None if wanted is None else wanted.trial.write(folder)
+
+
+def _show(found: "Suggestion", report: Path | None, trial: Path | None) -> None:
+    out = output.console()
+    style = _STYLES.get(found.verdict, "bold yellow")
+    out.print(Text(found.heading(), style=style), soft_wrap=True)
+    for sentence in found.remarks():
+        out.print(Text(sentence), soft_wrap=True)
+    out.print()
+    output.show_table(("", "in use", "recommended"), found.rows())
+    print()
+    used = sum(s.samples for s in found.stretches) / found.trial.controller.sampling_Hz
+    facts: dict[str, object] = {"used": f"{used:.4g} s in {len(found.stretches)} stretches"}
+    for part in found.left_out:
+        facts[f"not used, {part.log} {part.start_s:.4g} to {part.stop_s:.4g} s"] = part.reason
+    if report is not None:
+        facts["report"] = report
+    if trial is not None:
+        facts["next trial"] = f"estune run-experiment {trial} RIG"
+    output.show_next(facts)
+    for issue in found.issues:
+        color = "red" if issue.level == "refused" else "yellow"
+        out.print(Text.assemble((f"{issue.level}  ", color), str(issue)), soft_wrap=True)

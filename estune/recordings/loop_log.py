@@ -1,0 +1,159 @@
+"""A log of a control loop as a file gives it: setpoint, measurement and, where logged, effort.
+
+The loop may be any: the units are the file's own. What `read_recording` reads are the columns of
+a reel.
+"""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from estune.core.gains import Gains
+from estune.recordings.column_map import ColumnTable, find_channel, map_column
+from estune.recordings.issue import DataIssue, Unusable
+from estune.recordings.metadata import Metadata, metadata_beside
+from estune.recordings.raw_file import Channel, RawFile, read_raw
+from estune.recordings.timing import Columns, evened
+from estune.recordings.units import NO_DRUM, UNITS, find_unit
+
+NAMES = {
+    "time": ("time", "t", "timestamp", "stamp", "seconds"),
+    "setpoint": ("setpoint", "sp", "reference", "ref", "target", "desired", "r"),
+    "measurement": (
+        *("measurement", "measured", "pv", "process value", "process variable", "actual"),
+        *("feedback", "tension", "temperature", "speed", "velocity", "position", "angle", "y"),
+    ),
+    "effort": ("effort", "output", "mv", "control", "control output", "manipulated variable", "u"),
+}
+"""Names of channels, without unit, by which each column is found; the first that fits."""
+
+COLUMNS = tuple(NAMES)
+"""Columns of a log; effort may be missing, time where the rate is stated."""
+
+FEWEST_SAMPLES = 3
+"""Fewer rows have no sampling rate."""
+
+
+class LoopLog(NamedTuple):
+    """Contents of a file.
+
+    Attributes:
+        name: Name of the file.
+        sampling_Hz: Rate of the grid.
+        parts: `time`, `setpoint`, `measurement` and, where it is logged, `effort` of each stretch
+            without a gap, shape (samples,) each.
+        gains: As the file's metadata states them, or None.
+        sources: Channel of each column.
+        units: Unit of each column as the file states it, or empty.
+        issues: What was done to the time stamps.
+    """
+
+    name: str
+    sampling_Hz: float
+    parts: tuple[Columns, ...]
+    gains: Gains | None
+    sources: dict[str, str]
+    units: dict[str, str]
+    issues: tuple[DataIssue, ...]
+
+
+def read_loop_log(
+    path: Path, sources: Mapping[str, str] | None = None, sampling_Hz: float | None = None
+) -> LoopLog:
+    """Reads the log of a control loop from a file of a known format.
+
+    Args:
+        path: The file.
+        sources: Channels of the columns that are not found by their names.
+        sampling_Hz: Rate, where the file has no times.
+
+    Raises:
+        Unusable: it cannot be read, or a column is missing; the message is one line.
+    """
+    raw, given = read_raw(path), sources or {}
+    metadata = Metadata(raw.metadata or metadata_beside(path))
+    rate = sampling_Hz or metadata.number("sampling_Hz", above=0.0)
+    channels = {c: ch for c in COLUMNS if (ch := _channel(raw, c, given.get(c)))}
+    for column in ("setpoint", "measurement"):
+        if column not in channels:
+            listed = ", ".join(channel.name for channel in raw.channels[:12])
+            remedy = f"name it, as in --map {column}=NAME"
+            raise Unusable(f"no channel is the {column}; the file has {listed}: {remedy}")
+    values = {c: _values(c, channel) for c, channel in channels.items()}
+    time_s = values.pop("time", None)
+    if time_s is None:
+        if rate is None:
+            raise Unusable(
+                "there is no time column; name it (--map time=NAME), or give --sampling"
+            )
+        time_s = np.arange(values["measurement"].size) / rate
+    if time_s.size < FEWEST_SAMPLES:
+        raise Unusable(f"the file has {time_s.size} rows; {FEWEST_SAMPLES} or more are needed")
+    units = {c: _unit(channel) for c, channel in channels.items()}
+    _to_one_unit(values, units)
+    grid = evened(values, time_s, rate, ("measurement",))
+    parts = tuple(
+        {"time" if n == "time_s" else n: v for n, v in part.items()}
+        for part in grid.parts
+        if part["time_s"].size >= FEWEST_SAMPLES
+    )
+    if not parts:
+        raise Unusable(f"no {FEWEST_SAMPLES} rows in a row are without a gap")
+    named = {c: channel.name for c, channel in channels.items()}
+    return LoopLog(path.name, grid.sampling_Hz, parts, metadata.gains(), named, units, grid.issues)
+
+
+def _channel(raw: RawFile, column: str, source: str | None) -> Channel | None:
+    if source:
+        found = find_channel(source, raw.channels, column)
+        if found is None:
+            listed = ", ".join(channel.name for channel in raw.channels[:12])
+            raise Unusable(f"there is no {source}; the file has {listed}", column)
+        return found
+    bare = {channel.name: _bare(channel.name) for channel in raw.channels}
+    for name in NAMES[column]:
+        fitting = [channel for channel in raw.channels if bare[channel.name] == name]
+        if len(fitting) > 1:
+            listed = ", ".join(channel.name for channel in fitting)
+            raise Unusable(f"{listed} could each be the {column}; name it", column)
+        if fitting:
+            return fitting[0]
+    return None
+
+
+def _bare(name: str) -> str:
+    """A channel's name without folder and unit, in small letters."""
+    last = name.replace(".", "/").rpartition("/")[2].replace(" ", "_")
+    stem, _, unit = last.rpartition("_")
+    words = stem if stem and (find_unit(unit) or unit == "degC") else last
+    return words.replace("_", " ").lower()
+
+
+def _unit(channel: Channel) -> str:
+    stated = channel.unit or channel.name.rpartition("_")[2]
+    return find_unit(stated) or channel.unit
+
+
+def _values(column: str, channel: Channel) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
+    name = "time_s" if column == "time" else column
+    mapped = map_column(name, ColumnTable(), channel, NO_DRUM)
+    if mapped is None:
+        raise Unusable("every cell is empty", column)
+    return np.asarray(mapped.values)
+
+
+def _to_one_unit(values: dict[str, np.ndarray], units: dict[str, str]) -> None:
+    """Brings the setpoint to the unit of the measurement."""
+    own, wanted = (UNITS.get(units[c]) for c in ("setpoint", "measurement"))
+    if own is None or wanted is None or own == wanted:
+        return
+    if own.dimension != wanted.dimension:
+        raise Unusable(
+            f"the setpoint is in {units['setpoint']}, the measurement in {units['measurement']}; "
+            "map columns of the same quantity",
+            "setpoint",
+        )
+    values["setpoint"] = values["setpoint"] * (own.factor / wanted.factor)
+    units["setpoint"] = units["measurement"]

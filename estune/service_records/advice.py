@@ -1,0 +1,102 @@
+"""The experiment that shows what records of ordinary service do not."""
+
+import math
+from dataclasses import replace
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from estune.loop_model.intervals import setpoint_deviation
+from estune.loop_model.records import LoopRecord
+from estune.run.trial_file import TrialFile
+from estune.service_records.judgement import DEVIATIONS, HALF_WIDTH_MAX
+from estune.trial.profiles import MultisineProfile
+
+if TYPE_CHECKING:
+    from estune.service_records.suggestion import Suggestion
+
+SHARES = (0.01, 0.02, 0.05)
+"""Multisines that are considered, rms as a share of the step: the least that is enough."""
+
+BAND = (0.2, 6.0)
+"""Their band, in periods per settling time: it holds the crossover of any loop that settles so."""
+
+PERIOD = 20.0
+"""Their period, settling times."""
+
+LONGEST = 400.0
+"""Duration that is asked for at most, settling times."""
+
+AIM = 0.5 * HALF_WIDTH_MAX
+"""Half width of ln Ms that the experiment is to reach."""
+
+NYQUIST_SHARE = 0.8
+"""Highest frequency, over half the sampling rate."""
+
+
+class AdvisedExperiment(NamedTuple):
+    """A hold of the setpoint with a multisine on it.
+
+    Attributes:
+        share: Its rms over the step.
+        duration_s: Its length.
+        trial: The trial, for `estune run-experiment`.
+    """
+
+    share: float
+    duration_s: float
+    trial: TrialFile
+
+
+def advice(suggestion: "Suggestion") -> list[str]:
+    """What to record to know more, a sentence each; nothing where the records are enough."""
+    if suggestion.judgement.can_tell:
+        return []
+    found = experiment(suggestion)
+    if found is None:
+        sentence = (
+            "Run step trials instead: `estune tune` on a rig, or log a few steps of the setpoint "
+            "that move the measurement well beyond its noise."
+        )
+        return [sentence]
+    sentence = (
+        f"To know Ms to {math.expm1(AIM):.0%}, hold the setpoint with a multisine of "
+        f"{found.share:.0%} of the step (rms) from {_Hz(found.trial, first=True):.3g} to "
+        f"{_Hz(found.trial, first=False):.3g} Hz for {found.duration_s:.3g} s."
+    )
+    return [sentence]
+
+
+def experiment(suggestion: "Suggestion") -> AdvisedExperiment | None:
+    """The gentlest multisine that would show the margins; None where none is known to."""
+    fit, trial, gains = suggestion.fit, suggestion.trial, suggestion.in_use
+    settling_s, rate = trial.cost.settling_time_s, trial.controller.sampling_Hz
+    middle = float(np.mean(np.concatenate([s.setpoint for s in suggestion.stretches])))
+    for share in SHARES:
+        length_s = PERIOD * settling_s
+        profile = MultisineProfile(
+            preload_N=middle,
+            rms_N=share * abs(trial.step.size_N),
+            period_s=length_s,
+            first_line=max(round(BAND[0] * PERIOD), 1),
+            last_line=max(
+                math.floor(min(BAND[1] * PERIOD, NYQUIST_SHARE * 0.5 * rate * length_s)), 2
+            ),
+            duration_s=length_s,
+        )
+        setpoint = profile.setpoint(rate)
+        still = np.zeros(setpoint.size)
+        record = LoopRecord(still, still, setpoint, gains)
+        half = DEVIATIONS * setpoint_deviation(fit, [record], gains, trial.controller)
+        periods = max(math.ceil((half / AIM) ** 2), 1) if math.isfinite(half) else math.inf
+        if periods * PERIOD <= LONGEST:
+            whole = replace(profile, duration_s=periods * length_s)
+            file = TrialFile("multisine", whole, gains, "to know the margins of the gains in use")
+            return AdvisedExperiment(share, periods * length_s, file)
+    return None
+
+
+def _Hz(trial: TrialFile, *, first: bool) -> float:
+    profile = trial.profile
+    assert isinstance(profile, MultisineProfile)  # noqa: S101  made above
+    return (profile.first_line if first else profile.last_line) / profile.period_s

@@ -1,0 +1,118 @@
+"""The gains of least predicted cost whose limits hold by the upper ends of their intervals."""
+
+import math
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from estune.core.gains import Gains
+from estune.core.quantities import FloatArray
+from estune.loop_model.intervals import PredictedMargins
+from estune.loop_model.optimum import RegionSearch, RobustnessLimits
+from estune.loop_model.prediction import StepTrial
+from estune.service_records.identification import ServiceLoop
+from estune.service_records.judgement import margins_of
+
+FACTOR = 30.0
+"""Largest factor between a recommended gain and the one in use. Beyond it a fit of records at the
+gains in use says nothing: the intervals refuse such gains long before."""
+
+ALLOWED_MS = 1.03
+ALLOWED_OVERSHOOT = 0.01
+"""What the upper end of an interval may lie above its limit, as a factor of Ms and as a share of
+the step: with a limit of Ms of 1.6 and an overshoot of 5 %, at most 1.65 and 6 %."""
+
+ROUNDS = 6
+"""Most optima, each within tighter limits than the last."""
+
+SCATTERED = 64
+"""Low-discrepancy points of which the best is one of the starts of an optimum."""
+
+
+class Recommendation(NamedTuple):
+    """Recommended gains.
+
+    Attributes:
+        gains: The gains.
+        margins: Their predictions with intervals.
+        price: Their cost over that of the optimum whose limits hold by the model alone, less one:
+            what the uncertainty of the records costs.
+    """
+
+    gains: Gains
+    margins: PredictedMargins
+    price: float
+
+
+def recommend(
+    loop: ServiceLoop, trial: StepTrial, in_use: Gains, limits: RobustnessLimits
+) -> Recommendation | None:
+    """The recommended gains; None where no gains keep the limits by their intervals.
+
+    Args:
+        loop: The identified loop.
+        trial: The step by which costs and overshoots are predicted.
+        in_use: The gains that the search begins from.
+        limits: What the gains have to keep.
+    """
+    start = np.log(_started(in_use, trial).as_tuple())
+    span = math.log(FACTOR)
+
+    def gains_of(x: FloatArray) -> Gains:
+        return Gains(*np.exp(x).tolist())
+
+    within, first_cost, x = limits, math.nan, start
+    for _ in range(ROUNDS):
+        search = RegionSearch(
+            *(loop.fit.model, trial, within, gains_of, start - span, start + span),
+            loop.fit.noise_N,
+        )
+        best = search.minimise([x, start], scattered=SCATTERED)
+        if not (best.feasible and math.isfinite(best.prediction.cost)):
+            return None
+        x, gains = best.coordinates, gains_of(best.coordinates)
+        margins = margins_of(loop, trial, gains)[0]
+        if math.isnan(first_cost):
+            first_cost = margins.cost.value
+        tighter = _tightened(within, limits, margins)
+        if tighter is None:
+            return Recommendation(gains, margins, max(margins.cost.value / first_cost - 1.0, 0.0))
+        within = tighter
+    return None
+
+
+def _tightened(
+    within: RobustnessLimits, limits: RobustnessLimits, margins: PredictedMargins
+) -> RobustnessLimits | None:
+    """Limits tighter by what the intervals exceed the limits; None where they hold."""
+    Ms, overshoot, angle = margins.sensitivity, margins.overshoot, margins.phase_margin_deg
+    changes: dict[str, float] = {}
+    if limits.max_sensitivity is not None and within.max_sensitivity is not None:
+        most = ALLOWED_MS * limits.max_sensitivity
+        if not Ms.high <= most:
+            # The width of the interval shrinks with Ms, to zero at one.
+            high = Ms.high if math.isfinite(Ms.high) else 4.0 * most
+            share = (most - 1.0) / (high - 1.0)
+            changes["max_sensitivity"] = 1.0 + 0.98 * share * (min(Ms.value, most) - 1.0)
+    if limits.max_overshoot is not None and within.max_overshoot is not None:
+        most = limits.max_overshoot + ALLOWED_OVERSHOOT
+        if not overshoot.high <= most:
+            high = overshoot.high if math.isfinite(overshoot.high) else 4.0 * most
+            changes["max_overshoot"] = max(within.max_overshoot - (high - most), 1e-3)
+    least, aimed = limits.min_phase_margin_deg, within.min_phase_margin_deg
+    if least is not None and aimed is not None and not angle.low >= least:
+        low = angle.low if math.isfinite(angle.low) else 0.0
+        changes["min_phase_margin_deg"] = min(aimed + least - low, 89.0)
+    return replace(within, **changes) if changes else None
+
+
+def _started(gains: Gains, trial: StepTrial) -> Gains:
+    """The gains in use, with small values for terms that they do not have."""
+    T = trial.cost.settling_time_s
+    return Gains(
+        gains.P,
+        gains.I or 0.3 * gains.P / T,
+        gains.D or 0.02 * gains.P * T,
+        gains.setpoint_filter_s or 0.05 * T,
+    )

@@ -1,0 +1,140 @@
+"""Logs below a path: files of any known format, or the trials of a run."""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from estune.core.gains import Gains
+from estune.core.pidf import ControllerSettings
+from estune.errors import InvalidInput, JournalError
+from estune.recordings.issue import DataIssue, Unusable
+from estune.recordings.loop_log import LoopLog, read_loop_log
+from estune.recordings.raw_file import formats, is_readable
+from estune.recordings.timing import Columns
+from estune.run.journal import FILE_NAME, Journal
+from estune.run.planning import description_from_json
+from estune.trial import SATURATED, Outcome, TrialRecord
+
+
+class Logs(NamedTuple):
+    """The logs below a path.
+
+    Attributes:
+        logs: Each with its stretches, of one sampling rate.
+        issues: Files that cannot be used, and what was done to time stamps.
+        controller: The fixed part of the controller, of a run; None of files.
+    """
+
+    logs: tuple[LoopLog, ...]
+    issues: tuple[DataIssue, ...]
+    controller: ControllerSettings | None = None
+
+
+RATES_APART = 1e-3
+"""Relative difference of two sampling rates that rounded time stamps explain."""
+
+
+def read_logs(
+    path: Path | str,
+    sources: Mapping[str, str] | None = None,
+    sampling_Hz: float | None = None,
+    *,
+    reverse: bool = False,
+) -> Logs:
+    """Reads the logs of a control loop: a file, a folder of them, or a run.
+
+    Args:
+        path: The file, the folder, or the folder of a run.
+        sources: Channels of the columns that are not found by their names.
+        sampling_Hz: Rate, where files have no times.
+        reverse: Whether more effort lowers the measurement: both signals are then negated.
+
+    Raises:
+        InvalidInput: there is no log, or none that can be used; the message says why.
+    """
+    path = Path(path)
+    if not path.exists():
+        raise InvalidInput(f"{path} does not exist; give a log or a folder of logs")
+    if (path / FILE_NAME).is_file():
+        return _read_run(path)
+    logs, issues = list[LoopLog](), list[DataIssue]()
+    for file in _files(path):
+        try:
+            log = read_loop_log(file, sources, sampling_Hz)
+        except Unusable as error:
+            issues.append(replace(error.issue, source=file.name))
+            continue
+        issues += [replace(issue, source=file.name) for issue in log.issues]
+        logs.append(_reversed(log) if reverse else log)
+    if not logs:
+        why = "; ".join(str(issue) for issue in issues)
+        what = why or f"it holds no {', '.join(formats())} or run"
+        raise InvalidInput(f"{path} has no log that can be used: {what}")
+    rate = logs[0].sampling_Hz
+    for log in logs:
+        if abs(log.sampling_Hz / rate - 1.0) > RATES_APART:
+            raise InvalidInput(
+                f"{log.name} is sampled at {log.sampling_Hz:.6g} Hz, {logs[0].name} at "
+                f"{rate:.6g} Hz; give logs of one controller, or of one rate at a time"
+            )
+    return Logs(tuple(logs), tuple(issues))
+
+
+def _files(path: Path) -> Iterator[Path]:
+    if path.is_file():
+        yield path
+        return
+    for file in sorted(path.rglob("*")):
+        hidden = any(part.startswith(".") for part in file.relative_to(path).parts)
+        if file.is_file() and is_readable(file) and not hidden:
+            yield file
+
+
+def _reversed(log: LoopLog) -> LoopLog:
+    def of(part: Columns) -> Columns:
+        signs = {"setpoint": -1.0, "measurement": -1.0}
+        return {name: signs.get(name, 1.0) * values for name, values in part.items()}
+
+    return log._replace(parts=tuple(map(of, log.parts)))
+
+
+def _read_run(folder: Path) -> Logs:
+    try:
+        with Journal.open(folder) as journal:
+            rig = description_from_json(journal.fact("rig"))
+            done = [e for e in journal.entries() if e.outcome is Outcome.DONE]
+            records = [journal.record(entry.trial_id) for entry in done]
+    except JournalError as error:
+        raise InvalidInput(str(error)) from error
+    logs = tuple(_of_trial(record, rig.newtons_per_ampere) for record in records)
+    if not logs:
+        raise InvalidInput(f"{folder} has no completed trial; give another run")
+    return Logs(logs, (), rig.controller)
+
+
+def _of_trial(record: TrialRecord, per_ampere: float) -> LoopLog:
+    effort = record.controller_A * per_ampere
+    columns = {
+        "time": record.time_s,
+        "setpoint": record.setpoint_N,
+        "measurement": record.tension_N,
+        "effort": effort,
+    }
+    free = (record.flags & SATURATED) == 0
+    edges = np.flatnonzero(np.diff(free.astype(np.int8))) + 1
+    rows = [part for part in np.split(np.arange(free.size), edges) if free[part[0]]]
+    parts = tuple({name: values[part] for name, values in columns.items()} for part in rows)
+    return LoopLog(record.trial_id, record.sampling_Hz, parts, record.gains, {}, {}, ())
+
+
+def gains_of(log: LoopLog, given: Gains | Mapping[str, Gains] | None) -> Gains | None:
+    """The gains stated for a log: given for all, by its name, or in its metadata."""
+    if isinstance(given, Gains):
+        return given
+    if given is None:
+        return log.gains
+    stem = log.name.rpartition(".")[0] or log.name
+    return given.get(log.name, given.get(stem, log.gains))

@@ -1,0 +1,142 @@
+"""Stretches of a log in which the controller's equation holds, and why others are left out."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from estune.core.quantities import BoolArray, FloatArray
+from estune.recordings.loop_log import LoopLog
+from estune.recordings.timing import Columns
+
+STANDS_STILL = 3
+"""Equal efforts in a row, at least, that show a limit or another mode. Two occur by chance where
+the effort is logged in coarse steps."""
+
+SHORTEST = 32
+"""Samples of the shortest stretch. Start states and offset of a fit of six poles are eight
+numbers, four samples for each."""
+
+
+class Stretch(NamedTuple):
+    """Successive samples of a log, shape (samples,) each, in the units of the log.
+
+    Attributes:
+        log: Name of the log.
+        start_s: Time of the first sample.
+        setpoint: Setpoint before its filter.
+        measurement: Measurement.
+        effort: Effort as logged, or None.
+    """
+
+    log: str
+    start_s: float
+    setpoint: FloatArray
+    measurement: FloatArray
+    effort: FloatArray | None
+
+    @property
+    def samples(self) -> int:
+        """Number of samples."""
+        return self.measurement.size
+
+
+class LeftOut(NamedTuple):
+    """Part of a log that is not used.
+
+    Attributes:
+        log: Name of the log.
+        start_s: Time of its first sample.
+        stop_s: Time of its last sample.
+        reason: Why it is not used.
+    """
+
+    log: str
+    start_s: float
+    stop_s: float
+    reason: str
+
+
+def find_stretches(log: LoopLog, P: float) -> tuple[list[Stretch], list[LeftOut]]:
+    """The usable stretches of a log, and its other parts with the reason.
+
+    Args:
+        log: The log.
+        P: Proportional gain that ran, by which it is known whether the effort should have moved.
+    """
+    stretches, left_out = [], []
+    for before, after in zip(log.parts, log.parts[1:], strict=False):
+        ends = float(before["time"][-1]), float(after["time"][0])
+        left_out.append(LeftOut(log.name, *ends, "samples are missing"))
+    for part in log.parts:
+        time, held = part["time"], _stands_still(part, P)
+        for rows in _runs(held):
+            why = _why_still(part, rows)
+            left_out.append(LeftOut(log.name, *_ends(time, rows), why))
+        for rows in _runs(~held):
+            if rows.stop - rows.start < SHORTEST:
+                why = f"shorter than {SHORTEST} samples"
+                left_out.append(LeftOut(log.name, *_ends(time, rows), why))
+            else:
+                stretches.append(_stretch(log.name, part, rows))
+    return stretches, sorted(left_out, key=lambda part: part.start_s)
+
+
+def without(stretch: Stretch, bad: BoolArray, sampling_Hz: float) -> list[Stretch]:
+    """The parts of a stretch beside the samples marked, those that are long enough."""
+    return [
+        Stretch(
+            stretch.log,
+            stretch.start_s + rows.start / sampling_Hz,
+            stretch.setpoint[rows],
+            stretch.measurement[rows],
+            None if stretch.effort is None else stretch.effort[rows],
+        )
+        for rows in _runs(~bad)
+        if rows.stop - rows.start >= SHORTEST
+    ]
+
+
+def _stretch(name: str, part: Columns, rows: slice) -> Stretch:
+    effort = part["effort"][rows] if "effort" in part else None
+    start_s = float(part["time"][rows.start])
+    return Stretch(name, start_s, part["setpoint"][rows], part["measurement"][rows], effort)
+
+
+def _stands_still(part: Columns, P: float) -> BoolArray:
+    """Samples of equal efforts while the error moves by more than a step of the logged effort."""
+    still: BoolArray = np.zeros(part["time"].size, np.bool_)
+    effort = part.get("effort")
+    if effort is None:
+        return still
+    jumps, error = np.abs(np.diff(effort)), part["setpoint"] - part["measurement"]
+    resolution = float(jumps[jumps > 0.0].min(initial=np.inf))
+    equal = np.concatenate([[False], jumps == 0.0])
+    for rows in _runs(equal):
+        run = slice(rows.start - 1, rows.stop)
+        moves = P * float(np.ptp(error[run])) > 2.0 * resolution
+        if run.stop - run.start >= STANDS_STILL and moves:
+            still[run] = True
+    for limit in (effort.min(), effort.max()):
+        if still[effort == limit].any():  # held there once, it is a limit at every touch
+            still |= effort == limit
+    return still
+
+
+def _why_still(part: Columns, rows: slice) -> str:
+    effort = part["effort"]
+    value = effort[rows.start]
+    if value == effort.max():
+        return f"the effort is at its upper limit, {value:g}"
+    if value == effort.min():
+        return f"the effort is at its lower limit, {value:g}"
+    return f"the effort is held at {value:g}: another mode than automatic"
+
+
+def _runs(mask: BoolArray) -> Sequence[slice]:
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], mask, [False]]).astype(np.int8)))
+    return [slice(a, b) for a, b in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True)]
+
+
+def _ends(time: FloatArray, rows: slice) -> tuple[float, float]:
+    return float(time[rows.start]), float(time[rows.stop - 1])

@@ -1,0 +1,1 @@
+"""Records of ordinary service, simulated, and what `suggest` reads in them."""

@@ -1,0 +1,224 @@
+"""Margins and gains from logs: what is used, what ran, what is known, what is recommended."""
+
+import csv
+import json
+import math
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import estune
+import plants
+from estune.cli import main
+from estune.core.controller_equation import unlimited_effort
+from estune.core.controller_form import ControllerForm
+from estune.core.gains import Gains
+from estune.core.pidf import ControllerSettings
+from estune.errors import InvalidInput
+from estune.recordings.loop_log import LoopLog, read_loop_log
+from estune.service_records.advice import experiment
+from estune.service_records.replay import replay
+from estune.service_records.sources import Logs
+from estune.service_records.stretches import Stretch, find_stretches
+from experiments.loop_claims.truth import TrueLoop, true_sensitivity
+from experiments.sample_efficiency.problems import PROBLEMS
+from experiments.service_records.service import Service, serve
+
+OVEN = Path(__file__).parents[2] / "shared" / "data" / "oven"
+REEL = PROBLEMS["reel 1.4 m"]
+
+
+@pytest.fixture(scope="module")
+def busy():
+    """A log of a reel in busy service at weak gains."""
+    return log_of("busy")
+
+
+def log_of(kind, seed=3):
+    r = serve(REEL.plant, REEL.trial, REEL.start, Service(kind), seed)
+    time = np.arange(r.setpoint.size) / REEL.trial.controller.sampling_Hz
+    part = {
+        "time": time,
+        "setpoint": r.setpoint,
+        "measurement": r.measurement,
+        "effort": r.effort,
+    }
+    rate = REEL.trial.controller.sampling_Hz
+    return LoopLog(kind, rate, (part,), REEL.start, {}, {}, ())
+
+
+def suggest(log, **options):
+    trial = REEL.trial
+    given = {"settling_time_s": trial.cost.settling_time_s, "step": trial.step.size_N}
+    return estune.suggest(Logs((log,), (), trial.controller), **given | options)
+
+
+def write(path, part):
+    with path.open("w", newline="") as file:
+        rows = csv.writer(file)
+        rows.writerow(["time_s", "setpoint", "measured", "output"])
+        rows.writerows(zip(*part.values(), strict=True))
+
+
+def test_margins_of_a_busy_log_hold_the_true_ones(busy):
+    Ms = suggest(busy).margins.sensitivity
+    true = true_sensitivity(REEL.plant, REEL.start)
+    assert Ms.low <= true <= Ms.high
+    assert Ms.high / Ms.low < 1.3
+
+
+def test_recommended_gains_are_better_and_keep_the_limits(busy):
+    found = suggest(busy)
+    assert found.verdict == "change"
+    true = TrueLoop(REEL.plant, REEL.cost)
+    at, now = true.at(found.recommendation.gains), true.at(REEL.start)
+    assert at.cost < 0.7 * now.cost
+    assert true_sensitivity(REEL.plant, found.recommendation.gains) <= 1.65
+    assert at.overshoot <= 0.06
+
+
+def test_the_effort_need_not_be_logged(busy):
+    (part,) = busy.parts
+    without = {name: values for name, values in part.items() if name != "effort"}
+    one = suggest(busy).margins.sensitivity.value
+    other = suggest(busy._replace(parts=(without,))).margins.sensitivity.value
+    assert other == pytest.approx(one, rel=0.01)
+
+
+def test_a_loop_that_holds_still_tells_nothing_and_the_experiment_advised_tells():
+    still = suggest(log_of("still"))
+    assert still.exit_code == 9
+    assert still.margins is None
+    assert still.recommendation is None
+    wanted = experiment(still)
+    plant, settings = REEL.plant, REEL.trial.controller
+    random = np.random.default_rng(5)
+    samples = wanted.trial.profile.samples(settings.sampling_Hz)
+    noise = plant.noise_rms_N * random.standard_normal(samples)
+    r = plants.simulate(plant, REEL.start, wanted.trial.profile, noise_N=noise)
+    part = {
+        "time": r.time_s,
+        "setpoint": r.setpoint_N,
+        "measurement": r.tension_N,
+        "effort": r.effort_N,
+    }
+    log = LoopLog("multisine", settings.sampling_Hz, (part,), REEL.start, {}, {}, ())
+    Ms = suggest(log).margins.sensitivity
+    true = true_sensitivity(plant, REEL.start)
+    assert Ms.low <= true <= Ms.high
+
+
+def test_gains_that_did_not_run_are_the_first_line(busy):
+    wrong = Gains(*(1.5 * g for g in REEL.start.as_tuple()[:3]), REEL.start.setpoint_filter_s)
+    found = suggest(busy, gains=wrong)
+    assert found.exit_code == 10
+    assert found.heading().startswith("OTHER GAINS RAN")
+    assert found.in_use.as_tuple() == pytest.approx(REEL.start.as_tuple(), rel=1e-3)
+
+
+def test_stretches_at_a_limit_and_in_manual_are_left_out(busy):
+    (part,) = busy.parts
+    limited = part["effort"].copy()
+    top = np.quantile(limited, 0.97)
+    limited = np.minimum(limited, top)
+    limited[1000:1200] = limited[1000]
+    log = busy._replace(parts=({**part, "effort": limited},))
+    stretches, left_out = find_stretches(log, REEL.start.P)
+    reasons = {one.reason for one in left_out}
+    assert any("upper limit" in reason for reason in reasons)
+    assert any("another mode" in reason for reason in reasons)
+    assert all((s.effort < top).all() for s in stretches)
+
+
+@pytest.mark.parametrize(
+    "form",
+    [
+        ControllerForm(integral="backward"),
+        ControllerForm(derivative_on="error"),
+    ],
+)
+def test_replay_finds_the_form_that_ran(form):
+    random = np.random.default_rng(2)
+    setpoint = np.repeat(random.standard_normal(20), 100)
+    measured = np.convolve(setpoint, np.full(40, 1 / 40))[: setpoint.size]
+    measured = measured + 0.01 * random.standard_normal(setpoint.size)
+    own = ControllerSettings(100.0, 0.02, -math.inf, math.inf)
+    gains = Gains(2.0, 20.0, 0.1, 0.05)
+    ran = replace(own, form=form)
+    effort = unlimited_effort(ran, gains, setpoint, measured, first_N=3.0)
+    stretch = Stretch("log", 0.0, setpoint, measured, effort)
+    assert replay([stretch], ran, gains).agrees
+    found = replay([stretch], own, gains)
+    assert not found.agrees
+    assert found.ran == gains
+    assert found.form == form
+
+
+def test_command_reads_a_csv_and_writes_report_and_json(busy, tmp_path, capsys):
+    write(tmp_path / "log.csv", busy.parts[0])
+    P, I, D, F = REEL.start.as_tuple()
+    given = [
+        *("suggest", str(tmp_path / "log.csv"), "--gains", f"P={P},I={I},D={D},F={F}"),
+        *("--map", "measurement=measured", "--derivative-filter"),
+        *(str(REEL.trial.controller.derivative_filter_s), "--settling", "0.2"),
+        *("--report", str(tmp_path / "page.html"), "--json"),
+    ]
+    with pytest.raises(SystemExit) as ended:
+        main(given)
+    assert ended.value.code == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["verdict"] == "change"
+    assert found["replay"]["agrees"]
+    assert "Nyquist" in (tmp_path / "page.html").read_text()
+
+
+@pytest.mark.parametrize(
+    ("heading", "message"),
+    [
+        ("time_s,wanted,measured,output", "no channel is the setpoint"),
+        ("time_s,setpoint_N,measurement_A,output", "same quantity"),
+    ],
+)
+def test_a_log_whose_columns_are_not_clear_is_refused_with_the_remedy(tmp_path, heading, message):
+    path = tmp_path / "log.csv"
+    path.write_text(heading + "\n" + "\n".join(f"{k},0,0,{k}" for k in range(50)))
+    with pytest.raises(InvalidInput, match=message):
+        estune.suggest(path, gains=Gains(1.0, 0.0, 0.0, 0.0))
+
+
+def test_unknown_gains_are_refused_where_no_effort_shows_them(busy):
+    (part,) = busy.parts
+    without = {name: values for name, values in part.items() if name != "effort"}
+    with pytest.raises(InvalidInput, match="gains that ran"):
+        suggest(busy._replace(parts=(without,), gains=None))
+
+
+@pytest.mark.skipif(not OVEN.is_dir(), reason="the measured logs lie beside the project")
+@pytest.mark.parametrize("path", sorted(OVEN.glob("*.csv")), ids=lambda path: path.stem)
+def test_gains_of_measured_logs_are_confirmed_or_found(path):
+    # The gains act on the converter's reading; per row the sum grows by 0.1 ki e, and kd/0.1
+    # times the difference is taken off: see the README of the data.
+    def reading(celsius):
+        ohm = 11800 * np.exp(3977 * (1 / (celsius + 273.15) - 1 / 294.15))
+        return 1023 * ohm / (9853 + ohm)
+
+    log = read_loop_log(path)
+    converted = {"setpoint": -1.0, "measurement": -1.0}
+    parts = tuple(
+        {n: converted[n] * reading(v) if n in converted else v for n, v in part.items()}
+        for part in log.parts
+    )
+    kp, ki, kd = map(float, re.findall(r"k[pid]([\d.]+?)(?=_|\.csv)", path.name))
+    stated = Gains(kp, 0.4 * ki, 2.5 * kd, 0.0)
+    settings = ControllerSettings(4.0, 0.0, 0.0, 255.0, ControllerForm(integral="backward"))
+    stretches, _ = find_stretches(log._replace(parts=parts), kp)
+    found = replay(stretches, settings, stated)
+    if path.stem[:5] in {"run06", "run07"}:  # their names state a P of 4
+        assert not found.agrees
+        assert pytest.approx(3.0, rel=1e-3) == found.ran.P
+    else:
+        assert found.agrees
+    assert found.ran_error * found.range / 255.0 < 0.0005
