@@ -1,12 +1,13 @@
 """What does a tuning look like on the live page, and what does it change?
 
 Command: `python -m experiments.first_page --out docs/images`.
-Target: an animation of at most 500 kB.
+Target: an animation of at most 500 kB; a move of a slider is drawn within 50 ms at the median.
 
 A simulated reel in one process, its tuning in another, and the page of the rig in headless
 Chromium: the animation is of that page, and the numbers are those of that run.
 """
 
+import statistics
 import sys
 import tempfile
 from io import BytesIO
@@ -82,8 +83,8 @@ def write_animation(frames: list[tuple[Image.Image, int]], path: Path) -> float:
     return path.stat().st_size / 1e3
 
 
-def film(folder: Path, path: Path) -> float:
-    """Films a tuning into a file; its run is `folder/first`. Returns the size, kB."""
+def film(folder: Path, path: Path) -> dict[str, Any]:
+    """Films a tuning into a file; its run is `folder/first`."""
     with command("serve", "--pace", 0.5, "--ledger", "memory") as rig:
         endpoint = printed(rig, "rig reel at ")
         with (
@@ -97,7 +98,11 @@ def film(folder: Path, path: Path) -> float:
             with command("tune", endpoint, "--run", "first", "--folder", folder, "--quiet"):
                 page.locator("#trial").wait_for(state="visible")
                 frames = watched(page)
-    return write_animation(frames, path)
+                redraws_ms = page.evaluate("document.getElementById('tuner').tuner.times")
+    return {
+        "animation_kB": write_animation(frames, path),
+        "redraw_median_ms": statistics.median(redraws_ms),
+    }
 
 
 def numbers(result: TuneResult) -> dict[str, Any]:
@@ -125,8 +130,9 @@ def main() -> int:
         if options.quick:
             tune(plants.reference_reel(), run="first", folder=folder, watch=None)
         else:
-            figures["animation_kB"] = film(folder, options.out / "live_page.gif")
+            figures |= film(folder, options.out / "live_page.gif")
             targets["animation_kB"] = at_most(figures["animation_kB"], 500.0)
+            targets["redraw_median_ms"] = at_most(figures["redraw_median_ms"], 50.0)
         figures |= numbers(load(folder / "first"))
     return print_results(figures, targets, as_json=options.json, tables=True)
 

@@ -108,7 +108,7 @@ def test_daemon_control_shows_and_commands(tmp_path, capsys):
             return capsys.readouterr().out
 
         table = say("status", endpoint)
-        assert re.search(r"^live +original gains; nominal gains: original", table, re.MULTILINE)
+        assert re.search(r"^live +original gains; no others accepted yet", table, re.MULTILINE)
         assert re.search(r"^candidate is +better than the initial gains: ", table, re.MULTILINE)
         statuses = json.loads(say("status", endpoint, "--json"))
         assert statuses[0]["gains"]["original"]["P"] == ORIGINAL.P

@@ -200,7 +200,7 @@ def _facts(status: DaemonStatus) -> Mapping[str, object]:
     facts: dict[str, object] = {
         "rig": status.rig,
         "mode": f"{status.mode}: {status.sentence}",
-        "live": f"{live}; nominal gains: {status.home}, for: {status.why}",
+        "live": f"{live}{_intended(status)}; {status.why}",
     }
     facts |= status.gains
     if status.found:
@@ -219,6 +219,11 @@ def _facts(status: DaemonStatus) -> Mapping[str, object]:
     if status.trouble:
         facts["trouble"] = status.trouble
     return facts
+
+
+def _intended(status: DaemonStatus) -> str:
+    """The gains that the daemon maintains, where others are live."""
+    return "" if status.live == status.home else f", to become the {status.home} ones"
 
 
 def _show_history(rig: str, history: History) -> None:

@@ -93,7 +93,7 @@ class SupervisorState:
 
     goal: Goal = Goal.TUNE
     home: GainSet = GainSet.ORIGINAL
-    why: str = "nothing else was accepted yet"
+    why: str = "no others accepted yet"
     link: RigLink = RigLink.AWAY
     failures: int = 0
     trouble: str = ""

@@ -19,6 +19,9 @@ DEAR = 0.05
 SOFTER = (1.8, 2.0)
 """Sensitivities that are priced then."""
 
+LEAST = 5e-4
+"""Price that is told: below it, it is 0.0 %."""
+
 EXTENT = 1.5
 """Greatest distance of an optimum from the tuned gains, in logarithms. Without limits the optima
 of seven families lie within 1.3 of those with them."""
@@ -37,11 +40,19 @@ class LimitPrice(NamedTuple):
 
     @property
     def sentence(self) -> str:
-        """The price in words."""
-        softer = ", ".join(f"{price:.1%} with Ms up to {limit:g}" for limit, price in self.softer)
-        return f"the limits cost {self.price:.1%} by the identified loop" + (
-            f"; {softer}" if softer else ""
+        """The price in words; empty where it is none."""
+        if self.price < LEAST:
+            return ""
+        softer = [f"; with Ms up to {m:g} by {_lower(own, self.price)}" for m, own in self.softer]
+        return (
+            "without the limits on Ms and overshoot the model predicts a cost lower by "
+            f"{_lower(0.0, self.price)}{''.join(softer)}"
         )
+
+
+def _lower(one: float, other: float) -> str:
+    """By how much a cost with one price is below that with the other."""
+    return f"{1.0 - (1.0 + one) / (1.0 + other):.1%}"
 
 
 def price_of(

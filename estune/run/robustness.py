@@ -227,4 +227,5 @@ def robustness_cells(margins: PredictedMargins | None) -> Iterator[tuple[str, st
         return
     Ms, angle = margins.sensitivity, margins.phase_margin_deg
     yield "sensitivity Ms (records)", f"{Ms.value:.2f} ({Ms.low:.2f} to {Ms.high:.2f})"
-    yield "phase margin (records)", f"{angle.value:.0f}° ({angle.low:.0f} to {angle.high:.0f})"
+    low, value, high = (f"{at:.0f}" for at in (angle.low, angle.value, angle.high))
+    yield "phase margin (records)", f"{value}°" + ("" if low == high else f" ({low} to {high})")

@@ -341,7 +341,7 @@ def _robustness_remarks(result: RunResult) -> tuple[str, ...]:
     if reason and not told:
         remarks.append(f"no sensitivity is claimed from the records: {reason}")
     price = limit_price(loop, result.claim, result.plan, result.rig, result.gains)
-    if tuned is not None and price is not None:
+    if tuned is not None and price is not None and price.sentence:
         remarks.append(price.sentence)
     first, start_cost = result.first_record, result.verdict.start_cost
     return (*remarks, *quality_remarks(result.plan, result.rig, first, start_cost, loop.fit))
