@@ -121,7 +121,7 @@ def test_simple_plant_keeps_a_simple_model():
     fit = fit_loop(records_of(reel, near(Gains(0.8, 20.0, 0.01, 0.005), 5)), 632.0, 0.128)
     assert fit.order == 2
     assert fit.noise.is_white
-    assert not fit.model.has_friction
+    assert not fit.model.friction_N
 
 
 def test_disturbed_record_is_left_out_and_told():

@@ -121,7 +121,6 @@ CASES = {
     "price of the effort": (MODEL, trial(criterion="ise", effort_weight=0.1)),
     "four poles": (FOUR_POLES, trial()),
     "four poles, limits that act": (FOUR_POLES, trial(limit_N=1.5)),
-    "friction with the load": (MODEL._replace(friction_N=0.02, friction_share=0.03), trial()),
     "integrator": (LoopModel.of_taps((-1.8, 0.8), (0.002, 0.002, 0.0), 1), trial()),
 }
 

@@ -133,7 +133,7 @@ def _fit(
     signals = signals_of(records, settling := settling_time_s * sampling_Hz, round(settling))
     first = searched_dead_time(signals, _start(records, settling, last))
     low = _summarised(records, signals, first)
-    earlier = last if last is not None and last.model.has_friction else None
+    earlier = last if last is not None and last.model.friction_N else None
     # What did not help with a record less will hardly help now.
     if low.is_white or not (again or earlier or (last and last.is_white)):
         return low
@@ -151,7 +151,7 @@ def _fit(
 
 def _criterion(fit: LoopFit, signals: FitSignals) -> float:
     errors, model = _errors(fit, signals), fit.model
-    further = bool(model.friction_N) + bool(model.friction_share)
+    further = int(model.friction_N > 0.0)
     return criterion(signals, float(errors @ errors), fit.order, fit.noise, further)
 
 

@@ -4,12 +4,11 @@ The first pair of poles is a mass on a spring, of position x and unit gain, and 
 what it can of each step (a proximal step: Moreau, Numerical aspects of the sweeping process,
 1999), so that it opposes every motion and sticks exactly:
 
-    x(k+1) = x(k) + s - a f(k),     a f(k) = clip(s, -a F(k), a F(k)),     a = 1 + a1 + a2
+    x(k+1) = x(k) + s - a f(k),     a f(k) = clip(s, -a F, a F),     a = 1 + a1 + a2
     s = -(1 + a1) x(k) - a2 x(k-1) + a u(k)
-    F(k) = F + c |y(k)| / |G(1)|      (constant, and in proportion to the load)
 
 so that y = q^-(d+1) B/A (u - f) + H e is linear in u - f (`least_squares`). A record begins at
-rest with friction of an unknown size, the same in all. Searched are the poles, F, c and that size.
+rest with friction of an unknown size, the same in all. Searched are the poles, F and that size.
 """
 
 import math
@@ -59,31 +58,25 @@ class _Motion(NamedTuple):
     Attributes:
         signals: The records.
         records: The same.
-        gain: Static gain of the plant, about.
         rest: Of each group the position before the record less its mean, in N of effort.
         rest_effort: Mean effort before the step.
         scale: Effort that a step needs, N.
         poles: Number of poles.
         noise: The noise.
-        proportional: Whether a friction in proportion to the load is searched, too.
         known: Forces at the last coordinates, by their bytes.
     """
 
     signals: FitSignals
     records: tuple[LoopRecord, ...]
-    gain: float
     rest: tuple[FloatArray, ...]
     rest_effort: float
     scale: float
     poles: int
     noise: NoiseModel
-    proportional: bool
     known: dict[bytes, list[FloatArray]]
 
     @classmethod
-    def of(
-        cls, records: Sequence[LoopRecord], like: LoopFit, *, proportional: bool = False
-    ) -> "_Motion":
+    def of(cls, records: Sequence[LoopRecord], like: LoopFit) -> "_Motion":
         """The motion of records of a plant like an earlier fit."""
         gain, settling = like.model.static_gain, like.settling_samples
         signals = signals_of(records, settling, round(settling))
@@ -92,7 +85,6 @@ class _Motion(NamedTuple):
         return cls(
             signals=signals,
             records=tuple(records),
-            gain=gain,
             rest=tuple(
                 np.array([(rests[i] - mean) / gain for i in group.members])
                 for group in signals.groups
@@ -101,15 +93,13 @@ class _Motion(NamedTuple):
             scale=abs(records[0].span_N / gain),
             poles=like.order,
             noise=like.noise,
-            proportional=proportional,
             known={},
         )
 
-    def split(self, x: FloatArray) -> tuple[FloatArray, float, float, float]:
-        """Poles, F in N, c, and the force that holds at rest as an area tangent."""
+    def split(self, x: FloatArray) -> tuple[FloatArray, float, float]:
+        """Poles, F in N, and the share of it that holds at rest as an area tangent."""
         n = self.poles
-        share = abs(float(x[n + 2])) if self.proportional else 0.0
-        return x[:n], self.scale * abs(float(x[n])), share, float(x[n + 1])
+        return x[:n], self.scale * abs(float(x[n])), float(x[n + 1])
 
 
 def fit_with_friction(
@@ -127,10 +117,8 @@ def fit_with_friction(
         return None
     warm = None
     if last is not None:
-        motion = _Motion.of(records, last, proportional=bool(last.model.friction_share))
-        model = last.model
+        motion, model = _Motion.of(records, last), last.model
         x = np.array([*model.coordinates, model.friction_N / motion.scale, 0.0])
-        x = np.append(x, [model.friction_share] * bool(model.friction_share))
         search = partial(_search, motion)
         start = search(PoleFit(math.inf, x, model.dead_samples), model.dead_samples)
         warm = _summarise(motion, search_dead_time(search, start))
@@ -180,7 +168,7 @@ def _search(motion: _Motion, start: PoleFit, dead: int) -> PoleFit:
 
     def residual_of(x: FloatArray, forces: list[FloatArray]) -> FloatArray:
         # Without a reversal only the change of the friction shows: then it holds nothing at rest.
-        _, friction_N, _, held = motion.split(x)
+        _, friction_N, held = motion.split(x)
         left = _solution(motion, x, forces, dead).residual
         return np.append(left, friction_N * math.tanh(held))
 
@@ -219,11 +207,9 @@ def less_friction(signals: FitSignals, forces: list[FloatArray]) -> FitSignals:
 
 def friction_of(model: LoopModel, signals: FitSignals, record: LoopRecord) -> list[FloatArray]:
     """The friction of a model on one record, which begins without any."""
-    a = model.sections[0].taps[np.newaxis]
-    load = np.abs(record.measurement_N) * model.friction_share / abs(model.static_gain or 1.0)
-    most = (model.friction_N + load)[np.newaxis, np.newaxis]
-    if not model.has_friction:
+    if not model.friction_N:
         return [np.zeros((1, record.samples)) for _ in signals.groups]
+    a, most = model.sections[0].taps[np.newaxis], np.array([model.friction_N])
     rest = np.array([[record.rest_effort_N]])
     return [friction_force(record.effort_N[np.newaxis], a, most, rest)[0]]
 
@@ -247,16 +233,13 @@ def _forces(motion: _Motion, coordinates: Sequence[FloatArray]) -> list[FloatArr
     """Friction of each group at several coordinates, shape (coordinates, records, samples)."""
     parts = [motion.split(x) for x in coordinates]
     a = np.array([sections_of(poles)[0].taps for poles, *_ in parts])
-    friction = np.array([size for _, size, _, _ in parts])
-    share = np.array([share for _, _, share, _ in parts]) / abs(motion.gain)
-    held = friction * np.tanh([part[3] for part in parts])
+    friction = np.array([size for _, size, _ in parts])
+    held = friction * np.tanh([part[2] for part in parts])
     found = []
     for group, rest in zip(motion.signals.groups, motion.rest, strict=True):
         effort = np.array([motion.records[i].effort_N for i in group.members])
-        load = np.abs([motion.records[i].measurement_N for i in group.members])
-        most = friction[:, np.newaxis, np.newaxis] + share[:, np.newaxis, np.newaxis] * load
         start = motion.rest_effort + held[:, np.newaxis] + rest
-        found.append(friction_force(effort, a, most, start))
+        found.append(friction_force(effort, a, friction, start))
     return found
 
 
@@ -268,19 +251,19 @@ def friction_force(
     Args:
         effort: Shape (records, samples).
         a: Denominators of the two poles, shape (masses, 3).
-        most: Greatest friction, N, shape (masses, records, samples).
+        most: Size of the friction, N, shape (masses,).
         rest: Position before the first sample, N, shape (masses, records).
     """
     unit = a.sum(axis=1)[:, np.newaxis]
     first, second = -(1.0 + a[:, 1:2]), -a[:, 2:3]
-    limits = np.ascontiguousarray(np.moveaxis(most * unit[..., np.newaxis], 2, 0))
+    limit = unit * most[:, np.newaxis]
     columns = np.multiply.outer(effort.T, unit[:, 0]).transpose(0, 2, 1)
     taken = np.empty((effort.shape[1], *rest.shape))
     now = before = rest
     with np.errstate(over="ignore", invalid="ignore"):
         for k, push in enumerate(columns):
             step = first * now + second * before + push
-            off = np.minimum(np.maximum(step, -limits[k]), limits[k])
+            off = np.minimum(np.maximum(step, -limit), limit)
             taken[k] = off
             before, now = now, now + step - off
         taken /= unit
@@ -292,13 +275,12 @@ def _summarise(motion: _Motion, best: PoleFit) -> LoopFit:
     """The fit with its covariances and its misfit."""
     x = best.coordinates
     at = _solution(motion, x, [f[0] for f in _about(motion, x)], best.dead)
-    poles, friction_N, share, _ = motion.split(x)
+    poles, friction_N, _ = motion.split(x)
     model = LoopModel(
         tuple(poles.tolist()),
         tuple(at.numerator.tolist()),
         best.dead,
         max(friction_N, FRICTION_MIN * motion.scale),
-        share,
     )
     left = Residuals(
         at.residual,
@@ -330,5 +312,5 @@ def _slopes(motion: _Motion, x: FloatArray, at: Solution, dead: int) -> FloatArr
     ]
     n = motion.poles
     sign = math.copysign(1.0, x[n])
-    friction = [sign * moved[n] / motion.scale, *moved[n + 2 :]]
-    return np.concatenate([np.stack(moved[:n], 1), -at.regressors, np.stack(friction, 1)], axis=1)
+    friction = sign * moved[n][:, np.newaxis] / motion.scale
+    return np.concatenate([np.stack(moved[:n], 1), -at.regressors, friction], axis=1)

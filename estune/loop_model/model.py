@@ -51,14 +51,12 @@ class LoopModel(NamedTuple):
         dead_samples: Whole samples d of dead time beyond the one of sampling.
         friction_N: Size of the dry friction that the effort works against, N; zero is none. It
             acts on the first pair of poles. Margins are those of the linear part.
-        friction_share: Further friction, per N of effort that the measurement stands for.
     """
 
     coordinates: tuple[float, ...]
     numerator: tuple[float, ...]
     dead_samples: int
     friction_N: float = 0.0
-    friction_share: float = 0.0
 
     @classmethod
     def of_taps(
@@ -81,26 +79,19 @@ class LoopModel(NamedTuple):
 
     @property
     def parameters(self) -> FloatArray:
-        """The real parameters: coordinates, numerator, and those of the friction, if any."""
-        friction = [f for f in (self.friction_N, self.friction_share) if f]
+        """The real parameters: coordinates, numerator, and the friction where there is any."""
+        friction = [self.friction_N] * bool(self.friction_N)
         return np.array([*self.coordinates, *self.numerator, *friction])
 
     def with_parameters(self, values: FloatArray) -> "LoopModel":
         """The model with other values of the real parameters and the same dead time."""
         numbers = [float(value) for value in values]
         n, end = self.order, self.order + len(self.numerator)
-        rest = iter(max(value, 0.0) for value in numbers[end:])
         return self._replace(
             coordinates=tuple(numbers[:n]),
             numerator=tuple(numbers[n:end]),
-            friction_N=next(rest) if self.friction_N else 0.0,
-            friction_share=next(rest) if self.friction_share else 0.0,
+            friction_N=max(sum(numbers[end:]), 0.0),
         )
-
-    @property
-    def has_friction(self) -> bool:
-        """Whether dry friction acts."""
-        return bool(self.friction_N or self.friction_share)
 
     @property
     def sections(self) -> tuple[PoleSection, ...]:

@@ -98,7 +98,7 @@ def _response(
 ) -> tuple[FloatArray, FloatArray]:
     """Output and effort as deviations; by samples only with friction, or where limits act."""
     settings = trial.controller
-    if not model.has_friction:
+    if not model.friction_N:
         output, effort = loop.setpoint_response(trial.setpoint_N)
         if trial.step.load:
             loaded = loop.load_response(trial.loads_N)

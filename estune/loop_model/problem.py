@@ -59,14 +59,11 @@ def problem(models: Sequence[LoopModel], trial: StepTrial, noise_N: float) -> di
 
 
 def _model(model: LoopModel) -> dict[str, Any]:
-    share = model.friction_share
     return {
         "sections": [np.resize([*s.powers, 0.0], 3).tolist() for s in model.sections],
         "numerator": list(model.numerator),
         "dead_samples": model.dead_samples,
         "friction": model.friction_N,
-        "friction_share": share,
-        "friction_over_gain": share / model.static_gain if share else 0.0,
     }
 
 

@@ -31,8 +31,6 @@ def sampled_response(
         load_N: Added to the effort on its way to the plant, shape (samples,).
         rest_effort_N: Effort at rest, by which the controller's limits are judged.
     """
-    share = model.friction_share
-    friction = [model.friction_N, share, share / model.static_gain if share else 0.0]
     sections = model.sections
     taps = np.concatenate([np.resize(s.taps, 3)[1:] * [1.0, s.taps.size > 2] for s in sections])
     fixed = np.concatenate(
@@ -40,8 +38,7 @@ def sampled_response(
             pidf.coefficients(settings, gains),
             taps,
             exchanged(np.array(model.numerator)),
-            [rest_effort_N],
-            friction,
+            [rest_effort_N, model.friction_N],
         ]
     )
     run = _loop(len(sections), len(model.numerator), model.dead_samples, setpoint_N.size)
@@ -66,18 +63,17 @@ def _loop(sections: int, terms: int, dead: int, samples: int) -> Any:
     ca.GlobalOptions.setNumpyMode(1)  # or it prints a notice
     further = sections - 1
     state = ca.SX.sym("state", 3 + 2 + 2 * further + dead + terms)
-    column = ca.SX.sym("column", 2 + 9 + 2 * sections + terms + 4)
+    column = ca.SX.sym("column", 2 + 9 + 2 * sections + terms + 2)
     setpoint, load = column[0], column[1]
     c = pidf.Coefficients(*(column[2 + i] for i in range(9)))
-    taps, zeros = column[11 : 11 + 2 * sections], column[11 + 2 * sections : -4]
-    rest, friction, share, over_gain = (column[-4 + i] for i in range(4))
+    taps, zeros = column[11 : 11 + 2 * sections], column[11 + 2 * sections : -2]
+    rest, friction = column[-2], column[-1]
     controller = pidf.PidfState(state[0], state[1], state[2])
     x, between, last = state[3:5], state[5 : 5 + 2 * further], state[5 + 2 * further :]
     output = ca.dot(zeros, last[dead : dead + terms])
     following, effort, _ = pidf.step(c, controller, setpoint, output)
     step = -(1.0 + taps[0]) * x[0] - taps[1] * x[1] + effort - rest + load
-    most = friction + ca.fabs(share * rest + over_gain * output)
-    moved = x[0] + step - ca.fmin(ca.fmax(step, -most), most)
+    moved = x[0] + step - ca.fmin(ca.fmax(step, -friction), friction)
     signal, kept = moved, []
     for i in range(further):
         own = between[2 * i : 2 * i + 2]

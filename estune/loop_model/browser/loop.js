@@ -64,7 +64,7 @@ export function simulate(problem, model, gains, { setpoint, load, noise }, limit
   const act = controlLaw(c, gains, problem.rest);
   const sections = model.sections.map((p) => ({ p, unit: p[0] + p[1] + p[2], x: 0, dx: 0 }));
   const B = model.numerator, dead = model.dead_samples, past = new Float64Array(n + dead + B.length + 1);
-  const differences = new Float64Array(B.length), friction = model.friction ?? 0, share = model.friction_share ?? 0;
+  const differences = new Float64Array(B.length), friction = model.friction ?? 0;
   const origin = dead + B.length; // past[k + origin] is the plant's last state at sample k
   for (let k = 0; k < n; k++) {
     // B at the state d + 1 samples ago: its backward differences, of all orders.
@@ -80,10 +80,7 @@ export function simulate(problem, model, gains, { setpoint, load, noise }, limit
     for (let m = 0; m < sections.length; m++) {
       const s = sections[m];
       let step = (signal - s.p[0] * s.x + s.p[2] * s.dx) / s.unit;
-      if (m === 0 && (friction || share)) {
-        const most = friction + Math.abs(share * problem.rest + model.friction_over_gain * output);
-        step -= Math.min(Math.max(step, -most), most);
-      }
+      if (m === 0 && friction) step -= Math.min(Math.max(step, -friction), friction);
       s.dx = step;
       s.x += step;
       signal = s.x;
