@@ -29,6 +29,8 @@ typedef struct {
   double middles[ESTUNE_HISTORY], velocities[ESTUNE_HISTORY], bounds[ESTUNE_HISTORY];
   double velocity, velocity_bound, acceleration; /* of the drum, rad/s and rad/s2 */
   double gravity, friction, inertia;             /* N */
+  double far_end, far_acceleration;              /* of the far end, m/s and m/s2 */
+  long unchanged, interval;                      /* samples since it changed, and before that */
   int closed;                                    /* whether the next is a setpoint */
   double setpoint, sliding;                      /* of the last sample; N, direction -1 to 1 */
 } estune_compensation;
@@ -122,6 +124,22 @@ static double estune_friction(estune_compensation *c, double setpoint, double fa
          (size / ESTUNE_DRUM_RADIUS + ESTUNE_LOAD_SHARE * fmax(setpoint, 0.0));
 }
 
+/* Inertia and viscous friction along the far end's motion. Its acceleration is the change of the
+ * velocity over the samples since the change before, in force for twice as long. */
+static double estune_known_motion(estune_compensation *c, double far_end) {
+  double drum_per_m = -1.0 / (ESTUNE_DRUM_RADIUS * ESTUNE_DRUM_RADIUS);
+  c->unchanged++;
+  if (far_end != c->far_end) {
+    c->interval = c->unchanged;
+    c->far_acceleration = (far_end - c->far_end) / ((double)c->interval * ESTUNE_PERIOD);
+    c->far_end = far_end;
+    c->unchanged = 0;
+  } else if (c->unchanged > 2 * c->interval) {
+    c->far_acceleration = 0.0;
+  }
+  return drum_per_m * (ESTUNE_KNOWN_INERTIA * c->far_acceleration + ESTUNE_KNOWN_VISCOUS * far_end);
+}
+
 static double estune_limited(double value) {
   if (isnan(value)) return 0.0;
   return fmin(fmax(value, -ESTUNE_FEED_FORWARD_MAX), ESTUNE_FEED_FORWARD_MAX);
@@ -135,7 +153,8 @@ ESTUNE_COMPENSATION_EXPORT void estune_compensation_sample(estune_compensation *
   estune_motion(c, time, angle);
   c->gravity = estune_gravity(tension, angle);
   c->friction = estune_limited(estune_friction(c, setpoint, far_end));
-  c->inertia = estune_limited(ESTUNE_INERTIA * c->acceleration / ESTUNE_DRUM_RADIUS);
+  c->inertia = estune_limited(ESTUNE_INERTIA * c->acceleration / ESTUNE_DRUM_RADIUS +
+                              estune_known_motion(c, isfinite(setpoint) ? far_end : 0.0));
   c->inertia = estune_limited(c->friction + c->inertia) - c->friction;
 }
 

@@ -82,7 +82,9 @@ class CompensationPlan:
         windows: Estimator of the velocity.
         friction: Friction along the known motion; None where it is off.
         tension_per_rad_N: Rise of the tension per angle of the drum, the far end held, N/rad.
-        inertia_kgm2: Inertia that is fed forward, kg m2; zero where it is off.
+        inertia_kgm2: Inertia fed forward along the measured acceleration, kg m2; zero where off.
+        known_inertia_kgm2: Inertia fed forward along the far end's commanded motion, kg m2.
+        known_viscous_Nms_rad: Viscous friction, likewise, N m per rad/s.
         gravity: The cable's weight; None where it is off.
         drum_radius_m: Radius of the cable on the drum, m.
         feed_forward_max_N: Greatest size of friction and inertia together, N.
@@ -94,6 +96,8 @@ class CompensationPlan:
     friction: FrictionFeedForward | None
     tension_per_rad_N: float
     inertia_kgm2: float
+    known_inertia_kgm2: float
+    known_viscous_Nms_rad: float
     gravity: Gravity | None
     drum_radius_m: float
     feed_forward_max_N: float

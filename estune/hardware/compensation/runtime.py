@@ -60,6 +60,8 @@ class PlainCompensation:
         self._plan = plan
         self._state = MotionState()
         self._setpoint_N, self._direction = math.nan, 0.0
+        self._far_end = self._far_acceleration = 0.0
+        self._unchanged = self._interval = 0
 
     def sample(
         self, time_s: float, gauge_N: float, angle_rad: float, known: KnownMotion = NOTHING_KNOWN
@@ -67,16 +69,33 @@ class PlainCompensation:
         """The compensations at a sample; none where it is out of order or not finite."""
         plan, times = self._plan, self._state.times_s
         friction = plan.limited_N(self._friction_N(known))
+        along_N = self._known_motion_N(known)
         gravity = self._gravity_N(gauge_N, angle_rad)
         finite = math.isfinite(time_s) and math.isfinite(angle_rad)
         if not finite or (times and not time_s > times[0]):
             self._state = MotionState()
-            return NO_COMPENSATION._replace(gravity_N=gravity, friction_N=friction)
+            inertia = plan.limited_N(friction + plan.limited_N(along_N)) - friction
+            return CompensationTerms(0.0, gravity, friction, inertia)
         self._state, motion = velocity.step(plan.windows, self._state, time_s, angle_rad)
         torque_Nm = plan.inertia_kgm2 * motion.acceleration_rad_s2
-        inertia = plan.limited_N(torque_Nm / plan.drum_radius_m)
+        inertia = plan.limited_N(torque_Nm / plan.drum_radius_m + along_N)
         inertia = plan.limited_N(friction + inertia) - friction
         return CompensationTerms(motion.velocity_rad_s, gravity, friction, inertia)
+
+    def _known_motion_N(self, known: KnownMotion) -> float:
+        """Inertia and viscous friction along the far end's motion; see the C text."""
+        plan = self._plan
+        far_end = known.far_end_m_s if math.isfinite(known.setpoint_N) else 0.0
+        self._unchanged += 1
+        if far_end != self._far_end:
+            self._interval, self._unchanged = self._unchanged, 0
+            span_s = self._interval * plan.period_s
+            self._far_acceleration = (far_end - self._far_end) / span_s
+            self._far_end = far_end
+        elif self._unchanged > 2 * self._interval:
+            self._far_acceleration = 0.0
+        inertial_N = plan.known_inertia_kgm2 * self._far_acceleration
+        return -(inertial_N + plan.known_viscous_Nms_rad * far_end) / plan.drum_radius_m**2
 
     def _friction_N(self, known: KnownMotion) -> float:
         """Friction along the known motion; begins anew where the loop was open."""

@@ -37,6 +37,8 @@ def compensation_source(
         "MEMORY": friction.memory_rad if friction else 1.0,
         "TENSION_PER_RAD": plan.tension_per_rad_N,
         "INERTIA": plan.inertia_kgm2,
+        "KNOWN_INERTIA": plan.known_inertia_kgm2,
+        "KNOWN_VISCOUS": plan.known_viscous_Nms_rad,
         "FEED_FORWARD_MAX": plan.feed_forward_max_N,
         "DRUM_RADIUS": plan.drum_radius_m,
         "WEIGHT": gravity.weight_N_m if gravity else 0.0,

@@ -71,6 +71,16 @@ class InertiaTable(TomlTable):
     inertia_kgm2: Positive
 
 
+class KnownMotionTable(TomlTable):
+    """Inertia and viscous friction at the drum, fed forward along the far end's commanded motion.
+
+    The source of setpoints announces the far end's velocity; nothing is fed back.
+    """
+
+    inertia_kgm2: Positive
+    viscous_Nms_rad: NotNegative = 0.0
+
+
 class GravityTable(TomlTable):
     """Weight of the deployed cable; beyond the range of lengths that of its nearest end."""
 
@@ -108,16 +118,17 @@ class CompensationTable(TomlTable):
     velocity: VelocityTable = VelocityTable()
     friction: FrictionTable | None = None
     inertia: InertiaTable | None = None
+    known_motion: KnownMotionTable | None = None
     gravity: GravityTable | None = None
 
     @property
     def columns(self) -> tuple[str, ...]:
         """Columns that a record has of the compensations."""
         columns = {
-            "drum_velocity_rad_s": self.friction or self.inertia,
+            "drum_velocity_rad_s": self.friction or self.inertia or self.known_motion,
             "gravity_N": self.gravity,
             "friction_A": self.friction,
-            "inertia_A": self.inertia,
+            "inertia_A": self.inertia or self.known_motion,
         }
         return tuple(name for name, table in columns.items() if table is not None)
 
@@ -143,8 +154,8 @@ class CompensationTable(TomlTable):
         """
         if not self.columns:
             raise InvalidInput(
-                "[compensation] switches nothing on; add [compensation.friction], .inertia or "
-                ".gravity, or leave it out"
+                "[compensation] switches nothing on; add [compensation.friction], .inertia, "
+                ".known_motion or .gravity, or leave it out"
             )
         windows = Windows(
             self.velocity.error_counts * 2.0 * math.pi / abs(encoder_counts),
@@ -158,6 +169,8 @@ class CompensationTable(TomlTable):
             friction=self._friction(count_rad, drum_radius_m, limit),
             tension_per_rad_N=self.friction.tension_per_rad_N if self.friction else 1.0,
             inertia_kgm2=self.inertia.inertia_kgm2 if self.inertia else 0.0,
+            known_inertia_kgm2=self.known_motion.inertia_kgm2 if self.known_motion else 0.0,
+            known_viscous_Nms_rad=self.known_motion.viscous_Nms_rad if self.known_motion else 0.0,
             gravity=self._gravity(cable_length_m, limit),
             drum_radius_m=drum_radius_m,
             feed_forward_max_N=limit,
