@@ -122,9 +122,8 @@ def _show(diagnosis: "Diagnosis") -> None:
     offers = diagnosis.remedies()
     if offers:
         out.print()
-        shown = (*remedies.COLUMNS[:-2],)
-        rows = tuple(row[: len(shown)] for row in remedies.rows(offers))
-        out.print(_table(summary.TextTable(("what can be done", *shown[1:]), rows)))
+        columns = ("what can be done", *remedies.COLUMNS[1:])
+        out.print(_table(summary.TextTable(columns, remedies.rows(offers))))
     for text in remedies.sentences(diagnosis, offers):
         out.print(Text(text), soft_wrap=True)
     best = summary.fitted(diagnosis, _CANDIDATES)

@@ -13,7 +13,8 @@ PLACES = {
     "workshop": "workshop",
     "limit": "a limit",
 }
-COLUMNS = ("what to do", "where", *MEASURES, "work", "may harm")
+COLUMNS = ("what to do", "where", *MEASURES)
+WORK_COLUMNS = ("what to do", "work", "may harm")
 
 
 def rows(offers: Sequence[Offer]) -> tuple[tuple[str, ...], ...]:
@@ -23,11 +24,14 @@ def rows(offers: Sequence[Offer]) -> tuple[tuple[str, ...], ...]:
             _what(offer),
             PLACES[offer.place],
             *(_ratio(offer.ratios.get(name)) for name in MEASURES),
-            offer.work,
-            offer.harm or "-",
         )
         for offer in offers
     )
+
+
+def work_rows(offers: Sequence[Offer]) -> tuple[tuple[str, ...], ...]:
+    """A row for each remedy, under `WORK_COLUMNS`: the work it takes, and what it may harm."""
+    return tuple((offer.title, offer.work, offer.harm or "-") for offer in offers)
 
 
 def sentences(diagnosis: Any, offers: Sequence[Offer]) -> tuple[str, ...]:

@@ -91,6 +91,7 @@ def _remedies(d: DiagnosisResult) -> list[Block]:
             "`estune prove` measures it on the rig."
         ),
         table,
+        html_page.Table(remedies.WORK_COLUMNS, remedies.work_rows(offers), ()),
         *told,
     ]
 
