@@ -50,7 +50,7 @@ class EyeletFriction(Effect):
     """Dry friction at the eyelet: the tension inside exceeds that outside when winding in.
 
         T = r T_o,    r = 1 + z (1/B - B)/2 + z^2 (1/B + B - 2)/2,    T_o = l/(1 - c + c r)
-        dz/dt = 2 s (|v| + v_c)/d (1 + a) L/(L + a),    L = s (g - z)/2 >= 0,    g = sat(v/v_c)
+        dz/dt = 2 s (abs(v) + v_c)/d (1 + a) L/(L + a),    L = s (g - z)/2 >= 0,    g = sat(v/v_c)
         d = 2 T ln(1/B) c/k
 
     r is close to B^(-z), the capstan's ratio with a share z of its friction: with the attenuation
