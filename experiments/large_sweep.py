@@ -5,6 +5,7 @@ command that made them is called again: it reads all cells, fits the law, and wr
 table.
 """
 
+import time
 from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
@@ -37,9 +38,14 @@ seeds = {seeds}
 
 
 class SweepCosts(NamedTuple):
-    """Costs of a finished sweep at one size: CPU time of the command, its peak memory."""
+    """Costs of a sweep at one size.
+
+    CPU time of one cell of 30 trials; of the finished sweep, the command's CPU time and peak
+    memory.
+    """
 
     cells: int
+    cell_s: float
     bytes_per_cell: float
     command_s: float
     peak_MB: float
@@ -50,29 +56,33 @@ def measure_sweep(cells: int, folder: Path) -> SweepCosts:
     file = folder / f"sweep-{cells}.toml"
     seeds = max(cells // len(LENGTHS_m), 1)
     file.write_text(_DESIGN.format(lengths=list(LENGTHS_m), seeds=seeds), "utf-8")
-    stored = _store(file, folder / file.stem)
+    stored, cell_s = _store(file, folder / file.stem)
     command = ("sweep", file, "--quiet", "--folder", folder / file.stem)
     used = command_costs(*command)
     size = (folder / file.stem / "sweep.sqlite").stat().st_size
     return SweepCosts(
         cells=stored,
+        cell_s=cell_s,
         bytes_per_cell=size / stored,
         command_s=used.cpu_s,
         peak_MB=used.peak_MB,
     )
 
 
-def _store(file: Path, folder: Path) -> int:
-    """Stores an outcome of each cell; the number of cells."""
+def _store(file: Path, folder: Path) -> tuple[int, float]:
+    """Stores an outcome of each cell; the number of cells, and the CPU time of a real one, s."""
     cells, rng = expand_cells(read_design(file)), np.random.default_rng(0)
+    run_cell(cells[0])  # compiles the trial
+    began_s = time.process_time()
     real = {cell.length_m: run_cell(cell) for cell in cells if cell.seed == 0}
+    cell_s = (time.process_time() - began_s) / len(real)
     folder.mkdir()
     with SweepStore.open(folder) as store:
         for first in range(0, len(cells), _STORED_AT_ONCE):
             some = cells[first : first + _STORED_AT_ONCE]
             moved = np.exp(SPREAD * rng.standard_normal((len(some), 4)))
             store.add(*(_moved(real[c.length_m], c, f) for c, f in zip(some, moved, strict=True)))
-    return len(cells)
+    return len(cells), cell_s
 
 
 def _moved(outcome: CellOutcome, cell: Cell, factors: FloatArray) -> CellOutcome:
