@@ -24,11 +24,11 @@ from estune.run.journal import FILE_NAME, Journal
 from estune.run.targets import is_endpoint
 from estune.web.board import Board
 from estune.web.daemon_reader import DaemonReader
+from estune.web.listed_run import ListedRun
 from estune.web.reader import Reader
 from estune.web.rig_actions import RigActions
 from estune.web.rig_reader import RigReader
 from estune.web.run_reader import RunReader
-from estune.web.run_summary import ListedRun
 from estune.web.tuning_source import TuningSource
 
 LINK_S = 2.0

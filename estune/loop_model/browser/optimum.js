@@ -15,13 +15,14 @@ function score(problem, gains, limits, weights) {
   return Math.log(p.cost) + PENALTY * excess.reduce((sum, x) => sum + Math.max(x - TOLERANCE, 0), 0);
 }
 
-// Searches from `start` with at most `evaluations` predictions; returns gains.
-export function optimum(problem, start, limits, weights, { evaluations = 400, size = 0.4 } = {}) {
+// Searches from `start` with at most `evaluations` predictions, within `time_ms`; returns gains.
+export function optimum(problem, start, limits, weights, { evaluations = 400, size = 0.4, time_ms = Infinity } = {}) {
+  const end = performance.now() + time_ms;
   const names = problem.tuned, { low, high } = problem.bounds;
   const gainsOf = (x) => ({ ...start, ...Object.fromEntries(names.map((name, n) => [name, Math.exp(x[n])])) });
   const clip = (x) => x.map((v, n) => Math.min(Math.max(v, Math.log(low[names[n]])), Math.log(high[names[n]])));
   let left = evaluations;
-  const point = (x) => { left--; const at = clip(x); return { x: at, f: score(problem, gainsOf(at), limits, weights) }; };
+  const point = (x) => { left = performance.now() < end ? left - 1 : 0; const at = clip(x); return { x: at, f: score(problem, gainsOf(at), limits, weights) }; };
   const centre = names.map((name) => Math.log(start[name]));
   let best = point(centre);
   while (left > 0) {

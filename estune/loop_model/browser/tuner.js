@@ -269,7 +269,7 @@ export class Tuner {
   }
 }
 
-const QUICK_SEARCH = { evaluations: 40, size: 0.15 };
+const QUICK_SEARCH = { evaluations: 40, size: 0.15, time_ms: 10 }; // the rest of a move is drawing
 
 // Lowest and highest of several curves at each point; nothing without curves.
 function envelope(lists, count, by = 0) {
