@@ -28,7 +28,8 @@ from estune.support.plot_style import BLUE, GREY, VERMILION, finish, legend, sta
 from estune.trial import TrialRequest
 from estune.trial.tracking import tracking_profile
 from experiments.results import at_least, at_most, command_line, print_results, save_figure
-from plants.diagnosis.result import Interval, NamedEffect
+from plants.diagnosis.interval import Interval
+from plants.diagnosis.result import NamedEffect
 from plants.effects import CoulombFriction, DahlHysteresis, Effect, LoadFriction, StribeckFriction
 from plants.remedies import offers_for
 from plants.remedies.behaviour import MEASURES, behaviour

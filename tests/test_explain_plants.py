@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 import plants
+from plants.diagnosis.interval import Interval
 from plants.diagnosis.report.plant_units import in_own_units
-from plants.diagnosis.result import Interval
 from plants.effects import CoulombFriction
 from plants.effects.plant_scale import written_unit
 from tests.support_measurements import open_loop

@@ -16,9 +16,10 @@ import plants
 from estune.errors import InvalidInput
 from estune.support.html_page import render
 from estune.support.plot_style import new_figure, to_png
+from plants.diagnosis.interval import Interval
 from plants.diagnosis.report import figures, summary
 from plants.diagnosis.report.page import page
-from plants.diagnosis.result import Interval, ModelErrors, NamedEffect
+from plants.diagnosis.result import ModelErrors, NamedEffect
 from plants.effects import EFFECTS, CoulombFriction, Effect, Port, parameter, plant_scale
 from tests.support_diagnosis import FOUND, NO_BLOCKS, deciding, diagnosis, nothing_found
 

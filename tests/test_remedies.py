@@ -11,8 +11,9 @@ from estune.core.gains import Gains
 from estune.hardware.compensation.tables import CompensationTable
 from estune.trial import TrialRequest
 from estune.trial.tracking import tracking_of, tracking_profile
+from plants.diagnosis.interval import Interval
 from plants.diagnosis.report.page import page
-from plants.diagnosis.result import BaseParameter, Interval, NamedEffect
+from plants.diagnosis.result import BaseParameter, NamedEffect
 from plants.effects import EFFECTS, CoulombFriction, Effect, Port, parameter
 from plants.effects.plant_scale import PlantScale
 from plants.effects.remedy import Place, Remedy

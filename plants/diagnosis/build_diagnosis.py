@@ -20,6 +20,7 @@ from plants.diagnosis.hold_out import (
     hold_out,
     moved_rms,
 )
+from plants.diagnosis.interval import Interval
 from plants.diagnosis.models.diagnosed_model import DiagnosedModel
 from plants.diagnosis.report.diagnosis import Diagnosis
 from plants.diagnosis.report.plant_units import in_own_units, located_in_own_units
@@ -27,7 +28,6 @@ from plants.diagnosis.residual.localisation import ResidualLocation
 from plants.diagnosis.residual.torque_waves import TorqueWaves
 from plants.diagnosis.result import (
     BaseParameter,
-    Interval,
     ModelErrors,
     NamedEffect,
     NextExperiment,

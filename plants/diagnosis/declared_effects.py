@@ -5,9 +5,10 @@ from collections.abc import Mapping
 from dataclasses import replace
 
 from plants.diagnosis.data.noise_floor import NoiseFloor
+from plants.diagnosis.interval import Interval
 from plants.diagnosis.models.diagnosed_model import DiagnosedModel, diagnosed
 from plants.diagnosis.report.plant_units import in_own_units
-from plants.diagnosis.result import DeclaredEffect, Interval, explained_share
+from plants.diagnosis.result import DeclaredEffect, explained_share
 from plants.diagnosis.search.constants import CONSTANTS
 from plants.diagnosis.search.model_fitter import CandidateFit, ModelFitter
 from plants.effects import Effect

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
@@ -11,6 +11,7 @@ from estune.core.quantities import FloatArray
 from estune.recordings.issue import DataIssue
 from estune.run.trial_file import SUFFIX, TrialFile
 from plants.diagnosis.data.noise_floor import NoiseFloor
+from plants.diagnosis.interval import Interval
 from plants.diagnosis.residual.localisation import ResidualLocation
 from plants.effects import Effect
 from plants.effects.plant_scale import written_unit
@@ -39,32 +40,6 @@ def explained_share(before: float, after: float) -> float:
     """
     above = max(before**2, 1.0) - 1.0
     return (max(before**2, 1.0) - max(after**2, 1.0)) / above if above > 0.0 else 0.0
-
-
-@dataclass(frozen=True, slots=True)
-class Interval:
-    """A fitted value and its 95 % confidence interval.
-
-    Attributes:
-        value: The value.
-        low: Lower end, inside the parameter's range.
-        high: Upper end.
-        unit: Unit of all three; empty for a plain number.
-    """
-
-    value: float
-    low: float
-    high: float
-    unit: str
-
-    @property
-    def is_determined(self) -> bool:
-        """Whether the interval is no wider than the value is large."""
-        return self.high - self.low <= abs(self.value)
-
-    def over(self, size: float) -> "Interval":
-        """The same as a multiple of a size above zero."""
-        return replace(self, value=self.value / size, low=self.low / size, high=self.high / size)
 
 
 @dataclass(frozen=True, slots=True)

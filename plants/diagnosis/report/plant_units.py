@@ -8,8 +8,8 @@ import re
 from dataclasses import replace
 from typing import Any
 
+from plants.diagnosis.interval import Interval
 from plants.diagnosis.residual.localisation import ResidualDependence, ResidualLocation
-from plants.diagnosis.result import Interval
 from plants.effects import Effect, Port
 from plants.effects.plant_scale import PlantScale
 from plants.models.linear_signal_path import READINGS_PER_ANGLE, ARM_m

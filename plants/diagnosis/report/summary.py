@@ -7,7 +7,8 @@ from typing import NamedTuple
 import numpy as np
 
 from estune.errors import InvalidInput
-from plants.diagnosis.result import DiagnosisResult, Interval, Trace
+from plants.diagnosis.interval import Interval
+from plants.diagnosis.result import DiagnosisResult, Trace
 from plants.effects import EFFECTS
 from plants.effects.plant_scale import PlantScale, digits, si
 

@@ -21,8 +21,8 @@ import numpy as np
 from estune.core.quantities import FloatArray
 from plants.diagnosis.data.measured_record import MeasuredRecord
 from plants.diagnosis.data.smoothing import Smoother
+from plants.diagnosis.interval import Interval
 from plants.diagnosis.models.base import BaseNumbers
-from plants.diagnosis.result import Interval
 from plants.effects.cogging import WAVES
 
 FEWEST_PERIODS = 3.0

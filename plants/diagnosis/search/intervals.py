@@ -20,8 +20,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estune.core.quantities import FloatArray
+from plants.diagnosis.interval import Interval
 from plants.diagnosis.models.diagnosed_model import BASE, Free
-from plants.diagnosis.result import Interval
 from plants.diagnosis.search.constants import CONSTANTS
 from plants.diagnosis.search.model_fitter import CandidateFit, ModelFitter, record_of
 

@@ -12,7 +12,7 @@ import numpy as np
 from estune.core.quantities import FloatArray
 from plants.diagnosis.data.measured_record import MeasuredRecord
 from plants.diagnosis.data.noise_floor import Noise
-from plants.diagnosis.result import Interval
+from plants.diagnosis.interval import Interval
 from plants.diagnosis.search.constants import CONSTANTS
 
 MAINS_Hz, HARMONICS, OVERTONES = (50.0, 60.0), 3, (2, 3, 5)
