@@ -18,6 +18,7 @@ from estune.core.controller_form import ControllerForm
 from estune.core.gains import Gains
 from estune.core.pidf import ControllerSettings
 from estune.errors import InvalidInput
+from estune.loop_model.optimum import RobustnessLimits
 from estune.recordings.loop_log import LoopLog, read_loop_log
 from estune.service_records.advice import experiment
 from estune.service_records.replay import replay
@@ -222,3 +223,24 @@ def test_gains_of_measured_logs_are_confirmed_or_found(path):
     else:
         assert found.agrees
     assert found.ran_error * found.range / 255.0 < 0.0005
+
+
+def test_a_tuning_from_logs_starts_within_its_limits_near_the_optimum(busy, tmp_path):
+    write(tmp_path / "log.csv", busy.parts[0])
+    (tmp_path / "log.csv").write_text((tmp_path / "log.csv").read_text().replace("measured", "y"))
+    rule = estune.start_from(f"records:{tmp_path}")
+    rig = REEL.plant.describe("reel", REEL.start)
+    known = rule(rig)
+    assert true_sensitivity(REEL.plant, known.gains) <= 1.65
+    result = estune.tune(
+        REEL.plant, start=known, limits=RobustnessLimits(), journal=False, watch=None, trials=8
+    )
+    assert result.plan.start_source.startswith("the gains recommended by the logs")
+    assert result.verdict.start_cost <= 1.1 * result.verdict.cost
+
+
+def test_logs_that_show_nothing_start_no_tuning(tmp_path):
+    write(tmp_path / "log.csv", log_of("still").parts[0] | {})
+    (tmp_path / "log.csv").write_text((tmp_path / "log.csv").read_text().replace("measured", "y"))
+    with pytest.raises(InvalidInput, match="recommends no gains"):
+        estune.start_from(f"records:{tmp_path}")(REEL.plant.describe("reel", REEL.start))

@@ -84,7 +84,8 @@ def tune(
         force: Tune even if the trial is ill-posed: cost mostly noise, or too few samples.
         start: Where the initial gains come from instead of the rig: model (the optimum of its own
             linear model), run:RUN, law:SWEEP or law:RUNS (the law over cable length of a sweep or
-            of a folder of runs); or the initial value of a gain, as P=0.5. Repeat for more.
+            of a folder of runs), records:LOGS (what estune suggest recommends by logs of the rig
+            in service); or the initial value of a gain, as P=0.5. Repeat for more.
         bounds: Lowest and highest value of a gain, as P=0.1:10; repeat for more. The gains are P,
             I, D and setpoint_filter_s.
         rig: Name of the rig, if several answer at the endpoint.
@@ -221,7 +222,9 @@ def tuning_choices(  # noqa: PLR0917  the order of the options
     limits = limit_options.limits
     if not start and step == NO_STEP and cost == NO_COST:
         return {"limits": limits}
-    sources = [text for text in start if text == "model" or text.startswith(("run:", "law:"))]
+    sources = [
+        text for text in start if text == "model" or text.startswith(("run:", "law:", "records:"))
+    ]
     numbers = numbers_from(text for text in start if text not in sources)
     unknown = set(numbers) - set(GAIN_NAMES)
     if unknown:

@@ -50,6 +50,7 @@ def page(suggestion: Suggestion) -> Page:
                 f"that of a step in {time_text(suggestion.trial.cost.settling_time_s)}.",
                 style="soft",
             ),
+            *_replayed(suggestion),
             Warnings(suggestion.remarks()),
         ),
         (
@@ -58,6 +59,13 @@ def page(suggestion: Suggestion) -> Page:
             Section("Records", tuple(_records(suggestion))),
         ),
     )
+
+
+def _replayed(suggestion: Suggestion) -> Iterator[Block]:
+    compared = suggestion.replay
+    if compared is not None and suggestion.verdict != "other gains ran":
+        sentence = compared.sentence()
+        yield Paragraph(f"{sentence[:1].upper()}{sentence[1:]}.", style="soft")
 
 
 def _loops(suggestion: Suggestion) -> list[Loop]:

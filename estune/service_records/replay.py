@@ -28,6 +28,9 @@ and 6 to 12 % with a time scale of the integral that is wrong."""
 APART = 0.02
 """Relative difference from which a stated gain is said to be another than the one that ran."""
 
+RAN_OTHERWISE = "the stated gains are not what ran: "
+"""Beginning of the sentence on gains that were stated and did not run."""
+
 FILTERS = 25
 """Time constants of the setpoint filter that are tried, evenly in the logarithm."""
 
@@ -99,7 +102,7 @@ class Replay(NamedTuple):
         if self.stated is None:
             return f"the gains that ran follow from the logged effort: {ran}"
         return (
-            f"the stated gains are not what ran: with {self.stated} the logged effort is off by "
+            f"{RAN_OTHERWISE}with {self.stated} the logged effort is off by "
             f"{self.stated_error:.1%} of its range; {ran}"
         )
 

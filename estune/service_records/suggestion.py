@@ -28,7 +28,7 @@ from estune.service_records.identification import (
 )
 from estune.service_records.judgement import Judgement, judge, margins_of
 from estune.service_records.recommendation import Recommendation, recommend
-from estune.service_records.replay import Replay, replay
+from estune.service_records.replay import RAN_OTHERWISE, Replay, replay
 from estune.service_records.sources import Logs, gains_of, read_logs
 from estune.service_records.stretches import LeftOut, Stretch, find_stretches
 from estune.support.blas import one_blas_thread
@@ -36,11 +36,13 @@ from estune.support.blas import one_blas_thread
 if TYPE_CHECKING:
     import pandas as pd
 
-TRIAL_SPAN = 6.0
+TRIAL_SPAN = 3.0
 """Duration of the predicted step response, settling times."""
 
 WORTHWHILE = 0.05
 """Decrease of the cost, by the whole of both intervals, from which other gains are recommended."""
+
+LABELS = {"setpoint_filter_s": "setpoint filter, s"}
 
 Verdict = Literal["change", "keep", "cannot tell", "other gains ran"]
 
@@ -91,7 +93,8 @@ class Suggestion:
         """The verdict in one line."""
         if self.verdict == "other gains ran":
             assert self.replay is not None  # noqa: S101  the verdict comes from it
-            return f"OTHER GAINS RAN: {self.replay.sentence()}."
+            sentence = self.replay.sentence()
+            return f"OTHER GAINS RAN: {sentence.removeprefix(RAN_OTHERWISE)}."
         if self.verdict == "cannot tell":
             return f"CANNOT TELL: {self.judgement.reason}."
         assert self.margins is not None  # noqa: S101  a judged loop has margins
@@ -110,7 +113,7 @@ class Suggestion:
         """Label, gains in use and recommended gains, for a table."""
         better = self.recommendation
         rows = [
-            (name, f"{now:.4g}", "-" if better is None else f"{then:.4g}")
+            (LABELS.get(name, name), f"{now:.4g}", "-" if better is None else f"{then:.4g}")
             for name, now, then in zip(
                 GAIN_NAMES,
                 self.in_use.as_tuple(),
@@ -135,11 +138,12 @@ class Suggestion:
         """What limits the statements, and what to do about it, a sentence each."""
         from estune.service_records.advice import advice  # noqa: PLC0415  it builds on this
 
-        remarks = (
-            [f"{self.replay.sentence()[:1].upper()}{self.replay.sentence()[1:]}."]
-            if (self.replay is not None and self.verdict != "other gains ran")
-            else []
-        )
+        remarks = []
+        if self.judgement.can_tell and self.judgement.unseen:
+            remarks.append(
+                f"Nothing is known {self.judgement.unseen}: the records do not excite it, and a "
+                "resonance there would not be seen."
+            )
         if self.recommendation is not None and self.recommendation.price > 0.01:
             remarks.append(
                 "The uncertainty of the records costs "

@@ -1,4 +1,4 @@
-"""Initial gains from the law of a sweep or of earlier runs, or from one earlier run."""
+"""Initial gains from the law of a sweep or of earlier runs, from one earlier run, or from logs."""
 
 import math
 from collections.abc import Sequence
@@ -12,6 +12,8 @@ from estune.core.gains import GAIN_NAMES, Gains
 from estune.errors import InvalidInput, JournalError
 from estune.run.journal import FILE_NAME
 from estune.run.start import KnownStart, StartRule
+from estune.service_records.sources import RATES_APART, read_logs
+from estune.service_records.suggestion import suggest
 from estune.studies.law.law import GainLaw, fit_law
 from estune.studies.law.tuned import CELLS, TunedGains
 from estune.trial import RigDescription
@@ -22,7 +24,7 @@ if TYPE_CHECKING:
 LENGTHS_MIN = 3
 """Lengths from which a law is fitted; with fewer the run at the nearest length is taken."""
 
-FORMS = "model, run:RUN, law:SWEEP or law:RUNS"
+FORMS = "model, run:RUN, law:SWEEP, law:RUNS or records:LOGS"
 
 
 def start_from(source: str) -> StartRule | Literal["model"]:
@@ -30,10 +32,11 @@ def start_from(source: str) -> StartRule | Literal["model"]:
 
     Args:
         source: "model" for the optimum of the rig's own linear model, "run:FOLDER" for the gains
-            of a run, or "law:FOLDER" for the law over cable length of a sweep, or of the tuned
-            runs in a folder that have the cost, limits and tuner of the latest. A law is used
-            within its lengths only; runs at fewer than three lengths give the gains of the one
-            nearest in length.
+            of a run, "law:FOLDER" for the law over cable length of a sweep, or of the tuned runs
+            in a folder that have the cost, limits and tuner of the latest, or "records:FOLDER" for
+            the gains that `estune.suggest` recommends by logs of the rig in service, at its live
+            gains unless their metadata name others. A law is used within its lengths only; runs
+            at fewer than three lengths give the gains of the one nearest in length.
 
     Raises:
         InvalidInput: the source is none of these.
@@ -53,7 +56,30 @@ def start_from(source: str) -> StartRule | Literal["model"]:
         return lambda _: known
     if kind == "law" and where:
         return partial(_by_length, _tunings(Path(where)), where)
+    if kind == "records" and where:
+        return partial(_by_records, Path(where))
     raise InvalidInput(f"{source!r} is no source of initial gains; give {FORMS}")
+
+
+def _by_records(folder: Path, rig: RigDescription) -> KnownStart:
+    """The gains that logs of the rig in service recommend."""
+    logs = read_logs(folder)
+    rate = logs.logs[0].sampling_Hz
+    if abs(rate / rig.controller.sampling_Hz - 1.0) > RATES_APART:
+        raise InvalidInput(
+            f"{folder} is sampled at {rate:.6g} Hz, {rig.name} at "
+            f"{rig.controller.sampling_Hz:.6g} Hz; give logs of the loop at the rig's own rate"
+        )
+    stated = {log.name: log.gains or rig.gains for log in logs.logs}
+    found = suggest(
+        logs._replace(controller=rig.controller),
+        gains=stated,
+        settling_time_s=rig.settling_time_s,
+        step=rig.step.step_N,
+    )
+    if found.recommendation is None or found.exit_code:
+        raise InvalidInput(f"{folder} recommends no gains: {found.heading()}")
+    return KnownStart(found.recommendation.gains, f"the gains recommended by the logs of {folder}")
 
 
 def _run_folder(run: str) -> Path:
