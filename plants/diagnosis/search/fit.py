@@ -234,7 +234,7 @@ class _Scale:
         return after
 
     def beyond(self, begun: FloatArray, values: FloatArray, strides: float) -> FloatArray:
-        """All values, so many times further along the way from some to others."""
+        """Extrapolation of the values beyond the last step by a factor."""
         before, x = begun[self.moves], values[self.moves]
         ratio = np.maximum(x, 1e-300) / np.maximum(before, 1e-300)
         further = values.copy()

@@ -7,10 +7,10 @@ groups of entries that belong together: blocks of time, or whole records. Residu
 colour within a group, and a group that alone determines a value counts in full, where the sandwich
 of White (1980) has it near zero.
 
-A law unlike the machine's shifts values in a way that every group shares. An error of the length f
-in the direction that shifts a value most shifts it by f sqrt(H^-1), the diagonal's: taken as f are
-shares of the lengths of what the effects explain and of what nothing explains. Where nothing else
-acts as an effect does, the first is that share of its size, and it is no more than that.
+No machine follows a law exactly, which shifts values in a way that every group shares. A relative
+model error f changes a value by at most f sqrt((H^-1)_ii); f is a share of the length of what the
+effects explain, and another of the length of what nothing explains. The first is at most that
+share of the value itself.
 """
 
 import math

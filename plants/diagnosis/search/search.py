@@ -270,7 +270,7 @@ def _screen_beside(
     effects there are. What those do not let through, or bend, has another direction without them.
     """
     seen = [ScoreContext.of(fitter, current, records)]
-    # What rings does so with what drives it, and friction damps it.
+    # A resonance shows only with the effects that drive and damp it.
     rings = [e for e in effects if e.named(Role.FREQUENCY)]
     rest = [e for e in effects if e not in rings]
     alone = {e.name: screen(e, fitter.predictor((e,)), seen) for e in rest}
