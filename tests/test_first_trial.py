@@ -11,6 +11,7 @@ import estune
 import plants
 from estune.core.gains import Gains
 from estune.errors import EstuneError, InvalidInput
+from estune.interop import margins
 from estune.trial.profiles import StepProfile
 from estune.tuners import TUNERS
 
@@ -109,3 +110,22 @@ def test_random_rigs_end_with_an_outcome_or_an_error_of_ours(tuner, seed):
     for number in range(10 * seed, 10 * seed + 3):
         with suppress(EstuneError):
             assert tune(random_rig(number), tuner=tuner, trials=8).ending
+
+
+def test_search_by_cost_alone_stays_where_the_identified_loop_is_stable():
+    w = 2.0 * np.pi * 12.0
+    mode = control.tf([w * w], [1.0, 2.0 * 0.02 * w, w * w])
+    ringing = plants.linear_plant(
+        control.tf([1.0], [0.05, 1.0]) * mode,
+        sampling_Hz=632.0,
+        gains=Gains(0.1, 3.0, 0.001, 0.02),
+        noise_rms_N=0.003,
+        profile=StepProfile(0.0, 1.0, 0.2, 1.4),
+        settling_time_s=0.3,
+    )
+    result = tune(ringing.rig(seed=1), trials=12)
+    about = result.rig
+    stable = [
+        margins(about.linear_model, e.gains, about.controller).stable for e in result.entries
+    ]
+    assert all(stable)

@@ -105,7 +105,7 @@ def test_run_ends_after_consecutive_void_trials(tmp_path):
 
 
 def test_run_continues_when_its_rig_is_killed_and_restarted(tmp_path):
-    kills, servers = {3, 11}, []
+    kills, servers = {1, 4}, []
 
     def start(endpoint: str = "tcp/127.0.0.1:0") -> str:
         server = served("simulated", "reel", endpoint, ledger=tmp_path / "ledger")

@@ -24,7 +24,7 @@ from estune.loop_model.drawn_optima import draw_optima
 from estune.loop_model.fitting import fit_loop
 from estune.loop_model.intervals import parameter_deviations
 from estune.loop_model.loop_fit import LoopFit
-from estune.loop_model.model import LoopModel
+from estune.loop_model.model import LoopModel, robustness
 from estune.loop_model.optimum import TOLERANCE, Optimum, RegionSearch, RobustnessLimits
 from estune.loop_model.prediction import Prediction, StepTrial, predict
 from estune.loop_model.records import LoopRecord
@@ -207,11 +207,36 @@ class IdentifiedLoopTuner:
     def _fall_back(self, state: IdentifiedLoopState) -> IdentifiedLoopState:
         tuner = self._fallback
         return state._replace(
-            proposal=tuner.ask(state.fallback),
+            proposal=self._stable(state, tuner.ask(state.fallback)),
             centre=self.space.coordinates(tuner.recommend(state.fallback)),
             estimate=None,
             fallen_back=True,
         )
+
+    def _stable(self, state: IdentifiedLoopState, proposal: Point) -> Point:
+        """The furthest point on the way to a proposal at which the identified loop is stable.
+
+        An oscillation that grows slowly may cost little within a trial. The proposal itself where
+        no model is known, or where that is wrong of the best trial.
+        """
+        fit, base = state.fit, np.array(state.base)
+        if fit is None or not fit.responds:
+            return proposal
+        wanted, settings = (
+            np.array(self.space.coordinates(proposal)),
+            self._trial(state).controller,
+        )
+
+        def is_stable(point: Point) -> bool:
+            found = robustness(fit.model, self.space.gains(point), settings)
+            return math.isfinite(found.sensitivity)
+
+        if not is_stable(self.space.point(tuple(base.tolist()))):
+            return proposal
+        shares = (1.0, 0.7, 0.45, 0.25, 0.1)
+        on_the_way = [base + share * (wanted - base) for share in shares]
+        points = [proposal, *(self.space.point(tuple(x.tolist())) for x in on_the_way[1:])]
+        return next(filter(is_stable, points), points[-1])
 
     def _learn(
         self, state: IdentifiedLoopState, point: Point, cost: float, record: LoopRecord
