@@ -49,7 +49,10 @@ def watch(
     from estune.web.server import PageServer  # noqa: PLC0415  slow to import
 
     credentials = security_from(security)
-    sources = [_views(one, rig, credentials, folder) for one in what or (api.RUNS,)]
+    sources = [
+        _views(one, rig, credentials, folder, is_one_of_several=len(what) > 1)
+        for one in what or (api.RUNS,)
+    ]
     server = PageServer(
         lambda: [view for views in sources for view in views()],
         host=host,
@@ -64,11 +67,15 @@ def watch(
         server.close()
 
 
-def _views(what: str, rig: str | None, security: Security, folder: Path) -> "Views":
+def _views(
+    what: str, rig: str | None, security: Security, folder: Path, *, is_one_of_several: bool
+) -> "Views":
     from estune.web import views  # noqa: PLC0415  slow to import
 
     if is_endpoint(what):
         found = _at_endpoint(what, rig, security, folder)
+        for view in found if is_one_of_several else ():
+            view.name = f"{view.name} at {what}"  # a run may have the name of a rig
         return lambda: found
     path = Path(what)
     if path.is_dir() and not (path / FILE_NAME).is_file():

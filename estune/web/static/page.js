@@ -97,6 +97,8 @@ function showState() {
   $("age").className = `age ${now.stale ? "stale" : ""}`;
   document.querySelector("header").classList.toggle("stale-data", Boolean(now.stale));
   $("estop").hidden = !allowed.includes("estop") || Boolean(now.ended);
+  const reset = document.querySelector('button[data-command="reset"]');
+  if (reset) reset.hidden = !values.rig?.latched;
   showFacts(values);
   confirm(values);
 }
@@ -187,6 +189,7 @@ function showCommands() {
   document.querySelector("#commands .buttons").replaceChildren(...shownHere.map((name) => {
     const button = document.createElement("button");
     button.textContent = label(name);
+    button.dataset.command = name;
     button.addEventListener("click", () => {
       if (kind !== "daemon" && name === "tune") openForm((settings) => command("tune", { settings }));
       else command(name, name === "resume" && kind === "run" ? { run: view } : undefined);

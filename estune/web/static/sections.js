@@ -61,7 +61,9 @@ export class Sections {
   drawTrial() {
     const v = this.values, about = v.run ?? v.description;
     if (!about) return;
-    $("trial").hidden = false;
+    const isEmpty = !this.tables.samples.length && !["start", "best", "latest", "tuned"].some((name) => v[`curve.${name}`]);
+    $("trial").hidden = isEmpty;
+    if (isEmpty) return;
     const curves = [["curve.start", "initial gains"], [v["curve.tuned"] ? "curve.tuned" : "curve.best", v["curve.tuned"] ? "tuned gains" : "best so far"]];
     const samples = this.tables.samples, per = about.per_ampere;
     const now = v.live
