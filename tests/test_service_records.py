@@ -20,7 +20,6 @@ from estune.core.pidf import ControllerSettings
 from estune.errors import InvalidInput
 from estune.loop_model.optimum import RobustnessLimits
 from estune.recordings.loop_log import LoopLog, read_loop_log
-from estune.service_records.advice import experiment
 from estune.service_records.replay import replay
 from estune.service_records.sources import Logs
 from estune.service_records.stretches import Stretch, find_stretches
@@ -94,7 +93,7 @@ def test_a_loop_that_holds_still_tells_nothing_and_the_experiment_advised_tells(
     assert still.exit_code == 9
     assert still.margins is None
     assert still.recommendation is None
-    wanted = experiment(still)
+    wanted = still.experiment
     plant, settings = REEL.plant, REEL.trial.controller
     random = np.random.default_rng(5)
     samples = wanted.trial.profile.samples(settings.sampling_Hz)

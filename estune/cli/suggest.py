@@ -138,10 +138,7 @@ def _form(texts: Values) -> "ControllerForm | None":
 
 
 def _written(found: "Suggestion", folder: Path) -> Path | None:
-    from estune.service_records.advice import experiment  # noqa: PLC0415  slow to import
-
-    wanted = experiment(found)
-    return None if wanted is None else wanted.trial.write(folder)
+    return None if found.experiment is None else found.experiment.trial.write(folder)
 
 
 def _show(found: "Suggestion", report: Path | None, trial: Path | None) -> None:

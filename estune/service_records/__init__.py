@@ -10,7 +10,9 @@ is needed, nor rest, nor a chosen window. The steps, one file each:
     judgement      whether the records show the margins of the gains in use
     recommendation the best gains whose limits hold by the upper ends of their intervals
     advice         the experiment that shows what the records do not
-    suggestion     all of it, as a value
+    judged_records what all of it found, as a value
+    suggestion     the steps in their order
+    page           the report
 
 What was not obvious:
 

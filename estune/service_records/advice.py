@@ -2,18 +2,18 @@
 
 import math
 from dataclasses import replace
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
+from estune.core.gains import Gains
 from estune.loop_model.intervals import setpoint_deviation
+from estune.loop_model.prediction import StepTrial
 from estune.loop_model.records import LoopRecord
 from estune.run.trial_file import TrialFile
+from estune.service_records.identification import ServiceLoop
 from estune.service_records.judgement import DEVIATIONS, HALF_WIDTH_MAX
 from estune.trial.profiles import MultisineProfile
-
-if TYPE_CHECKING:
-    from estune.service_records.suggestion import Suggestion
 
 SHARES = (0.01, 0.02, 0.05)
 """Multisines that are considered, rms as a share of the step: the least that is enough."""
@@ -48,30 +48,24 @@ class AdvisedExperiment(NamedTuple):
     trial: TrialFile
 
 
-def advice(suggestion: "Suggestion") -> list[str]:
-    """What to record to know more, a sentence each; nothing where the records are enough."""
-    if suggestion.judgement.can_tell:
-        return []
-    found = experiment(suggestion)
+def advice(found: AdvisedExperiment | None) -> str:
+    """What to record to know more, in a sentence."""
     if found is None:
-        sentence = (
+        return (
             "Run step trials instead: `estune tune` on a rig, or log a few steps of the setpoint "
             "that move the measurement well beyond its noise."
         )
-        return [sentence]
-    sentence = (
+    return (
         f"To know Ms to {math.expm1(AIM):.0%}, hold the setpoint with a multisine of "
         f"{found.share:.0%} of the step (rms) from {_Hz(found.trial, first=True):.3g} to "
         f"{_Hz(found.trial, first=False):.3g} Hz for {found.duration_s:.3g} s."
     )
-    return [sentence]
 
 
-def experiment(suggestion: "Suggestion") -> AdvisedExperiment | None:
+def advise(loop: ServiceLoop, trial: StepTrial, gains: Gains) -> AdvisedExperiment | None:
     """The gentlest multisine that would show the margins; None where none is known to."""
-    fit, trial, gains = suggestion.fit, suggestion.trial, suggestion.in_use
-    settling_s, rate = trial.cost.settling_time_s, trial.controller.sampling_Hz
-    middle = float(np.mean(np.concatenate([s.setpoint for s in suggestion.stretches])))
+    fit, settling_s, rate = loop.fit, trial.cost.settling_time_s, trial.controller.sampling_Hz
+    middle = float(np.mean(np.concatenate([record.setpoint_N for record in loop.records])))
     for share in SHARES:
         length_s = PERIOD * settling_s
         profile = MultisineProfile(

@@ -15,7 +15,7 @@ from estune.run.results.frequency_figures import (
     draw_bode,
     draw_nyquist,
 )
-from estune.service_records.suggestion import Suggestion
+from estune.service_records.judged_records import JudgedRecords
 from estune.support.html_page import (
     Block,
     Drawing,
@@ -38,7 +38,7 @@ _POINTS_MAX = 2000
 _GOOD = {"change": True, "keep": True}
 
 
-def page(suggestion: Suggestion) -> Page:
+def page(suggestion: JudgedRecords) -> Page:
     """The page of a suggestion."""
     return Page(
         "Gains by records of operation",
@@ -61,21 +61,21 @@ def page(suggestion: Suggestion) -> Page:
     )
 
 
-def _replayed(suggestion: Suggestion) -> Iterator[Block]:
+def _replayed(suggestion: JudgedRecords) -> Iterator[Block]:
     compared = suggestion.replay
     if compared is not None and suggestion.verdict != "other gains ran":
         sentence = compared.sentence()
         yield Paragraph(f"{sentence[:1].upper()}{sentence[1:]}.", style="soft")
 
 
-def _loops(suggestion: Suggestion) -> list[Loop]:
+def _loops(suggestion: JudgedRecords) -> list[Loop]:
     loops: list[Loop] = [("in use", suggestion.in_use)]
     if suggestion.recommendation is not None:
         loops.append(("recommended", suggestion.recommendation.gains))
     return loops
 
 
-def _responses(suggestion: Suggestion) -> Iterator[Block]:
+def _responses(suggestion: JudgedRecords) -> Iterator[Block]:
     if not suggestion.judgement.can_tell:
         yield Paragraph(f"Nothing is predicted: {suggestion.judgement.reason}.")
         return
@@ -103,7 +103,7 @@ def _responses(suggestion: Suggestion) -> Iterator[Block]:
     )
 
 
-def _signals(suggestion: Suggestion, gains: Gains) -> tuple[FloatArray, FloatArray]:
+def _signals(suggestion: JudgedRecords, gains: Gains) -> tuple[FloatArray, FloatArray]:
     """Step response, effort and load response, shape (3, samples), and those of drawn models."""
     fit, settings = suggestion.fit, suggestion.trial.controller
     factor = parameter_deviations(fit)
@@ -120,7 +120,7 @@ def _signals(suggestion: Suggestion, gains: Gains) -> tuple[FloatArray, FloatArr
     return signals(theta), drawn[np.isfinite(drawn).all(axis=(1, 2))]
 
 
-def _loop(suggestion: Suggestion) -> Iterator[Block]:
+def _loop(suggestion: JudgedRecords) -> Iterator[Block]:
     if not suggestion.judgement.can_tell:
         return
     settings, loops = suggestion.trial.controller, _loops(suggestion)
@@ -146,7 +146,7 @@ def _loop(suggestion: Suggestion) -> Iterator[Block]:
     )
 
 
-def _records(suggestion: Suggestion) -> Iterator[Block]:
+def _records(suggestion: JudgedRecords) -> Iterator[Block]:
     rate = suggestion.trial.controller.sampling_Hz
     figure = new_figure(7.2, 2.8)
     ax = figure.add_subplot()

@@ -2,39 +2,35 @@
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
 from estune.core.controller_form import ControllerForm
 from estune.core.cost import default_cost
-from estune.core.gains import GAIN_NAMES, Gains
+from estune.core.gains import Gains
 from estune.core.pidf import ControllerSettings
 from estune.core.response import StepShape
 from estune.errors import InvalidInput
-from estune.loop_model.intervals import Interval, PredictedMargins
-from estune.loop_model.loop_fit import LoopFit
+from estune.loop_model.intervals import PredictedMargins
 from estune.loop_model.optimum import RobustnessLimits
 from estune.loop_model.prediction import StepTrial
-from estune.recordings.issue import DataIssue
 from estune.recordings.loop_log import LoopLog
+from estune.service_records.advice import advise
 from estune.service_records.identification import (
     ServiceLoop,
     ServicePart,
     identify,
     settling_time,
 )
-from estune.service_records.judgement import Judgement, judge, margins_of
+from estune.service_records.judged_records import JudgedRecords, Verdict
+from estune.service_records.judgement import judge, margins_of
 from estune.service_records.recommendation import Recommendation, recommend
-from estune.service_records.replay import RAN_OTHERWISE, Replay, replay
+from estune.service_records.replay import Replay, replay
 from estune.service_records.sources import Logs, gains_of, read_logs
-from estune.service_records.stretches import LeftOut, Stretch, find_stretches
+from estune.service_records.stretches import LeftOut, find_stretches
 from estune.support.blas import one_blas_thread
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 TRIAL_SPAN = 3.0
 """Duration of the predicted step response, settling times."""
@@ -42,158 +38,9 @@ TRIAL_SPAN = 3.0
 WORTHWHILE = 0.05
 """Decrease of the cost, by the whole of both intervals, from which other gains are recommended."""
 
-LABELS = {"setpoint_filter_s": "setpoint filter, s"}
 
-Verdict = Literal["change", "keep", "cannot tell", "other gains ran"]
-
-
-@dataclass(frozen=True)
-class Suggestion:
-    """Margins of the gains in use, and recommended gains, from records of a running loop.
-
-    Attributes:
-        verdict: Whether to change the gains; `cannot tell` where the records do not show it,
-            `other gains ran` where the effort is not that of the stated gains.
-        in_use: The gains in use: those stated, or those that the logged effort shows.
-        margins: Predictions for them; None where they are not known.
-        recommendation: Better gains, or None.
-        judgement: What the records show.
-        replay: Comparison of the logged effort with that of the gains; None without an effort.
-        trial: The step response that cost and overshoot are predicted for.
-        fit: The identified loop.
-        stretches: What was used.
-        left_out: What was not, with the reason.
-        issues: What was done to the time stamps, and files that cannot be used.
-        limits: The limits of the recommended gains.
-    """
-
-    verdict: Verdict
-    in_use: Gains
-    margins: PredictedMargins | None
-    recommendation: Recommendation | None
-    judgement: Judgement
-    replay: Replay | None
-    trial: StepTrial
-    fit: LoopFit
-    stretches: tuple[Stretch, ...]
-    left_out: tuple[LeftOut, ...]
-    issues: tuple[DataIssue, ...]
-    limits: RobustnessLimits
-
-    @property
-    def exit_code(self) -> int:
-        """Exit code of the command line.
-
-        0 where the gains are judged, 9 where the records do not show enough, 10 where other gains
-        ran than those stated.
-        """
-        return {"cannot tell": 9, "other gains ran": 10}.get(self.verdict, 0)
-
-    def heading(self) -> str:
-        """The verdict in one line."""
-        if self.verdict == "other gains ran":
-            assert self.replay is not None  # noqa: S101  the verdict comes from it
-            sentence = self.replay.sentence()
-            return f"OTHER GAINS RAN: {sentence.removeprefix(RAN_OTHERWISE)}."
-        if self.verdict == "cannot tell":
-            return f"CANNOT TELL: {self.judgement.reason}."
-        assert self.margins is not None  # noqa: S101  a judged loop has margins
-        Ms = self.margins.sensitivity
-        now = f"Ms {Ms.value:.2f} ({Ms.low:.2f} to {Ms.high:.2f})"
-        if self.recommendation is None:
-            return f"KEEP: no gains are predicted to be better within the limits; {now} in use."
-        cost = self.recommendation.margins.cost.value / self.margins.cost.value - 1.0
-        if self.verdict == "keep":
-            return f"KEEP: the best gains within the limits change the cost by {cost:+.0%}; {now}."
-        return (
-            f"CHANGE: predicted cost {cost:+.0%} with {self.recommendation.gains}; {now} in use."
-        )
-
-    def rows(self) -> list[tuple[str, str, str]]:
-        """Label, gains in use and recommended gains, for a table."""
-        better = self.recommendation
-        rows = [
-            (LABELS.get(name, name), f"{now:.4g}", "-" if better is None else f"{then:.4g}")
-            for name, now, then in zip(
-                GAIN_NAMES,
-                self.in_use.as_tuple(),
-                (better.gains if better else self.in_use).as_tuple(),
-                strict=True,
-            )
-        ]
-        for label, form, scale, field in (
-            ("sensitivity Ms", ".2f", 1.0, "sensitivity"),
-            ("phase margin, deg", ".0f", 1.0, "phase_margin_deg"),
-            ("overshoot, %", ".1f", 100.0, "overshoot"),
-            ("cost of a step", ".3g", 1.0, "cost"),
-        ):
-            cells = [
-                "-" if m is None else _text(getattr(m, field), form, scale)
-                for m in (self.margins, better.margins if better else None)
-            ]
-            rows.append((label, cells[0], cells[1]))
-        return rows
-
-    def remarks(self) -> list[str]:
-        """What limits the statements, and what to do about it, a sentence each."""
-        from estune.service_records.advice import advice  # noqa: PLC0415  it builds on this
-
-        remarks = []
-        if self.judgement.can_tell and self.judgement.unseen:
-            remarks.append(
-                f"Nothing is known {self.judgement.unseen}: the records do not excite it, and a "
-                "resonance there would not be seen."
-            )
-        if self.recommendation is not None and self.recommendation.price > 0.01:
-            remarks.append(
-                "The uncertainty of the records costs "
-                f"{self.recommendation.price:.0%}: with more data less cautious gains keep the "
-                "limits."
-            )
-        return [*remarks, *advice(self)]
-
-    def to_json(self) -> dict[str, Any]:
-        """All numbers as JSON values."""
-        better = self.recommendation
-        return {
-            "verdict": self.verdict,
-            "heading": self.heading(),
-            "gains_in_use": _gains_json(self.in_use),
-            "in_use": self.margins and _margins_json(self.margins),
-            "recommended_gains": better and _gains_json(better.gains),
-            "recommended": better and _margins_json(better.margins),
-            "price_of_uncertainty": better and better.price,
-            "setpoint_half_width": self.judgement.half_width,
-            "reason": self.judgement.reason,
-            "replay": self.replay
-            and {
-                "agrees": self.replay.agrees,
-                "stated_error": self.replay.stated_error,
-                "ran": self.replay.ran and _gains_json(self.replay.ran),
-                "ran_error": self.replay.ran_error,
-                "sentence": self.replay.sentence(),
-            },
-            "settling_time_s": self.trial.cost.settling_time_s,
-            "step": self.trial.step.size_N,
-            "poles": self.fit.order,
-            "used": [
-                {"log": s.log, "start_s": s.start_s, "samples": s.samples} for s in self.stretches
-            ],
-            "left_out": [part._asdict() for part in self.left_out],
-            "issues": [str(issue) for issue in self.issues],
-            "remarks": self.remarks(),
-        }
-
-    def to_frame(self) -> "pd.DataFrame":
-        """The table of `rows` as a frame."""
-        import pandas as pd  # noqa: PLC0415  slow to import
-
-        rows = self.rows()
-        return pd.DataFrame(
-            [row[1:] for row in rows],
-            index=[row[0] for row in rows],
-            columns=["in use", "recommended"],
-        )
+class Suggestion(JudgedRecords):
+    """Margins and better gains, with their report."""
 
     def report(self, path: Path | str) -> None:
         """Writes the page: table, figures, what was used and what is missing.
@@ -263,6 +110,7 @@ def suggest(
         verdict = "other gains ran"
     elif judgement.can_tell:
         verdict = "change" if better and _worthwhile(margins, better, limits) else "keep"
+    advised = None if judgement.can_tell else advise(loop, trial, in_use)
     return Suggestion(
         verdict=verdict,
         in_use=in_use,
@@ -276,6 +124,7 @@ def suggest(
         left_out=tuple(left_out),
         issues=logs.issues,
         limits=limits,
+        experiment=advised,
     )
 
 
@@ -355,16 +204,3 @@ def _worthwhile(
     if limits.broken_by(margins):
         return True
     return better.margins.cost.value < (1.0 - WORTHWHILE) * margins.cost.value
-
-
-def _text(at: Interval, form: str, scale: float) -> str:
-    low, high = scale * at.low, scale * at.high
-    return f"{scale * at.value:{form}} ({low:{form}} to {high:{form}})"
-
-
-def _gains_json(gains: Gains) -> dict[str, float]:
-    return dict(zip(GAIN_NAMES, gains.as_tuple(), strict=True))
-
-
-def _margins_json(margins: PredictedMargins) -> dict[str, dict[str, float]]:
-    return {name: interval._asdict() for name, interval in margins._asdict().items()}
