@@ -21,7 +21,7 @@ from estune.web.board import Board, Seen
 from estune.web.reader import Reader
 from estune.web.rig_reader import RigReader
 from estune.web.run_reader import HISTORY_MAX, RunReader
-from estune.web.server import PageServer
+from estune.web.server import FOLDERS, PageServer
 from estune.web.views import View, folder_views, run_view
 from tests.serve_rig import served
 from tests.support_runs import ArithmeticRig
@@ -148,9 +148,10 @@ def test_server_without_leave_to_command_has_no_key_and_refuses():
 
 
 def test_page_is_small_and_may_load_its_own_files_alone(server):
-    paths = [f"/static/{name}" for name in re.findall(r'static/([\w.]+)"', ask(server).text)]
-    scripts = [f"/static/{name}" for name in ("charts.js", "sections.js")]
-    texts = [ask(server, path).text for path in ["/", *paths, *scripts]]
+    folders = [files(package).joinpath(folder) for package, folder in FOLDERS]
+    names = [one.name for at in folders for one in at.iterdir() if one.suffix != ".LICENSE"]
+    texts = [ask(server, path).text for path in ["/", *(f"/static/{name}" for name in names)]]
+    assert {"uPlot.iife.min.js", "page.js", "tuner.js"} < set(names)
     assert sum(map(len, texts)) < 150_000
     assert "default-src 'self'" in ask(server).headers["Content-Security-Policy"]
     assert ask(server, "/static/../server.py").status == 404

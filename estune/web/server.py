@@ -41,7 +41,7 @@ _LOCAL = ("127.0.0.1", "::1")
 _END_WITHIN_S = 5.0
 
 _TYPES = {"html": "text/html", "js": "text/javascript", "css": "text/css", "svg": "image/svg+xml"}
-_FOLDERS = (
+FOLDERS = (
     ("estune.web", "static"),
     ("estune.support", "charts"),
     ("estune.loop_model", "browser"),
@@ -273,7 +273,7 @@ async def _named_static(request: Request) -> Response:
 
 def _content(name: str) -> bytes | None:
     """A file of the page; None if there is none of that name."""
-    folders = (files(package).joinpath(folder) for package, folder in _FOLDERS)
+    folders = (files(package).joinpath(folder) for package, folder in FOLDERS)
     file = next((one for at in folders for one in at.iterdir() if one.name == name), None)
     return None if file is None or name.rpartition(".")[2] not in _TYPES else file.read_bytes()
 
