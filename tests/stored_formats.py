@@ -43,7 +43,8 @@ def write(folder: Path) -> None:
     """Writes the files."""
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir(parents=True)
-    estune.tune(ArithmeticRig(), trials=6, folder=folder, run="run", watch=None)
+    # A tuner whose proposals are those of a paper, and stay.
+    estune.tune(ArithmeticRig(), tuner="otis", trials=6, folder=folder, run="run", watch=None)
     sweep(DESIGN, folder=folder / "sweep", watch=None, jobs=1)
     model_file.save_model(MODEL, folder / "model.toml")
     (folder / "schedule.json").write_text(json.dumps(SCHEDULE.as_dict(), indent=2) + "\n")
