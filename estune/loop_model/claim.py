@@ -112,7 +112,10 @@ def claim(
         reason = _unknown(fit, margin, settings.sampling_Hz)
         reason = reason or (check.fault(trial, gains) if check and check.costs else "")
         if not reason:
-            return Claim(_widened(predict_with_intervals(fit, trial, gains), margin), "", misfit)
+            margins = _widened(predict_with_intervals(fit, trial, gains), margin)
+            if math.isfinite(margins.sensitivity.high):
+                return Claim(margins, "", misfit)
+            reason = "the records leave open whether the loop is stable with these gains"
     return Claim(None, reason, misfit)
 
 

@@ -31,7 +31,7 @@ SHARES = (0.01, 0.03, 0.1, 0.25)
 """Sizes of friction that a search begins from, over the effort of a step."""
 
 SCREENED = 2
-STARTS = 2
+STARTS = 3
 """Records by which the starts of a search are compared and improved, which with few reversals has
 fewer local minima, and number of those that all records then improve."""
 
@@ -157,8 +157,8 @@ def _starts(motion: _Motion, linear: LoopFit) -> list[PoleFit]:
         for i, x in enumerate(grid)
         for dead in delays
     ]
-    best = {min(t for t in tried if t[1] % len(SHARES) == n) for n in range(len(SHARES))}
-    best.add(min(one for one in tried if one[2] == dead_samples))
+    best = {min(one for one in tried if one[2] == dead) for dead in delays}
+    best |= {min(t for t in tried if t[1] % len(SHARES) == n) for n in range(len(SHARES))}
     return [PoleFit(cost, grid[i], dead) for cost, i, dead in sorted(best)]
 
 
@@ -185,7 +185,7 @@ def _search(motion: _Motion, start: PoleFit, dead: int) -> PoleFit:
         return residual_of(x, [force[0] for force in _about(motion, x)])
 
     found = least_squares(
-        residual, start.coordinates, jac=jacobian, method="lm", xtol=1e-5, ftol=1e-6, max_nfev=15
+        residual, start.coordinates, jac=jacobian, method="lm", xtol=1e-5, ftol=1e-6, max_nfev=25
     )
     return PoleFit(float(found.cost), found.x, dead)
 
