@@ -30,7 +30,7 @@ from tests.support_runs import START, ArithmeticRig
 COMMAND = [sys.executable, "-m", "estune"]
 COMMANDS = {
     *("demo", "serve", "serve-hardware", "tune", "resume", "sweep", "match", "list", "show"),
-    *("watch", "report", "bridge", "compare", "bench", "docs"),
+    *("watch", "report", "bridge", "compare", "bench", "suggest", "docs"),
     *(
         "export",
         "export-controller",
@@ -114,6 +114,27 @@ def test_help_names_every_command_and_loads_nothing_heavy():
         [sys.executable, "-c", script], cwd=HERE, capture_output=True, text=True, check=True
     ).stdout
     assert set(re.findall(r"^│ (\w[\w-]+)", shown, re.MULTILINE)) == COMMANDS
+
+
+def test_help_lists_commands_in_groups_and_those_of_packages_by_their_place(tmp_path):
+    (tmp_path / "extra.py").write_text(
+        'ROWS = [("ours", "extra:run", "Ours.", 131), ("theirs", "extra:run", "Theirs.", -5)]'
+    )
+    metadata = tmp_path / "extra-1.0.dist-info"
+    metadata.mkdir()
+    (metadata / "METADATA").write_text("Metadata-Version: 2.1\nName: extra\nVersion: 1.0\n")
+    (metadata / "entry_points.txt").write_text("[estune.commands]\nextra = extra:ROWS\n")
+    environment = {**os.environ, "PYTHONPATH": f"{tmp_path}{os.pathsep}{HERE}"}
+    shown = subprocess.run(
+        [*COMMAND, "--help"], env=environment, capture_output=True, text=True, check=True
+    ).stdout
+    parts = [part.partition(" ") for part in shown.split("╭─ ")[1:]]
+    groups = {title: re.findall(r"^│ (\w[\w-]+)", rest, re.MULTILINE) for title, _, rest in parts}
+    assert [*groups] == ["Start", "Runs", "Records", "Models", "Rigs", "Service", "Help"]
+    assert {"tune", "theirs"} < {*groups["Start"]}
+    assert {"explain", "improve-model", "ours"} < {*groups["Models"]}
+    assert {"estop", "discover"} < {*groups["Rigs"]}
+    assert groups["Service"] == ["daemon", "daemon-control"]
 
 
 def test_every_command_has_help_for_every_option(capsys):

@@ -107,9 +107,12 @@ def test_daemon_control_shows_and_commands(tmp_path, capsys):
             assert run(["daemon-control", *words]) == 0
             return capsys.readouterr().out
 
-        table = say("status", endpoint)
-        assert re.search(r"^live +original gains; no others accepted yet", table, re.MULTILINE)
-        assert re.search(r"^candidate is +better than the initial gains: ", table, re.MULTILINE)
+        heads, row = say("status", endpoint).splitlines()
+        assert heads.split() == ["rig", "mode", "live", "run", "cost"]
+        assert re.match(r"drum +holding: .*  original gains; no others accepted yet ", row)
+        facts = say("status", endpoint, "--rig", "drum")
+        assert re.search(r"^live +original gains; no others accepted yet", facts, re.MULTILINE)
+        assert re.search(r"^candidate is +better than the initial gains: ", facts, re.MULTILINE)
         statuses = json.loads(say("status", endpoint, "--json"))
         assert statuses[0]["gains"]["original"]["P"] == ORIGINAL.P
         accepted = say("accept", endpoint, "--why", "looks good")

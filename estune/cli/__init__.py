@@ -6,7 +6,7 @@ keeps its traceback. Ctrl-C and SIGTERM stop the rig first.
 
 Installed packages add commands by the entry point group `estune.commands`: each entry point names
 an iterable of tuples (name, "module:function", help, place), and its module must be quick to
-import.
+import. The place, a number, orders the commands and puts them under the headings of `GROUPS`.
 """
 
 import signal
@@ -15,7 +15,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from types import FrameType
 
-from cyclopts import App, CycloptsError
+from cyclopts import App, CycloptsError, Group
 
 from estune.cli.plain_text import allow_any_encoding
 from estune.errors import EstuneError, InvalidInput
@@ -25,13 +25,11 @@ INTERRUPTED = 130
 """Exit code of a stopped command, as in shells: 128 and the number of SIGINT."""
 
 COMMANDS = (
-    ("serve-hardware", "hardware:serve_hardware", "Serve a reel on hardware as a rig.", 30),
     ("tune", "tune:tune", "Tune a rig by step trials.", 40),
     ("resume", "tune:resume", "Continue a run that was stopped or interrupted.", 50),
     ("sweep", "sweep:sweep", "Tune over cable lengths and fit the gains over length.", 60),
     ("match", "match:match", "Tune several reels to the same cost.", 70),
     ("compare", "compare:compare", "Compare tuners on one plant or rig.", 75),
-    ("suggest", "suggest:suggest", "Judge and improve gains by records of a running loop.", 78),
     ("list", "runs:list_runs", "List the runs of a folder.", 80),
     ("watch", "watch:watch", "Show a run, a rig or a daemon live in the browser.", 85),
     ("show", "runs:show", "Show the result of a run.", 90),
@@ -44,10 +42,12 @@ COMMANDS = (
         110,
     ),
     ("apply", "rigs:apply", "Make the gains of a run live on a rig.", 120),
-    ("remedy", "remedy:remedy", "Write a remedy of a diagnosis as a patch of a rig's file.", 122),
-    ("prove", "remedy:prove", "Prove a remedy on a rig, by trials with it and without.", 124),
-    ("run-experiment", "experiment:run_experiment", "Run the trial of a file on a rig.", 140),
-    ("discover", "rigs:discover", "List the rigs at an endpoint and their status.", 160),
+    ("suggest", "suggest:suggest", "Judge and improve gains by records of a running loop.", 128),
+    ("remedy", "remedy:remedy", "Write a remedy of a diagnosis as a patch of a rig's file.", 135),
+    ("prove", "remedy:prove", "Prove a remedy on a rig, by trials with it and without.", 140),
+    ("serve-hardware", "hardware:serve_hardware", "Serve a reel on hardware as a rig.", 161),
+    ("discover", "rigs:discover", "List the rigs at an endpoint and their status.", 162),
+    ("run-experiment", "experiment:run_experiment", "Run the trial of a file on a rig.", 165),
     ("doctor", "doctor:doctor", "Check a rig, with a remedy for each failed check.", 170),
     ("bridge", "bridge:bridge", "Show a rig in ROS 2, PlotJuggler or Foxglove.", 175),
     ("estop", "rigs:estop", "Stop a rig at once and hold it in its safe state.", 180),
@@ -57,6 +57,20 @@ COMMANDS = (
     ("docs", "docs:docs", "Open the documentation in the browser.", 220),
 )
 """Name, function in `estune.cli`, help, and place in the list of commands."""
+
+GROUPS = tuple(
+    Group(title, sort_key=first)
+    for first, title in (
+        (0, "Start"),
+        (80, "Runs"),
+        (125, "Records"),
+        (130, "Models"),
+        (160, "Rigs"),
+        (200, "Service"),
+        (220, "Help"),
+    )
+)
+"""Headings of the list of commands; the sort key of a heading is the first place under it."""
 
 
 def _version() -> str:
@@ -84,12 +98,20 @@ def _add_commands() -> Iterator[str]:
         except EstuneError as error:
             yield f"no commands of {point.name}: {error}"
     for name, where, text, place in commands:
-        app.command(where, name=name, help=text, sort_key=place)
+        app.command(where, name=name, help=text, sort_key=place, group=_group(place))
+
+
+def _group(place: int) -> Group:
+    """The heading under which a command of that place is listed."""
+    below = [group for group in GROUPS[1:] if group.sort_key <= place]
+    return below[-1] if below else GROUPS[0]
 
 
 app.register_install_completion_command(
-    help="Let the shell complete commands and options: bash, zsh, fish."
+    help="Let the shell complete commands and options: bash, zsh, fish.", group=GROUPS[-1]
 )
+for _flag in (*app.help_flags, *app.version_flags):
+    app[_flag].group = GROUPS[-1]
 _faults = tuple(_add_commands())
 
 

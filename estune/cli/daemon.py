@@ -28,6 +28,8 @@ _TAKES_EFFECT_WITHIN_S = 10.0
 _POLL_S = 0.1
 _ENDED = "the daemon has ended; its log says which gains the rig confirmed"
 _WATCH_EVERY_S = 1.0
+_OVERVIEW = ("rig", "mode", "live", "run", "cost", "next check", "paused", "trouble")
+"""The facts of a status in the table of all rigs."""
 
 
 def daemon(
@@ -86,7 +88,8 @@ def daemon_control(
     Args:
         verb: Query or command.
         endpoint: Address of the daemon, such as tcp/127.0.0.1:7450.
-        rig: The rig; may be left out if there is one only.
+        rig: The rig; may be left out if there is one only. The status of a named rig is a list
+            with all of its gain sets, that of all rigs a table.
         why: Reason, for the daemon's history.
         limit: Maximum number of rows of history or events.
         watch: Show the status at each change, until Ctrl-C.
@@ -110,7 +113,7 @@ def daemon_control(
         elif verb == "history":
             answer = {name: client.history(name, limit) for name in names}
         elif verb == "status":
-            answer = statuses
+            answer = statuses if json or rig is None else statuses[0]
         elif len(names) > 1:
             raise InvalidInput(f"name the rig with --rig: {', '.join(names)}")
         else:
@@ -189,9 +192,17 @@ def _show(verb: str, answer: Any) -> None:
     elif verb == "history":
         for name, history in answer.items():
             _show_history(name, history)
+    elif isinstance(answer, list):
+        _show_statuses(answer)
     else:
-        for status in answer if isinstance(answer, list) else [answer]:
-            output.show_next(_facts(status))
+        output.show_next(_facts(answer))
+
+
+def _show_statuses(statuses: list[DaemonStatus]) -> None:
+    """Prints a row for each rig, without what no rig has."""
+    facts = [{**dict.fromkeys(_OVERVIEW, ""), **_facts(status)} for status in statuses]
+    heads = [head for head in _OVERVIEW if any(one[head] for one in facts)]
+    output.show_table(heads, ([str(one[head]) for head in heads] for one in facts))
 
 
 def _facts(status: DaemonStatus) -> Mapping[str, object]:

@@ -2,12 +2,12 @@
 
 COMMANDS = (
     ("demo", "plants.commands.demo:demo", "Tune a simulated reel over Zenoh.", 10),
-    ("serve", "plants.commands.serve:serve", "Serve a simulated plant as a rig.", 20),
+    ("serve", "plants.commands.serve:serve", "Serve a simulated plant as a rig.", 160),
     (
         "bench",
         "plants.commands.bench:bench",
         "Measure the force felt at a reel's cable while its end moves.",
-        78,
+        172,
     ),
     (
         "explain",

@@ -32,7 +32,7 @@ def demo(
         tuner: Tuner.
         trials: Maximum number of search trials.
         seed: Seed of the measurement noise.
-        pace: Duration of a second of a trial, s: 1 is real time, 0 as fast as possible.
+        pace: Wall-clock seconds per simulated second: 1 is real time, 0 is as fast as possible.
         folder: Folder of runs.
     """
     with served_reel(seed, pace) as endpoint:

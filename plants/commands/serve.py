@@ -41,7 +41,7 @@ def serve(
         listen: Address to listen at; port 0 picks a free one, which is printed.
         name: Name of the rig.
         seed: Seed of the measurement noise.
-        pace: Duration of a second of a trial, s: 1 is real time, 0 as fast as possible.
+        pace: Wall-clock seconds per simulated second: 1 is real time, 0 is as fast as possible.
         set_: A setting of the plant, as cable_length_m=1.1 or tension_N=20; repeat for more.
         ledger: File of the trials that have run; rigs/<name>.ledger by default. "memory" keeps
             them only until the server ends.
