@@ -22,9 +22,9 @@ def page(d: DiagnosisResult) -> Page:
     certain = d.verdict in {"named", "none"}
     lead = [Paragraph(text, "lead") for text in summary.sentences(d)]
     explained = Paragraph(
-        "Errors of short predictions are of refits with each third of the data left out, on what "
-        "was left out, but for the model as given, to which nothing is fitted; free runs are of "
-        "models fitted to all data. No model was fitted to held-out records, if there are any. "
+        "Short-prediction errors are cross-validated: the model is refitted three times, each time "
+        "without one third of the data, and tested on that third. The model as given is not "
+        "refitted. Free runs use models fitted to all data. No model was fitted to held-out records, if there are any. "
         "The noise floor is the noise "
         "of the sensors and an allowance for the model's form. A short prediction starts anew "
         "from the measured angle every few moments, a free run never.",
@@ -196,8 +196,8 @@ def _data(d: DiagnosisResult) -> list[Block]:
     blocks: list[Block] = [
         Paragraph(
             f"{records} records. Models are fitted to all data and compared there. Prediction "
-            "errors are those of refits with each third left out, on the third left out: a "
-            "stretch of every record."
+            "errors are cross-validated: a model is refitted without one third of the data, a "
+            "stretch of every record, and tested on that third."
         ),
         _plot(lambda ax: figures.draw_splits(ax, d), "splits", "splits", height),
         Heading("Noise"),
