@@ -22,10 +22,10 @@ def page(d: DiagnosisResult) -> Page:
     certain = d.verdict in {"named", "none"}
     lead = [Paragraph(text, "lead") for text in summary.sentences(d)]
     explained = Paragraph(
-        "Short-prediction errors are cross-validated: the model is refitted three times, each time "
-        "without one third of the data, and tested on that third. The model as given is not "
-        "refitted. Free runs use models fitted to all data. No model was fitted to held-out records, if there are any. "
-        "The noise floor is the noise "
+        "Short-prediction errors are cross-validated: the model is refitted three times, each "
+        "time without one third of the data, and tested on that third. The model as given is not "
+        "refitted. Free runs use models fitted to all data. No model was fitted to held-out "
+        "records, if there are any. The noise floor is the noise "
         "of the sensors and an allowance for the model's form. A short prediction starts anew "
         "from the measured angle every few moments, a free run never.",
         "soft",
