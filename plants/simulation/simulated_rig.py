@@ -193,7 +193,8 @@ class SimulatedRig:
         if table is None:
             return None
         scale: Any = getattr(self._plant, "scale", None)
-        if table.inertia or table.gravity or scale is None or not scale.has_cable:
+        others = table.inertia or table.gravity or table.known_motion or not table.friction
+        if others or scale is None or not scale.has_cable:
             raise InvalidInput(
                 f"rig {self._description.name} is simulated, and feeds friction forward on a reel "
                 "alone; leave the other compensations out"
