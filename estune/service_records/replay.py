@@ -226,7 +226,8 @@ def _freed(
 ) -> FloatArray:
     """Signals without what unknown states before the stretch may add, shape (..., samples)."""
     c, k = controller_polynomials(settings, gains), np.arange(stretch.samples)
-    poles = {c.derivative_pole, -float(c.filter_denominator[1])} - {0.0}
+    # Without a filter the derivative knows one sample before: 0^k is one at the first alone.
+    poles = {c.derivative_pole, -float(c.filter_denominator[1])}
     with np.errstate(under="ignore"):
         columns = [np.ones(k.size), *(pole**k for pole in sorted(poles))]
     basis, _ = np.linalg.qr(np.array(columns).T)
