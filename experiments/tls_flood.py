@@ -1,5 +1,8 @@
 """Do connections that prove nothing keep others out of a rig that listens with TLS?
 
+Command: `python -m experiments.tls_flood`.
+Target: newcomer, emergency stop and reconnecting client within 2 s under every kind of flood.
+
 A rig listens with certificates. Another process opens connections to it, all at once, and again
 whenever one ends: bare ones, ones that send noise instead of a handshake, ones that complete the
 handshake with a certificate and say nothing, and bare ones that leave after 3 s.

@@ -214,6 +214,7 @@ def _check_gains(state: SupervisorState, _: str = "") -> SupervisorState:
 
 
 def _pause(state: SupervisorState, reason: str) -> SupervisorState:
+    """Pause, with the reason."""
     return replace(_back_to_tuning(state), paused=reason)
 
 
@@ -275,6 +276,7 @@ def _stop(state: SupervisorState, reason: str) -> SupervisorState:
 
 
 def _end(state: SupervisorState, reason: str) -> SupervisorState:
+    """End."""
     return replace(state, ending=Shutdown.STOPPED, trouble=reason)
 
 

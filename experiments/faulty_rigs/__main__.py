@@ -1,5 +1,8 @@
 """Which deliberate faults of a rig do the conformance suite and `estune doctor --move` find?
 
+Command: `python -m experiments.faulty_rigs`.
+Target: the sound rig passes, and every fault is found but the one that shows in no message.
+
 A simulated reel is served with one fault after the other. The suite tests it up to the first
 failure; `estune doctor --move` checks those that pass. Without a fault both must pass. Printed is
 what found each fault: the test or check that failed.
