@@ -7,21 +7,32 @@ import casadi as ca
 
 from plants.effects import angle_phase
 from plants.effects.effect import Effect, Port, Response, Signal, Site, Values
-from plants.effects.parameter import Role, parameter, phase
+from plants.effects.parameter import PHASE_MAX_rad, Role, parameter, phase
 from plants.effects.plant_scale import PlantScale, digits
 from plants.effects.remedy import Remedy, workshop
 
 WAVES = 5
 
 
-def _amplitude() -> float:
-    amplitude: float = parameter(0.0, low=0.0, high=1e3, unit="N m", neutral=0.0)
+USUAL_ORDER = 24.0
+
+
+def _amplitude(usual_Nm: float = 0.0) -> float:
+    amplitude: float = parameter(usual_Nm, low=0.0, high=1e3, unit="N m", neutral=0.0)
     return amplitude
 
 
-def _per_turn() -> float:
-    periods: float = parameter(1.0, low=0.5, high=1e4, role=Role.PERIODS)
+def _per_turn(start: float | None = None) -> float:
+    periods: float = parameter(USUAL_ORDER, low=0.5, high=1e4, role=Role.PERIODS, start=start)
     return periods
+
+
+def _further_phase() -> float:
+    """Phase of a wave that is usually absent: a fit begins at zero."""
+    angle: float = parameter(
+        0.0, low=-PHASE_MAX_rad, high=PHASE_MAX_rad, unit="rad", role=Role.PHASE, start=0.0
+    )
+    return angle
 
 
 @dataclass(frozen=True)
@@ -36,18 +47,18 @@ class Cogging(Effect):
         amplitude_1_Nm: Amplitude A_1 of the greatest wave, N m.
         per_turn_1: Its periods N_1 in a turn.
         phase_1_rad: Its phase phi_1 where the encoder reads zero, rad.
-        amplitude_2_Nm: The same of the second wave, and so on.
-        per_turn_2: See above.
-        phase_2_rad: See above.
-        amplitude_3_Nm: See above.
-        per_turn_3: See above.
-        phase_3_rad: See above.
-        amplitude_4_Nm: See above.
-        per_turn_4: See above.
-        phase_4_rad: See above.
-        amplitude_5_Nm: See above.
-        per_turn_5: See above.
-        phase_5_rad: See above.
+        amplitude_2_Nm: Amplitude of the second wave, N m; usually none.
+        per_turn_2: Its periods in a turn.
+        phase_2_rad: Its phase, rad.
+        amplitude_3_Nm: Amplitude of the third wave, N m; usually none.
+        per_turn_3: Its periods in a turn.
+        phase_3_rad: Its phase, rad.
+        amplitude_4_Nm: Amplitude of the fourth wave, N m; usually none.
+        per_turn_4: Its periods in a turn.
+        phase_4_rad: Its phase, rad.
+        amplitude_5_Nm: Amplitude of the fifth wave, N m; usually none.
+        per_turn_5: Its periods in a turn.
+        phase_5_rad: Its phase, rad.
     """
 
     name = "cogging"
@@ -59,21 +70,21 @@ class Cogging(Effect):
     without_cable = True
     states = WAVES * angle_phase.STATES
 
-    amplitude_1_Nm: float = _amplitude()
+    amplitude_1_Nm: float = _amplitude(0.01)
     per_turn_1: float = _per_turn()
     phase_1_rad: float = phase()
     amplitude_2_Nm: float = _amplitude()
-    per_turn_2: float = _per_turn()
-    phase_2_rad: float = phase()
+    per_turn_2: float = _per_turn(USUAL_ORDER)
+    phase_2_rad: float = _further_phase()
     amplitude_3_Nm: float = _amplitude()
-    per_turn_3: float = _per_turn()
-    phase_3_rad: float = phase()
+    per_turn_3: float = _per_turn(USUAL_ORDER)
+    phase_3_rad: float = _further_phase()
     amplitude_4_Nm: float = _amplitude()
-    per_turn_4: float = _per_turn()
-    phase_4_rad: float = phase()
+    per_turn_4: float = _per_turn(USUAL_ORDER)
+    phase_4_rad: float = _further_phase()
     amplitude_5_Nm: float = _amplitude()
-    per_turn_5: float = _per_turn()
-    phase_5_rad: float = phase()
+    per_turn_5: float = _per_turn(USUAL_ORDER)
+    phase_5_rad: float = _further_phase()
 
     @classmethod
     def describe(cls, p: Values, plant: PlantScale) -> str:
