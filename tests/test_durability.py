@@ -107,7 +107,7 @@ def test_read_only_disk_is_reported_and_leaves_the_run_readable(tmp_path):
     with small_disk(tmp_path / "disk", "4m") as disk:
         shutil.copytree(old_run(tmp_path), disk / "run")
         subprocess.run(["mount", "-o", "remount,ro", disk], check=True)
-        assert len(committed_rows_of(disk / "run")) == 22
+        assert len(committed_rows_of(disk / "run")) == 24
         with pytest.raises(JournalError, match="can be written"):
             Journal.open(disk / "run", write=True)
         with pytest.raises(JournalError, match="can be written"):
@@ -117,7 +117,7 @@ def test_read_only_disk_is_reported_and_leaves_the_run_readable(tmp_path):
 def test_journal_of_version_0_1_0_is_read_and_replayed(tmp_path):
     result = api.load(old_run(tmp_path))
     assert result.verdict.complete
-    assert [e.number for e in result.entries] == list(range(22))
+    assert [e.number for e in result.entries] == list(range(24))
     # The run repeated now gives the proposals and costs of then, up to the last bits, in
     # which processors differ.
     now = api.tune(
@@ -150,7 +150,7 @@ def test_journal_of_older_schema_is_migrated_when_opened(write, tmp_path, monkey
     monkeypatch.setattr(journal, "KIND", journal.KIND._replace(versions=LATER))
     with Journal.open(folder, write=write) as book:
         assert schema_of(book) == len(LATER)
-        assert book._file.rows("SELECT weather FROM trial") == [(None,)] * 22
+        assert book._file.rows("SELECT weather FROM trial") == [(None,)] * 24
     assert committed_rows_of(folder) == before
 
 

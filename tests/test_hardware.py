@@ -233,10 +233,10 @@ def test_abort_during_preparation_stops_the_trial(hardware):
     with HardwareRig(configuration(hardware[0])) as rig:
         prepare, started, aborted = rig._prepare, threading.Event(), threading.Event()
 
-        def until_said(request):
+        def until_said(request, compensation):
             started.set()
             assert aborted.wait(GIVE_UP_S)
-            return prepare(request)
+            return prepare(request, compensation)
 
         # The abort comes once before the trial has a number, so it reaches no trial.
         rig._prepare, rig._trial = until_said, ObservedLock(rig._trial, aborted)

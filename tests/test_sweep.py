@@ -160,8 +160,8 @@ def test_stored_sweep_of_version_0_1_0_continues_without_reruns(tmp_path, monkey
     rerun: list[CellOutcome] = []
     outcomes = run_sweep(tmp_path, design, watch=rerun.append).outcomes
     assert not rerun
-    assert [o.cell.key for o in outcomes] == ["5e784216e4751fa67ecb", "0733762894063d71cf1d"]
-    assert [o.trace.shape for o in outcomes] == [(16, 7), (16, 7)]
+    assert [o.cell.key for o in outcomes] == ["1e90e59c1f094e9fac19", "be5ab2dc0de464e5f827"]
+    assert [o.trace.shape for o in outcomes] == [(26, 7), (26, 7)]
 
 
 def test_frame_is_tidy_and_dataset_has_the_design_dimensions(tmp_path):
