@@ -37,8 +37,13 @@ every_tuner_without_record = pytest.mark.parametrize(
 
 margins = st.just(math.inf) | st.floats(-2.0, 2.0)
 observations = st.lists(
-    st.builds(Observation, st.floats(allow_nan=False, allow_infinity=False), margin=margins)
-    | st.builds(Observation, st.floats(1e-6, 1e6), margin=margins)
+    st.builds(
+        Observation,
+        st.floats(allow_nan=False, allow_infinity=False),
+        margin=margins,
+        record=st.none(),
+    )
+    | st.builds(Observation, st.floats(1e-6, 1e6), margin=margins, record=st.none())
     | st.just(CENSORED),
     max_size=60,
 )
