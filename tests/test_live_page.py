@@ -63,17 +63,20 @@ def run_view_when_there(folder):
 
 
 RANGES_WITHIN_A_TRIAL = """async () => {
-  const { sections } = await import("./static/page.js"), seen = new Set();
+  const { sections } = await import("./static/page.js");
   const trial = () => document.getElementById("trial-text").textContent;
-  const axis = () => sections().charts.response.plot.scales.x;
-  for (let first = trial(); first === trial();) await new Promise(requestAnimationFrame);
-  for (let at = trial(); at === trial();) {
+  for (let at = trial(), seen = new Set(), lengths = new Set(); ;) {
     await new Promise(requestAnimationFrame);
-    if (at === trial()) seen.add(`${axis().min} ${axis().max}`);
+    if (at !== trial()) {
+      if (lengths.size > 1) return [...seen];
+      [at, seen, lengths] = [trial(), new Set(), new Set()];
+    }
+    const { min, max } = sections().charts.response.plot.scales.x;
+    seen.add(`${min} ${max}`);
+    lengths.add(sections().tables.samples.length);
   }
-  return [...seen];
 }"""
-"""Ranges of the time axis from the beginning of one trial to that of the next."""
+"""Ranges of the time axis until the end of the first trial that the page showed growing."""
 
 
 def serious(page) -> list[str]:

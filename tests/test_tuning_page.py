@@ -58,6 +58,18 @@ OPTIMUM = """async ([problem, start, Ms, overshoot]) => {
   return predict(problem, problem.models[0], gains);
 }"""
 
+EXCESSES = """async ([problem, start, Ms, overshoot]) => {
+  const { optimum } = await import("/static/optimum.js");
+  const { predict } = await import("/static/loop.js");
+  const limits = { Ms, overshoot };
+  return [2, 7, 12, 17, 22, 27, 32, 37].map((evaluations) => {
+    const quick = optimum(problem, start, limits, problem.cost, { evaluations, size: 0.15 });
+    const p = predict(problem, problem.models[0], optimum(problem, quick, limits, problem.cost));
+    return [p.Ms / Ms - 1, p.overshoot - overshoot];
+  });
+}"""
+"""What the optimum exceeds of the limits after quick searches that ended at these counts."""
+
 
 @pytest.fixture(scope="module")
 def chromium():
@@ -161,6 +173,12 @@ def test_optimum_in_the_browser_costs_what_that_of_the_loop_model_does(page, res
         assert shown["Ms"] <= 1.01 * Ms
         assert shown["overshoot"] <= 0.055
         assert shown["cost"] <= 1.03 * best.cost
+
+
+def test_optimum_in_the_browser_keeps_the_limits_wherever_a_quick_search_ended(page, result):
+    data = tuning_data(result)
+    excesses = page.evaluate(EXCESSES, [data, data["gains"]["tuned"], 1.2, 0.05])
+    assert max(max(one) for one in excesses) < 2e-3, excesses
 
 
 @pytest.mark.parametrize("form", [{}, NARROW_DARK])

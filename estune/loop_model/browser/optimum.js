@@ -3,7 +3,7 @@
 
 import { predict } from "./loop.js";
 
-export const TOLERANCE = 2e-3; // excess over a limit that counts as kept, as in estune.loop_model.optimum
+export const TOLERANCE = 2e-3; // excess over a limit that counts as kept; the search aims at the limit itself
 const PENALTY = 30, UNSTABLE = 100;
 
 // How much worse than nothing some gains are: the log cost, and what they exceed of the limits.
@@ -12,7 +12,7 @@ function score(problem, gains, limits, weights) {
   if (!Number.isFinite(p.cost)) return UNSTABLE;
   const excess = [Math.log(p.Ms / limits.Ms), p.overshoot - limits.overshoot];
   if (limits.phase_margin_deg) excess.push(((limits.phase_margin_deg - p.phase_margin_deg) * Math.PI) / 180);
-  return Math.log(p.cost) + PENALTY * excess.reduce((sum, x) => sum + Math.max(x - TOLERANCE, 0), 0);
+  return Math.log(p.cost) + PENALTY * excess.reduce((sum, x) => sum + Math.max(x, 0), 0);
 }
 
 // Searches from `start` with at most `evaluations` predictions, within `time_ms`; returns gains.
