@@ -177,6 +177,13 @@ def test_example_rig_file_is_complete(here, tmp_path):
     assert read_config(file).name == "reel"
 
 
+def test_setting_with_its_unit_is_refused_with_its_name(refused):
+    assert refused("serve", REEL, "--set", "cable_length_m=1.1m", "--ledger", "memory") == (
+        2,
+        "estune: reel: cable_length_m is '1.1m'; it must be a number, without its unit\n",
+    )
+
+
 def test_serve_hardware_without_a_file_points_to_the_example(refused):
     assert refused("serve-hardware") == (
         2,

@@ -8,7 +8,7 @@ from rich.prompt import Confirm
 from rich.text import Text
 
 from estune.cli import output
-from estune.cli.values import Flag, security_from
+from estune.cli.values import Flag, command_line, security_from
 from estune.errors import InvalidInput
 from estune.run.targets import open_target
 from estune.studies.prove.patch import SUFFIX, Patch, patch_of, read_patch
@@ -44,8 +44,8 @@ def remedy(
         {
             "patch": path,
             "may harm": patch.harm,
-            "prove it": f"estune prove {path} ENDPOINT",
-            "then": f"estune apply {path} {rig}",
+            "prove it": command_line("prove", path, "ENDPOINT"),
+            "then": command_line("apply", path, rig),
         }
     )
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from estune import api
 from estune.cli import output
-from estune.cli.values import Flag
+from estune.cli.values import Flag, command_line
 from estune.core.gains import GAIN_NAMES
 from estune.errors import EstuneError, InvalidInput, JournalError
 from estune.run.ending import RunEnding
@@ -81,9 +81,9 @@ def show(
         )
     facts: dict[str, object] = {"run": path}
     if state == "running":
-        facts["still running"] = f"follow it with: estune watch {path}"
+        facts["still running"] = f"follow it with: {command_line('watch', path)}"
     elif result.ending is RunEnding.STOPPED:
-        facts["not running"] = f"continue it with: estune resume {path}"
+        facts["not running"] = f"continue it with: {command_line('resume', path)}"
     output.show_next(facts)
 
 

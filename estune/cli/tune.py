@@ -201,7 +201,7 @@ def finish(
     if report is not None:
         facts["report"] = result.report(report)
     elif result.folder is not None:
-        facts["report"] = f"estune report {result.folder}"
+        facts["report"] = command_line("report", result.folder)
     if (result.ending.is_tuned or result.plan.start_source) and is_endpoint(target):
         facts["make live"] = command_line("apply", result.folder, target, security=security)
     facts["trials"] = f"estune export {result.folder} --csv"

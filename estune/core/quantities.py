@@ -17,7 +17,7 @@ Numbers = Any
 
 def check_positive(name: str, value: float, unit: str = "") -> None:
     """Raises InvalidInput unless the value is finite and above zero."""
-    if not (math.isfinite(value) and value > 0.0):  # a NaN passes every comparison with a bound
+    if not (_is_finite(name, value) and value > 0.0):  # a NaN passes every comparison with a bound
         raise InvalidInput(
             f"{name} is {value}{unit and ' ' + unit}; it must be finite and above zero"
         )
@@ -25,10 +25,22 @@ def check_positive(name: str, value: float, unit: str = "") -> None:
 
 def check_not_negative(name: str, value: float, unit: str = "") -> None:
     """Raises InvalidInput unless the value is finite, and zero or above."""
-    if not (math.isfinite(value) and value >= 0.0):
+    if not (_is_finite(name, value) and value >= 0.0):
         raise InvalidInput(
             f"{name} is {value}{unit and ' ' + unit}; it must be finite, and zero or above"
         )
+
+
+def _is_finite(name: str, value: float) -> bool:
+    """Whether a value is finite.
+
+    Raises:
+        InvalidInput: it is not a number.
+    """
+    try:
+        return math.isfinite(value)
+    except TypeError:
+        raise InvalidInput(f"{name} is {value!r}; it must be a number, without its unit") from None
 
 
 def checked_array(

@@ -1,5 +1,6 @@
 """The loop of a tuning run: request, trial, cost, commit, next state."""
 
+import shlex
 from collections import deque
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, replace
@@ -96,7 +97,7 @@ class Stopped(KeyboardInterrupt):
         super().__init__(f"stopped; {description.name} runs its live gains {live}")
         self.description = description
         self.folder = folder
-        self.again = again or (f"estune resume {folder}" if folder else "")
+        self.again = again or (f"estune resume {shlex.quote(str(folder))}" if folder else "")
 
 
 RECENT_MAX = 20
@@ -284,7 +285,9 @@ def _declined(tuning: TuningRun, request: TrialRequest) -> TrialRecord:
 def _check_void(tuning: TuningRun, record: TrialRecord, consecutive: int) -> None:
     """Ends a run that must not repeat its void trial by itself."""
     folder = tuning.journal.folder if tuning.journal else None
-    resume = f"continue with: estune resume {folder}" if folder else "tune again"
+    resume = "tune again"
+    if folder:
+        resume = f"continue with: estune resume {shlex.quote(str(folder))}"
     what = f"trial {record.trial_id} on rig {record.rig}"
     interrupted = record.outcome is Outcome.INTERRUPTED and not record.ended_late
     if interrupted and not tuning.description.simulated:

@@ -9,7 +9,14 @@ from typing import TYPE_CHECKING
 from rich.text import Text
 
 from estune.cli import output
-from estune.cli.values import Effects, Flag, Values, check_folder_exists, security_from
+from estune.cli.values import (
+    Effects,
+    Flag,
+    Values,
+    check_folder_exists,
+    command_line,
+    security_from,
+)
 from estune.errors import RigError
 from estune.run.loop import Stopped
 from estune.run.plan import REPEATS, TRIALS
@@ -125,11 +132,11 @@ def improve_model(
     _show(improvement)
     facts: dict[str, object] = {"records": improvement.folder / "data"}
     if improvement.tuning is not None and is_endpoint(target):
-        facts["make live"] = f"estune apply {improvement.tuning.folder} {target}"
+        facts["make live"] = command_line("apply", improvement.tuning.folder, target)
     if save is not None:
         facts["model"] = save
         if can_be_tuned(improvement.model):
-            facts["try it"] = f"estune tune {save}"
+            facts["try it"] = command_line("tune", save)
     output.show_next(facts)
 
 

@@ -13,6 +13,12 @@ from plants.effects.plant_scale import PlantScale
 from plants.models.plant_model import UNLIMITED_N, PlantModel
 from plants.simulation.plant import SOFTWARE
 
+HOW_TO_GIVE_GAINS = (
+    "in the model file as gains = { P = ..., I = ..., D = ..., setpoint_filter_s = ... }, "
+    "in Python as .rig(gains=Gains(...))"
+)
+"""Remedy in messages on a plant without safe gains."""
+
 SETTLING_TIMES_AFTER_STEP = 5.0
 TRIAL_MAX_samples = 1_000_000
 
@@ -79,7 +85,7 @@ class Mounting:
         if live is None:
             raise UnsafeStart(
                 f"no safe gains are known for {name}; give some that hold it stable, "
-                "as .rig(gains=Gains(...))"
+                f"{HOW_TO_GIVE_GAINS}"
             )
         return RigDescription(
             name=name,

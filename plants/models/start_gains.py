@@ -18,6 +18,7 @@ from estune.errors import UnsafeStart
 from estune.loop_model.fitting import fit_loop
 from estune.loop_model.model import robustness
 from estune.loop_model.records import LoopRecord
+from plants.models.mounting import HOW_TO_GIVE_GAINS
 from plants.simulation.plant import Plant, TrialSetpoint, drive_of
 
 MOVED = 0.1
@@ -92,7 +93,7 @@ def identified_gains(plant: Plant, settling_time_s: float, rest_effort_N: float)
 def _unknown(why: str) -> UnsafeStart:
     return UnsafeStart(
         f"no safe gains are known for the plant, and an identification in open loop finds none: "
-        f"{why}; give gains that hold it stable, as .rig(gains=Gains(...))"
+        f"{why}; give gains that hold it stable, {HOW_TO_GIVE_GAINS}"
     )
 
 
