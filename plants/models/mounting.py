@@ -14,7 +14,8 @@ from plants.models.plant_model import UNLIMITED_N, PlantModel
 from plants.simulation.plant import SOFTWARE
 
 HOW_TO_GIVE_GAINS = (
-    "in the model file as gains = { P = ..., I = ..., D = ..., setpoint_filter_s = ... }, "
+    "in the file of a linear plant or an FMU as "
+    "gains = { P = ..., I = ..., D = ..., setpoint_filter_s = ... }, "
     "in Python as .rig(gains=Gains(...))"
 )
 """Remedy in messages on a plant without safe gains."""
