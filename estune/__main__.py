@@ -1,4 +1,4 @@
-"""`python -m estune`: the command line without its script.
+"""`python -m estune`, and the script `estune`: the command line.
 
 Python puts the working directory first on the path of `-m`. It is moved to the end, where the
 script has it, so that a `plants.py` of the user does not hide the installed package.
@@ -7,10 +7,18 @@ script has it, so that a `plants.py` of the user does not hide the installed pac
 import sys
 from pathlib import Path
 
-if sys.path and Path(sys.path[0]).resolve() == Path.cwd():
-    del sys.path[0]  # `main` appends it
 
-from estune.cli import main
+def main() -> None:
+    """Runs the command line; Ctrl-C while it is imported ends it without a traceback."""
+    try:
+        from estune.cli import main as command_line  # noqa: PLC0415  Ctrl-C is caught from here on
+    except KeyboardInterrupt:
+        print("estune: stopped before anything was done", file=sys.stderr)
+        sys.exit(130)  # as of a stopped command
+    command_line()
+
 
 if __name__ == "__main__":
+    if sys.path and Path(sys.path[0]).resolve() == Path.cwd():
+        del sys.path[0]  # `main` of the command line appends it
     main()

@@ -1,6 +1,7 @@
 """What commands say and leave behind where they are refused, stopped or unfinished."""
 
 import io
+import subprocess
 import sys
 from pathlib import Path
 
@@ -70,6 +71,30 @@ def test_apply_refuses_a_run_that_is_not_finished(tmp_path, capsys, monkeypatch)
     capsys.readouterr()
     assert run(["apply", "half", "tcp/127.0.0.1:1", *folder]) == 4
     assert f"estune resume {tmp_path / 'half'}" in capsys.readouterr().err
+
+
+def test_tuning_stopped_before_its_first_trial_says_that_no_gains_changed(monkeypatch, capsys):
+    def interrupted(*_, **__):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("estune.api.tune", interrupted)
+    assert run(["tune", "plants:reference_reel"]) == 130
+    assert "stopped; no trial was running, so the rig's live gains are" in capsys.readouterr().err
+
+
+def test_ctrl_c_during_the_imports_ends_without_a_traceback():
+    broken = (
+        "import sys; from importlib.abc import MetaPathFinder\n"
+        "class Stop(MetaPathFinder):\n"
+        "    def find_spec(self, name, *_):\n"
+        "        if name == 'cyclopts': raise KeyboardInterrupt\n"
+        "sys.meta_path.insert(0, Stop())\n"
+        "from estune.__main__ import main; main()"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", broken], check=False, capture_output=True, text=True
+    )
+    assert (done.returncode, done.stderr) == (130, "estune: stopped before anything was done\n")
 
 
 @pytest.mark.parametrize("command", ["match", "compare"])

@@ -65,6 +65,23 @@ def test_terminal_shows_verdict_error_parameters_and_file_issues(asked, capsys):
     assert asked == [{"model": REEL, "records": asked[0]["records"], "effects": None}]
 
 
+def test_verdict_is_shown_even_if_the_report_cannot_be_written(
+    asked, capsys, monkeypatch, tmp_path
+):
+    assert command("--report", str(tmp_path)) == 2
+    assert not asked  # refused before the search
+    assert f"{tmp_path} is a folder" in capsys.readouterr().err
+
+    def full(*_):
+        raise InvalidInput("the disk is full")
+
+    monkeypatch.setattr("plants.diagnosis.report.diagnosis.Diagnosis.report", full)
+    assert command("--report", str(tmp_path / "page.html")) == 2
+    shown = capsys.readouterr()
+    assert shown.out.startswith(diagnosis().heading())
+    assert "the disk is full" in shown.err
+
+
 def test_json_output_is_one_strict_object(asked, capsys):
     assert command("--json") == 0
 

@@ -34,7 +34,8 @@ def test_first_order_response_has_closed_form_metrics(lag_s):
     metrics = measure(1.0 - np.exp(-AFTER_s / lag_s), band=0.02)
     assert metrics.rise_time_s == pytest.approx(lag_s * math.log(9.0), rel=1e-4)
     assert metrics.settling_time_s == pytest.approx(lag_s * math.log(50.0), rel=1e-4)
-    assert metrics.overshoot == 0.0
+    assert metrics.overshoot == metrics.undershoot == 0.0
+    assert metrics.iae == pytest.approx(lag_s, rel=4e-3)  # of a first-order lag, its time constant
 
 
 def test_response_to_a_load_has_the_peak_and_recovery_time_of_its_closed_form():
@@ -75,6 +76,7 @@ def test_metrics_agree_with_python_control_on_ideal_steps(system):
     assert metrics.rise_time_s == pytest.approx(info["RiseTime"], abs=1.01 / SAMPLING_Hz)
     assert metrics.settling_time_s == pytest.approx(info["SettlingTime"], abs=1.01 / SAMPLING_Hz)
     assert metrics.overshoot == pytest.approx(info["Overshoot"] / 100.0, abs=1e-12)
+    assert metrics.undershoot == pytest.approx(info["Undershoot"] / 100.0, abs=1e-12)
 
 
 @given(
@@ -87,6 +89,7 @@ def test_metrics_are_independent_of_offset_and_direction(damping, initial, span)
     metrics, plain = measure(response, initial, initial + span), measure(response)
     assert metrics[:3] == pytest.approx(plain[:3], abs=1e-6, nan_ok=True)
     assert metrics.steady_state_error == pytest.approx(span * plain.steady_state_error, abs=1e-9)
+    assert metrics.iae == pytest.approx(abs(span) * plain.iae, abs=1e-9)
 
 
 def test_step_from_10_to_11_has_a_rise_time():
@@ -171,7 +174,7 @@ def test_steady_state_error_is_the_mean_over_the_last_tenth():
 
 def test_immediate_response_has_zero_times():
     metrics = measure(np.where(TIME_s < STEP_s, 0.0, 1.0))
-    assert metrics == (0.0, 0.0, 0.0, 0.0)
+    assert metrics == (0.0,) * 6
 
 
 def with_value(value, index=700):

@@ -13,7 +13,7 @@ from estune.run.results.report import page
 from estune.studies.law.law import fit_law
 from estune.studies.law.tuned import TunedGains
 from estune.support.html_page import render
-from estune.support.quantity_text import time_text
+from estune.support.quantity_text import change_text, interval_text, time_text
 from estune.trial.signals import Signals
 from plants.models.model_file import load_model, save_model
 
@@ -44,6 +44,18 @@ def test_times_are_shown_in_the_unit_that_suits_them():
     assert [*map(time_text, times)] == ["50 µs", "27.6 ms", "1.5 s", "599 s", "73.2 min", "24 h"]
 
 
+def test_interval_has_the_digits_that_distinguish_its_ends():
+    assert interval_text(49.357, (49.02, 49.7), "W/K", 3) == "49.4 W/K (49 to 49.7)"
+    assert interval_text(39.01, (38.96, 39.04), "s", 2) == "39.01 s (38.96 to 39.04)"
+    assert interval_text(39.0, (39.0, 39.0), "s", 2) == "39 s"
+
+
+def test_change_has_its_unit_once_where_both_have_the_same():
+    assert change_text("193 ms", "30.3 ms") == "193 → 30.3 ms"
+    assert change_text("1.5 s", "30.3 ms") == "1.5 s → 30.3 ms"
+    assert change_text("not reached", "30 ms") == "not reached → 30 ms"
+
+
 def test_result_of_an_oven_is_in_its_own_units():
     options = {"tuner": "safe_bayesian", "tolerance": 0.0, "trials": 4, "repeats": 2}
     options["cost"] = "tracking_and_rejection"
@@ -52,6 +64,7 @@ def test_result_of_an_oven_is_in_its_own_units():
     assert rows["P"].split("(")[0].endswith("W/K")
     assert rows["steady-state error"].endswith(" K")
     assert rows["rise time"].endswith(" min")
+    assert rows["IAE"].endswith(" K s")
     assert rows["peak after the load"].endswith(" K")
     text = render(page(result))
     assert "Temperature and heating power" in text

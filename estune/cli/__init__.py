@@ -182,7 +182,7 @@ def _stop_message(stop: KeyboardInterrupt) -> str:
     from estune.run.loop import Stopped  # noqa: PLC0415  slow to import
 
     if not isinstance(stop, Stopped):
-        return "stopped"
+        return f"stopped; {stop}".removesuffix("; ")
     rig = stop.description
     gains = rig.gains_text(rig.gains)
     again = f"; continue with: {stop.again}" if stop.again else ""

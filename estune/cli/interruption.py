@@ -26,6 +26,18 @@ def continued_by_same_command(folder: Path, given: Path | None) -> Iterator[None
 
 
 @contextmanager
+def stopped_outside_trials() -> Iterator[None]:
+    """Says, where a tuning is stopped before its trials or after them, that no gains changed."""
+    try:
+        yield
+    except Stopped:
+        raise
+    except KeyboardInterrupt:
+        sentence = "no trial was running, so the rig's live gains are as they were"
+        raise KeyboardInterrupt(sentence) from None
+
+
+@contextmanager
 def continued_with_credentials(security: Path | None) -> Iterator[None]:
     """Adds the credentials file to the command that continues a run that is stopped."""
     try:

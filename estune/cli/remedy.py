@@ -102,7 +102,7 @@ def prove(
     style = "bold green" if proof.proven else "bold yellow"
     state = "PROVEN" if proof.proven else "NOT PROVEN"
     output.console().print(Text(f"{state}: {proof.sentence}", style=style), soft_wrap=True)
-    output.show_next({"patch": patch, "apply it": f"estune apply {patch} my-rig.toml"})
+    output.show_next({"patch": patch, "apply it": command_line("apply", patch, "my-rig.toml")})
     return 0 if proof.proven else 1
 
 

@@ -8,7 +8,7 @@ from rich.text import Text
 
 from estune.cli import output
 from estune.cli.options import NO_LIMITS, LimitOptions
-from estune.cli.values import Flag, Values, check_folder_exists, numbers_from
+from estune.cli.values import Flag, Values, check_folder_exists, command_line, numbers_from
 from estune.errors import InvalidInput
 
 if TYPE_CHECKING:
@@ -157,7 +157,7 @@ def _show(found: "Suggestion", report: Path | None, trial: Path | None) -> None:
     if report is not None:
         facts["report"] = report
     if trial is not None:
-        facts["next trial"] = f"estune run-experiment {trial} RIG"
+        facts["next trial"] = command_line("run-experiment", trial, "RIG")
     output.show_next(facts)
     for issue in found.issues:
         color = "red" if issue.level == "refused" else "yellow"

@@ -9,7 +9,7 @@ from pathlib import Path
 from rich.text import Text
 
 from estune.cli import output
-from estune.cli.values import Flag, check_folder_exists
+from estune.cli.values import Flag, check_folder_exists, command_line
 from estune.errors import EstuneError, InvalidInput
 from estune.run.loop import Stopped
 from estune.run.progress import duration
@@ -60,7 +60,7 @@ def sweep(
     if dry_run:
         _show_plan(expand_cells(read_design(design)))
         return
-    again = f"estune sweep {design}" + (f" --folder {folder}" if folder else "")
+    again = command_line("sweep", design, folder=folder)
     try:
         result = sweeping.sweep(
             design, folder=folder, jobs=jobs, dask=dask, watch=None if quiet else "auto"

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from estune import api
 from estune.cli import output
 from estune.cli.approval_prompt import terminal_approval
-from estune.cli.interruption import continued_with_credentials
+from estune.cli.interruption import continued_with_credentials, stopped_outside_trials
 from estune.cli.options import (
     NO_COST,
     NO_LIMITS,
@@ -106,7 +106,7 @@ def tune(
     """
     check_folder_exists("--report", report)
     credentials = security_from(security)
-    with continued_with_credentials(security):
+    with continued_with_credentials(security), stopped_outside_trials():
         result = api.tune(
             target,
             tuner=tuner,
@@ -160,7 +160,7 @@ def resume(
         ask = terminal_approval() if journal.fact("plan")["ask_first"] else None
     credentials = security_from(security)
     watch: Literal["auto"] | None = None if quiet else "auto"
-    with continued_with_credentials(security):
+    with continued_with_credentials(security), stopped_outside_trials():
         result = api.resume(
             path, where, security=credentials, patience_s=patience, watch=watch, ask=ask
         )
@@ -204,7 +204,7 @@ def finish(
         facts["report"] = command_line("report", result.folder)
     if (result.ending.is_tuned or result.plan.start_source) and is_endpoint(target):
         facts["make live"] = command_line("apply", result.folder, target, security=security)
-    facts["trials"] = f"estune export {result.folder} --csv"
+    facts["trials"] = command_line("export", result.folder, "--csv")
     output.show_next({**facts, **(more or {})})
     return result.ending.exit_code
 

@@ -1,6 +1,7 @@
 """Options that commands share, and values written as text: `P=0.1:10`, `cable_length_m=1.1`."""
 
 import ast
+import os
 import shlex
 from collections.abc import Iterable
 from pathlib import Path
@@ -74,13 +75,19 @@ def command_line(command: str, *words: object, **options: object) -> str:
 
 
 def check_folder_exists(option: str, path: Path | None) -> None:
-    """Refuses an output file whose folder does not exist.
+    """Refuses an output file whose folder does not exist, or that is a folder.
 
     Raises:
-        InvalidInput: there is no such folder.
+        InvalidInput: there is no such folder, or no file can be written there.
     """
-    if path is not None and not path.parent.is_dir():
+    if path is None:
+        return
+    if not path.parent.is_dir():
         raise InvalidInput(f"there is no folder {path.parent}; make it, or give another {option}")
+    if path.is_dir():
+        raise InvalidInput(f"{path} is a folder; give the name of a file in it to {option}")
+    if not os.access(path if path.exists() else path.parent, os.W_OK):
+        raise InvalidInput(f"{path} cannot be written; give another {option}")
 
 
 def numbers_from(texts: Iterable[str]) -> dict[str, float]:

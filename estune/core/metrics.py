@@ -41,15 +41,21 @@ class StepMetrics(NamedTuple):
             if there is none.
         steady_state_error: Final value less the mean over the last tenth of the samples after the
             step, in the unit of the measurement.
+        undershoot: Peak before the initial value, on the side away from the final one, as a
+            fraction of the step; zero where noise explains it.
+        iae: Integral of the absolute difference from the final value, from the step on, in the
+            unit of the measurement times s; noise included.
     """
 
     rise_time_s: float
     settling_time_s: float
     overshoot: float
     steady_state_error: float
+    undershoot: float
+    iae: float
 
 
-NO_METRICS = StepMetrics(math.nan, math.nan, math.nan, math.nan)
+NO_METRICS = StepMetrics(*(math.nan,) * 6)
 
 
 def step_metrics(
@@ -89,12 +95,15 @@ def step_metrics(
         before, z = shares[:first], shares[first:]
         if len(z) < 2 or not np.isfinite(shares).all():
             return NO_METRICS
-        noise_band = min(NOISE_SIGMAS * _deviation(before), WIDEST_NOISE_BAND)
+        noise = _deviation(before)
+        noise_band = min(NOISE_SIGMAS * noise, WIDEST_NOISE_BAND)
         return StepMetrics(
             rise_time_s=_rise_time(t, z),
             settling_time_s=_settling_time(t, z, max(band, noise_band)) - step_time_s,
-            overshoot=max(0.0, _peak(z, _deviation(before)) - 1.0),
+            overshoot=max(0.0, _peak(z, noise) - 1.0),
             steady_state_error=float(final - tail.sum() / len(tail)),
+            undershoot=_peak(1.0 - z, noise) - 1.0 if z.min() < -NOISE_SIGMAS * noise else 0.0,
+            iae=abs(span) * float(np.trapezoid(np.abs(1.0 - z), t)),
         )
 
 

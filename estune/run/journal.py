@@ -6,6 +6,7 @@ Every trial is committed before the next one is requested.
 import contextlib
 import json
 import math
+import shlex
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, NamedTuple, Self
@@ -116,7 +117,7 @@ class Journal:
         """
         exists = JournalError(
             f"{folder} holds a run already; "
-            f"choose another name, or continue it with: estune resume {folder}"
+            f"choose another name, or continue it with: estune resume {shlex.quote(str(folder))}"
         )
         if (folder / FILE_NAME).exists():
             raise exists

@@ -226,6 +226,7 @@ def robustness_cells(margins: PredictedMargins | None) -> Iterator[tuple[str, st
         yield from (("sensitivity Ms (records)", "-"), ("phase margin (records)", "-"))
         return
     Ms, angle = margins.sensitivity, margins.phase_margin_deg
-    yield "sensitivity Ms (records)", f"{Ms.value:.2f} ({Ms.low:.2f} to {Ms.high:.2f})"
+    low, value, high = (f"{at:.2f}" for at in (Ms.low, Ms.value, Ms.high))
+    yield "sensitivity Ms (records)", value + ("" if low == high else f" ({low} to {high})")
     low, value, high = (f"{at:.0f}" for at in (angle.low, angle.value, angle.high))
     yield "phase margin (records)", f"{value}°" + ("" if low == high else f" ({low} to {high})")

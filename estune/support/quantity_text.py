@@ -27,6 +27,22 @@ def with_unit(value: float, unit: str, digits: int) -> str:
     return f"{value:.{digits}g} {unit}".rstrip()
 
 
+def interval_text(value: float, ends: tuple[float, float], unit: str, digits: int) -> str:
+    """A value with its unit and interval, with more digits where the ends would look the same."""
+    for shown in range(digits, digits + 3):
+        low, high = (f"{end:.{shown}g}" for end in ends)
+        if low != high:
+            return f"{with_unit(value, unit, shown)} ({low} to {high})"
+    return with_unit(value, unit, digits)
+
+
+def change_text(before: str, after: str) -> str:
+    """Two quantities as text, with their unit once if it is the same: `193 → 30 ms`."""
+    value, space, unit = before.rpartition(" ")
+    is_shared = space and value and after.rpartition(" ")[2] == unit
+    return f"{value if is_shared else before} → {after}"
+
+
 def axis_label(name: str, unit: str) -> str:
     """A name with its unit, if it has one, as of an axis or a column."""
     return f"{name}, {unit}" if unit else name

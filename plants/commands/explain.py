@@ -1,5 +1,6 @@
 """`estune explain`: the effect that is missing from a model, identified from records."""
 
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -8,7 +9,7 @@ from rich.table import Table
 from rich.text import Text
 
 from estune.cli import output
-from estune.cli.values import Effects, Flag, Values, check_folder_exists
+from estune.cli.values import Effects, Flag, Values, check_folder_exists, command_line
 from estune.run.progress import showing_phases
 from plants.commands.columns import Sources, column_map
 
@@ -77,6 +78,10 @@ def explain(
             hold_out=hold_out,
             progress=progress,
         )
+    if json:  # before anything is written: a full disk must not cost the verdict
+        output.print_json(diagnosis.to_json())
+    else:
+        _show(diagnosis)
     if report is not None:
         diagnosis.report(report)
     if save is not None:
@@ -84,19 +89,16 @@ def explain(
     trial = None
     if next_ is not None and diagnosis.next_experiment is not None:
         trial = diagnosis.next_experiment.write(next_)
-    if json:
-        output.print_json(diagnosis.to_json())
-    else:
-        _show(diagnosis)
-        again = f"estune explain --model {model} --data {data}"
-        facts: dict[str, object] = {"report": report or f"{again} --report report.html"}
+    if not json:
+        again = partial(command_line, "explain", model=model, data=data)
+        facts: dict[str, object] = {"report": report or again(report="report.html")}
         if save is not None:
             facts["model"] = save
             if can_be_tuned(diagnosis.augmented):
-                facts["try it"] = f"estune tune {save}"
+                facts["try it"] = command_line("tune", save)
         if diagnosis.next_experiment is not None:
-            run = f"estune run-experiment {trial} RIG --data {data}"
-            facts["next trial"] = run if trial else f"{again} --next ."
+            run = command_line("run-experiment", trial, "RIG", data=data)
+            facts["next trial"] = run if trial else again(next=".")
         output.show_next(facts)
     return diagnosis.exit_code
 

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Literal
 from rich.text import Text
 
 from estune.cli import output
-from estune.cli.values import Flag, Values
+from estune.cli.values import Flag, Values, command_line
 from plants.commands.columns import Sources, column_map
 
 if TYPE_CHECKING:
@@ -77,7 +77,9 @@ def records(
         for sentence in sentences:
             _line("warning", f"{name}: {sentence}")
     if out is not None:
-        output.show_next({"records": out, "explain": f"estune explain --model MODEL --data {out}"})
+        output.show_next(
+            {"records": out, "explain": command_line("explain", model="MODEL", data=out)}
+        )
 
 
 def _show(previews: list["Preview"], sources: tuple["ColumnSource", ...]) -> None:

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from pathlib import Path
+from textwrap import fill
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -17,6 +18,10 @@ from estune.support.notebook_card import card
 if TYPE_CHECKING:
     from control import StateSpace
     from matplotlib.figure import Figure
+
+
+_TITLE_WIDTH = 100
+"""Characters of a line of the figure's title."""
 
 
 class TuneResult(RunResult):
@@ -49,7 +54,7 @@ class TuneResult(RunResult):
         self.plot_response(page.add_subplot(grid[0, :]))
         self.plot_cost(page.add_subplot(grid[1, 0]))
         self.plot_gains(page.add_subplot(grid[1, 1]))
-        page.suptitle(self.heading(), fontsize=10)
+        page.suptitle(fill(self.heading(), _TITLE_WIDTH), fontsize=10)
         return page
 
     def report(self, path: str | Path) -> Path:

@@ -22,7 +22,7 @@ from estune.run.journal import Journal, JournalEntry
 from estune.run.limit_verdict import LimitVerdict, measured_overshoot
 from estune.run.plan import Plan
 from estune.run.results import result_warnings
-from estune.run.results.summary import Performance, RunSummary
+from estune.run.results.summary import Performance, RunSummary, rise_text, share_text
 from estune.run.robustness import (
     IdentifiedLoop,
     claim_from,
@@ -33,6 +33,7 @@ from estune.run.robustness import (
 from estune.run.session import Phase, Session, is_safe
 from estune.run.start import left_out
 from estune.run.trial_quality import quality_remarks
+from estune.support.quantity_text import change_text
 from estune.trial import Outcome, RigDescription, TrialRecord
 from estune.trial.scoring import constraint_margin
 
@@ -200,8 +201,10 @@ class RunResult(OptimizeResult):  # type: ignore[misc]  # scipy ships no type in
         """The run in one line, its ending first."""
         if self.ending.is_tuned:
             start, cost = self.verdict.start_cost, self.verdict.cost
-            change = f"cost {start:.3g} → {cost:.3g}, {self.improvement}, {_robustness(self)}"
-        elif self.improvement is not None:
+            change = f"cost {start:.3g} → {cost:.3g}, {self.improvement}"
+            shown = ", ".join((*_response_changes(self.start, self.tuned), _robustness(self)))
+            return f"{self.ending.upper()}: {self.rig.name}, {shown}; {change}; {self.trials_text}"
+        if self.improvement is not None:
             change = f"cost {self.improvement}, keep the initial gains"
         else:
             change = "keep the initial gains"
@@ -317,6 +320,15 @@ def _start_remarks(result: RunResult) -> Iterator[str]:
     left = left_out(result.start_gains, space.names, result.plan.cost.settling_time_s)
     if left and space.form == "parallel":
         yield left
+
+
+def _response_changes(start: Performance, tuned: Performance | None) -> Iterator[str]:
+    """Rise time and overshoot of the initial and of the tuned gains."""
+    if tuned is not None and start.metrics is not None and tuned.metrics is not None:
+        before, after = start.metrics, tuned.metrics
+        yield f"rise {change_text(rise_text(before), rise_text(after))}"
+        overshoots = share_text(before.overshoot), share_text(after.overshoot)
+        yield f"overshoot {change_text(*overshoots)}"
 
 
 def _robustness(result: RunResult) -> str:

@@ -12,7 +12,7 @@ from estune.core.metrics import LoadMetrics, StepMetrics
 from estune.interop import Margins, margins
 from estune.run.plan import Plan
 from estune.run.session import Session
-from estune.support.quantity_text import time_text, with_unit
+from estune.support.quantity_text import interval_text, time_text, with_unit
 from estune.trial import RigDescription, TrialRecord
 from estune.trial.profiles import StepProfile
 from estune.trial.scoring import load_metrics_of, metrics_of
@@ -202,9 +202,7 @@ class Performance:
     def cells(self) -> dict[str, str]:
         """All values as text, by label."""
         cells = {
-            _GAIN_LABELS[name]: (
-                f"{with_unit(getattr(self.gains, name), unit, 4)}{self._interval(name)}"
-            )
+            _GAIN_LABELS[name]: self._gain(name, unit)
             for name, unit in self.rig.gain_units.items()
         }
         error = f" ± {self.cost_error:.1g}" if self.cost_error > 0.0 else ""
@@ -213,28 +211,42 @@ class Performance:
         load = _load_cells(self.load, self.rig)
         return {**cells, **dict(metrics), **dict(load), **dict(margin_cells(self.margins))}
 
-    def _interval(self, name: str) -> str:
-        """The interval of a gain, appended to its value."""
-        if name not in self.intervals:
-            return ""
-        low, high = self.intervals[name]
-        return f" ({low:.3g} to {high:.3g})"
+    def _gain(self, name: str, unit: str) -> str:
+        """A gain with its interval, if it has one."""
+        value = getattr(self.gains, name)
+        ends = self.intervals.get(name)
+        return with_unit(value, unit, 4) if ends is None else interval_text(value, ends, unit, 4)
 
 
+_SHARES = ("overshoot", "undershoot")
 _GAIN_LABELS = {"P": "P", "I": "I", "D": "D", "setpoint_filter_s": "setpoint filter"}
 
 
 def _metric_cells(metrics: StepMetrics | None, rig: RigDescription) -> Iterator[tuple[str, str]]:
     if metrics is None:
-        labels = ("rise time", "settling time (2 %)", "overshoot", "steady-state error")
+        labels = ("rise time", "settling time (2 %)", *_SHARES, "steady-state error", "IAE")
         yield from dict.fromkeys(labels, "-").items()
         return
-    rise_s, settling_s, overshoot, error = metrics
-    yield "rise time", time_text(rise_s) if math.isfinite(rise_s) else "not reached"
+    settling_s, error, iae = metrics.settling_time_s, metrics.steady_state_error, metrics.iae
+    yield "rise time", rise_text(metrics)
     settled = math.isfinite(settling_s)
     yield "settling time (2 %)", time_text(settling_s) if settled else "not settled"
-    yield "overshoot", f"{100.0 * overshoot:.3g} %" if math.isfinite(overshoot) else "-"
+    for label in _SHARES:
+        yield label, share_text(getattr(metrics, label))
     yield "steady-state error", rig.measured(error, 3) if math.isfinite(error) else "-"
+    unit = f"{rig.measurement_unit} s".strip()
+    yield "IAE", with_unit(iae, unit, 3) if math.isfinite(iae) else "-"
+
+
+def rise_text(metrics: StepMetrics) -> str:
+    """The rise time with its unit."""
+    rise_s = metrics.rise_time_s
+    return time_text(rise_s) if math.isfinite(rise_s) else "not reached"
+
+
+def share_text(share: float) -> str:
+    """A fraction of the step in per cent."""
+    return f"{100.0 * share:.3g} %" if math.isfinite(share) else "-"
 
 
 def _load_cells(load: LoadMetrics | None, rig: RigDescription) -> Iterator[tuple[str, str]]:
