@@ -20,9 +20,10 @@ from estune.daemon.rig_access import (
 from estune.daemon.store import RUNS, DaemonStore
 from estune.daemon.supervisor import RigSupervisor
 from estune.daemon.tuning_runs import TuningRuns
-from estune.errors import InvalidInput, JournalError, RigError
+from estune.errors import InvalidInput, JournalError, ProtocolError, RigError
 from estune.remote import zenoh
 from estune.remote.zenoh.network import Network
+from estune.remote.zenoh.request_handler import RequestHandler
 from estune.run import disk_space, loop
 from estune.run.journal import Journal
 from estune.run.planning import plan_from_json
@@ -168,27 +169,56 @@ def test_second_daemon_is_refused_with_the_holders_name(tmp_path):
         assert it.client.status("drum").mode == "holding"
 
 
-def test_shared_rig_is_left_to_its_holder_and_taken_over_with_its_gains(tmp_path):
-    def held(status):
-        return status.mode == "waiting" and "held by estune daemon" in status.trouble
+def _held(status) -> bool:
+    return status.mode == "waiting" and "held by estune daemon" in status.trouble
 
+
+def test_shared_rig_is_taken_over_with_its_gains_and_its_original_ones(tmp_path):
     with rig_served() as (rig, where):
         table = rig_table("drum", where, accept="auto")
         with daemon(tmp_path / "one", table, top="shared = true") as one:
             accepted = one.until_mode("watching").gains["accepted"]
             with daemon(tmp_path / "two", table, top="shared = true") as two:
-                two.until(held)
+                two.until(_held)
                 one.service.stop()
                 one.thread.join(WITHIN_S)
-                assert two.until(lambda s: "original" in s.gains).gains["original"] == accepted
+                taken = two.until(lambda s: "accepted" in s.gains)
+                assert taken.gains["original"] == ORIGINAL
+                first = next(
+                    row for row in two.client.history("drum").gains if row["name"] != "original"
+                )
+                assert (first["P"], "left it these" in first["why"]) == (accepted.P, True)
                 theirs = two.until_mode("watching").gains["accepted"]
                 with daemon(tmp_path / "one", table, top="shared = true") as again:
-                    again.until(held)
+                    again.until(_held)
                     two.service.stop()
                     two.thread.join(WITHIN_S)
                     taken = again.until(lambda status: "had the rig before" in status.why)
                     assert taken.gains["accepted"] == theirs == rig.describe().gains
         assert one.failed == two.failed == []
+
+
+@pytest.mark.parametrize("keeps", [True, False], ids=["kept", "not kept"])
+def test_daemon_that_never_met_the_other_reverts_to_the_true_original_gains(
+    keeps, tmp_path, monkeypatch
+):
+    if not keeps:  # a rig that does not know the field
+
+        def decode(verb, payload, known=RequestHandler._decode):
+            if b'"original"' in payload:
+                raise ProtocolError("SetGains message: original: Unexpected keyword argument")
+            return known(verb, payload)
+
+        monkeypatch.setattr(RequestHandler, "_decode", staticmethod(decode))
+    with rig_served() as (rig, where):
+        table = rig_table("drum", where, accept="auto")
+        with daemon(tmp_path / "one", table, top="shared = true") as one:
+            accepted = one.until_mode("watching").gains["accepted"]
+        with daemon(tmp_path / "two", table, top="shared = true") as two:
+            two.until(lambda status: bool(status.gains))
+            two.command("revert")
+            two.until(lambda status: status.live == "original")
+        assert rig.describe().gains == (ORIGINAL if keeps else accepted)
 
 
 def test_rigs_beyond_rigs_max_wait_for_a_place(tmp_path):

@@ -12,10 +12,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from estune.core.gains import Gains
 from estune.errors import InvalidInput, ProtocolError, RigError
 from estune.remote.ledger import NOTHING, FileLedger, MemoryLedger
 from estune.remote.state_machine.trials import TrialEvent, TrialState, after
 
+ORIGINAL, LIVE = Gains(0.1, 2.0, 0.003, 0.0), Gains(0.2, 3.0, 0.004, 0.01)
 SUBMIT, START, VOID = TrialEvent.SUBMIT, TrialEvent.START, TrialEvent.VOID
 
 
@@ -108,6 +110,7 @@ def test_entries_persist_over_a_restart(tmp_path):
     first.end("ended", b"frame")
     first.note("void", "d", VOID)
     first.latch("smoke")
+    first.keep_original(LIVE, ORIGINAL)
     first.close()
     second = open_ledger(tmp_path)
     assert states(second, "accepted", "running", "ended", "void", "other") == [
@@ -116,10 +119,12 @@ def test_entries_persist_over_a_restart(tmp_path):
     ]
     assert second.find("ended").frame == b"frame"
     assert (second.identity, second.latched) == (first.identity, "smoke")
+    assert (second.original_of(LIVE), second.original_of(ORIGINAL)) == (ORIGINAL, None)
     second.latch("")
+    second.keep_original(LIVE, None)
     second.close()
     third = open_ledger(tmp_path)
-    assert third.latched == ""
+    assert (third.latched, third.original_of(LIVE)) == ("", None)
     third.close()
 
 

@@ -178,6 +178,20 @@ class CommandTests:
         assert code() is ReplyCode.SAFE
         wire.send("clear", Clear())
 
+    def test_original_gains_are_kept_with_the_live_ones_or_refused(self, wire: WireClient) -> None:
+        original = wire.describe().rig.gains
+        live = replace(original, P=0.9 * original.P)
+        answer = wire.send("gains", SetGains(wire.lease, live, original))
+        if answer.verdict is ReplyCode.REFUSED:  # a rig without a place for them says so at once
+            assert answer.error == "ProtocolError"
+            assert wire.describe().rig.gains == original
+            return
+        description = wire.describe()
+        assert (description.rig.gains, description.original) == (live, original)
+        wire.send("gains", SetGains(wire.lease, original))
+        description = wire.describe()
+        assert (description.rig.gains, description.original) == (original, None)
+
     def test_command_on_a_foreign_key_is_not_executed(self, wire: WireClient) -> None:
         request = wire.trial()
         payload = messages.encode(Submit(wire.lease, request, digest(request)))

@@ -121,13 +121,25 @@ class RigAccess:
         """Instances of the daemons that have the rig, as far as they join its network."""
         return self._rig.daemons() if isinstance(self._rig, RemoteRig) else []
 
-    def apply(self, gains: Gains) -> None:
+    @property
+    def original(self) -> Gains | None:
+        """The rig's original gains, where daemons that share it have set the live ones."""
+        return self._rig.original if isinstance(self._rig, RemoteRig) else None
+
+    def apply(self, gains: Gains, original: Gains | None = None) -> None:
         """Makes gains the live ones, and reads them back.
+
+        Args:
+            gains: The gains.
+            original: The original gains, for another daemon that takes the rig over.
 
         Raises:
             RigError: the rig refuses them, or reports others.
         """
-        self._rig.apply(gains)
+        if isinstance(self._rig, RemoteRig):
+            self._rig.apply(gains, original)
+        else:
+            self._rig.apply(gains)
         live = self.describe().gains
         if live != gains:
             raise RigError(
@@ -221,42 +233,53 @@ def open_rig(
         return RigAccess(rig, holder, opened.pop_all(), void_trials, turn)
 
 
-def apply_nominal_gains(rig: SupervisedRig, access: RigAccess, home: GainSet) -> str:
+def apply_nominal_gains(
+    rig: SupervisedRig, access: RigAccess, home: GainSet, *, shared: bool
+) -> str:
     """Makes the nominal gains live; stores the rig's original gains the first time.
+
+    Args:
+        rig: Supervision of the rig.
+        access: Its connection.
+        home: Name of the nominal gains.
+        shared: Whether other daemons may take the rig over: it then keeps its original gains, and
+            gains that one of them has left are taken over as accepted ones.
 
     Returns:
         Why not, where an operator is needed; else empty.
     """
     description, store = access.acquire(), rig.store
-    fault = _identity_mismatch(rig, description)
-    if not fault and store.gains() and description.gains not in store.all_gain_sets():
-        if (fellow := store.fact("fellow")) and not store.fact("overrule"):
-            rig.inherit(description.gains, f"{fellow} had the rig before, and left it these")
-            home = rig.state.home
-        else:
-            fault = "" if store.fact("overrule") else _foreign_gains(description)
-    if fault:
+    if fault := _identity_mismatch(rig, description):
         return fault
+    left = access.original if shared else None
+    if not store.gains():
+        _back_up(rig, description, left)
+    if description.gains not in store.all_gain_sets() and not store.fact("overrule"):
+        fellow = store.fact("fellow") or (left and "another daemon")
+        if not fellow:
+            return _foreign_gains(description)
+        rig.inherit(description.gains, f"{fellow} had the rig before, and left it these")
+        home = rig.state.home
     with store.transaction():
         for fact in ("overrule", "fellow"):
             store.set_fact(fact, None)
-    if not store.gains():
-        _back_up(rig, description)
     gains = store.gains()[home]
     if description.gains != gains:
-        access.apply(gains)
+        access.apply(gains, store.gains()[GainSet.ORIGINAL] if shared else None)
         sentence = f"{home} gains are live: {rig.state.why}"
         rig.log_event(EventKind.GAINS, sentence, gains=str(gains))
     return ""
 
 
-def restore_nominal_gains(rig: SupervisedRig, access: RigAccess, home: Gains) -> str:
+def restore_nominal_gains(
+    rig: SupervisedRig, access: RigAccess, home: Gains, *, shared: bool
+) -> str:
     """Makes the nominal gains live again; why they are not, if they are not."""
     description, state = access.acquire(), rig.state
     if description.gains not in rig.store.all_gain_sets():
         return _foreign_gains(description)
     if description.gains != home:
-        access.apply(home)
+        access.apply(home, rig.store.gains()[GainSet.ORIGINAL] if shared else None)
         rig.log_event(EventKind.GAINS, f"{state.home} gains are live: {state.why}")
     rig.live = state.home
     return ""
@@ -274,11 +297,14 @@ def _identity_mismatch(rig: SupervisedRig, description: RigDescription) -> str:
     )
 
 
-def _back_up(rig: SupervisedRig, description: RigDescription) -> None:
-    gains = description.gains
+def _back_up(rig: SupervisedRig, description: RigDescription, left: Gains | None) -> None:
+    """Stores the gains the rig runs, or those it has kept for whoever takes it over."""
+    gains, why = description.gains, "the rig ran them when it was found"
+    if left is not None:
+        gains, why = left, "the rig ran them before another daemon set others"
     with rig.store.transaction():
         rig.store.set_fact("rig_facts", _identity(description))
-        rig.store.set_gains(GainSet.ORIGINAL, gains, "the rig ran them when it was found")
+        rig.store.set_gains(GainSet.ORIGINAL, gains, why)
     sentence = f"the rig's original gains are stored: {gains}"
     rig.log_event(EventKind.BACKED_UP, sentence, gains=str(gains))
 

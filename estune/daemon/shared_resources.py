@@ -26,3 +26,8 @@ class SharedResources(NamedTuple):
     admission: Admission
     fleet: DaemonServer | None
     stop_within_s: float
+
+    @property
+    def are_rigs_shared(self) -> bool:
+        """Whether other daemons have the same rigs in their files."""
+        return self.fleet is not None

@@ -134,7 +134,7 @@ class RigSupervisor:
 
     def _leave_to(self, holder: str) -> None:
         """Leaves the rig to another daemon: until that one leaves it, or for good."""
-        if self._shared.fleet is not None:
+        if self._shared.are_rigs_shared:
             self._rig.store.set_fact("fellow", holder)
             self._disconnect()
             sentence = f"held by {holder}; taken over when that daemon leaves it"
@@ -185,7 +185,7 @@ class RigSupervisor:
             self._rest(self._settings.look_every_s)
             return
         access = self._connect()
-        if self._shared.fleet is not None:
+        if self._shared.are_rigs_shared:
             others = [other for other in access.daemons() if other != self._shared.instance]
             if holder := access.other_daemon() or (others and f"daemon {others[0]}"):
                 raise HeldByOtherDaemon(holder)
@@ -206,7 +206,8 @@ class RigSupervisor:
     def _apply_nominal_gains(self) -> None:
         access, home = self._access or self._connect(), self._rig.state.home
         with self._shared.admission.connecting(self._settings.answer_within_s):
-            fault = rig_access.apply_nominal_gains(self._rig, access, home)
+            shared = self._shared.are_rigs_shared
+            fault = rig_access.apply_nominal_gains(self._rig, access, home, shared=shared)
         if self._shared.fleet is not None:
             self._shared.fleet.announce(self.name)
         home = self._rig.state.home  # also where another daemon left other gains
@@ -324,7 +325,8 @@ class RigSupervisor:
         if home is not None:
             try:
                 access = self._access or self._connect()
-                fault = rig_access.restore_nominal_gains(rig, access, home)
+                shared = self._shared.are_rigs_shared
+                fault = rig_access.restore_nominal_gains(rig, access, home, shared=shared)
             except EstuneError as error:
                 self._disconnect()
                 if time.monotonic() - self._stopping_since_s < self._shared.stop_within_s:

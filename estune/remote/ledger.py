@@ -3,11 +3,13 @@
 On a rig that moves, it is a file (`estune.support.sqlite`), so that an entry survives kill -9 and
 power loss. A trial is noted as accepted before its sender has a reply, as running before anything
 moves, and with its record once the live gains are restored. At the start of the rig, an accepted
-trial becomes never started and a running one interrupted. The emergency stop is noted as well.
+trial becomes never started and a running one interrupted. The emergency stop is noted as well, and
+the gains that ran before daemons that share the rig set others.
 
 Frames of the oldest trials are deleted first; their ids are remembered far longer.
 """
 
+import json
 import logging
 import secrets
 import threading
@@ -19,6 +21,7 @@ from functools import reduce
 from pathlib import Path
 from typing import NamedTuple
 
+from estune.core.gains import Gains
 from estune.errors import EstuneError, JournalError, RigError
 from estune.remote.state_machine.trials import TrialEvent, TrialState, after
 from estune.support.sqlite import FileKind, SqliteFile
@@ -77,19 +80,51 @@ NOTHING = LedgerEntry("", TrialState.UNKNOWN)
 """The entry of a trial that was never submitted."""
 
 
-class MemoryLedger:
-    """Ledger that lasts as long as its process: for simulated rigs.
+class _RigFacts:
+    """What a ledger holds of the rig itself, beside its trials."""
 
-    Attributes:
-        identity: Random identity, as durable as the ledger itself.
-        latched: Reason of the emergency stop; empty if there was none, or it was cleared.
-    """
+    def __init__(self, facts: dict[str, str]) -> None:
+        self._facts = facts
+
+    @property
+    def identity(self) -> str:
+        """Random identity, as durable as the ledger itself."""
+        return self._facts["identity"]
+
+    @property
+    def latched(self) -> str:
+        """Reason of the emergency stop; empty if there was none, or it was cleared."""
+        return self._facts["latched"]
+
+    def latch(self, reason: str) -> None:
+        """Notes an emergency stop, or with an empty reason its reset. Does not fail."""
+        self._set_fact("latched", reason)
+
+    def keep_original(self, live: Gains, original: Gains | None) -> None:
+        """Notes the gains that ran before those that are live now, if they are known.
+
+        Does not fail.
+        """
+        if original is not None or self._facts.get("original"):
+            noted = None if original is None else [live.as_tuple(), original.as_tuple()]
+            self._set_fact("original", json.dumps(noted))
+
+    def original_of(self, live: Gains) -> Gains | None:
+        """The gains that were noted when these became the live ones, if any were."""
+        noted = json.loads(self._facts.get("original") or "null")
+        return Gains(*noted[1]) if noted and live == Gains(*noted[0]) else None
+
+    def _set_fact(self, key: str, value: str) -> None:
+        self._facts[key] = value
+
+
+class MemoryLedger(_RigFacts):
+    """Ledger that lasts as long as its process: for simulated rigs."""
 
     def __init__(
         self, frames_max_bytes: int = MEMORY_MAX_BYTES, trials_max: int = TRIALS_MAX
     ) -> None:
-        self.identity = secrets.token_hex(8)
-        self.latched = ""
+        super().__init__({"identity": secrets.token_hex(8), "latched": ""})
         self._frames_max_bytes = frames_max_bytes
         self._trials_max = trials_max
         self._entries: OrderedDict[str, LedgerEntry] = OrderedDict()
@@ -127,10 +162,6 @@ class MemoryLedger:
             while self._frame_bytes > self._frames_max_bytes and len(self._framed) > 1:
                 self._drop_frame(self._framed[0])
 
-    def latch(self, reason: str) -> None:
-        """Notes an emergency stop, or with an empty reason its reset."""
-        self.latched = reason
-
     def close(self) -> None:
         """Does nothing."""
 
@@ -142,8 +173,8 @@ class MemoryLedger:
             self._entries[trial_id] = entry._replace(frame=None)
 
 
-class FileLedger:
-    """Ledger on disk, written by one process; attributes as in `MemoryLedger`."""
+class FileLedger(_RigFacts):
+    """Ledger on disk, written by one process."""
 
     def __init__(
         self,
@@ -174,12 +205,10 @@ class FileLedger:
                 SqliteFile.open_writer(path, LEDGER, prepare=lambda file: _prepare(file, rig))
             )
             self._reader = opened.enter_context(SqliteFile.open_reader(path, LEDGER))
-            facts = dict(self._file.rows("SELECT key, value FROM rig"))
+            super().__init__(dict(self._file.rows("SELECT key, value FROM rig")))
             self._frame_bytes = self._count()
             self._opened = opened.pop_all()
-        self.identity: str = facts["identity"]
-        self.latched: str = facts["latched"]
-        self._latch_written = True
+        self._unwritten_facts: set[str] = set()
 
     def find(self, trial_id: str) -> LedgerEntry:
         """Entry of a trial. Never waits for a write to the disk."""
@@ -224,17 +253,16 @@ class FileLedger:
             self._unwritten[trial_id] = self.find(trial_id).ended(outcome)
             self._try_to_write()
 
-    def latch(self, reason: str) -> None:
-        """Notes an emergency stop, or with an empty reason its reset."""
-        with self._writing:
-            self.latched = reason
-            self._latch_written = False
-            self._try_to_write()
-
     def close(self) -> None:
         """Releases the file."""
         with self._writing:
             self._opened.close()
+
+    def _set_fact(self, key: str, value: str) -> None:
+        with self._writing:
+            super()._set_fact(key, value)
+            self._unwritten_facts.add(key)
+            self._try_to_write()
 
     def _try_to_write(self) -> None:
         try:
@@ -249,14 +277,14 @@ class FileLedger:
                 with self._file.transaction():
                     for trial_id, entry in (*self._unwritten.items(), *entries):
                         self._write(trial_id, entry)
-                    if not self._latch_written:
-                        latch = "UPDATE rig SET value=? WHERE key='latched'"
-                        self._file.write(latch, self.latched)
+                    for key in self._unwritten_facts:
+                        change = "INSERT OR REPLACE INTO rig VALUES (?, ?)"
+                        self._file.write(change, key, self._facts[key])
             except BaseException:
                 self._frame_bytes = self._count()
                 raise
         self._unwritten.clear()
-        self._latch_written = True
+        self._unwritten_facts.clear()
 
     def _write(self, trial_id: str, entry: LedgerEntry) -> None:
         ((sequence,),) = self._file.rows(

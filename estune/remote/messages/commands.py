@@ -5,12 +5,13 @@ import struct
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from types import MappingProxyType
-from typing import Any, Literal, NamedTuple
+from typing import Annotated, Any, Literal, NamedTuple
 
 from estune.core.gains import Gains
 from estune.core.setting import stated
 from estune.remote.messages.codec import Message
 from estune.trial import Setpoint, TrialRequest
+from estune.trial.description import omitted_if
 
 
 def digest(request: TrialRequest) -> str:
@@ -100,10 +101,15 @@ class SetGains(Message):
     Attributes:
         lease: The client's lease.
         gains: The gains.
+        original: The gains that ran before any daemon that shares the rig set others. The rig
+            keeps them as long as `gains` are live, for the daemon that takes the rig over. One
+            that cannot refuses the command, as any with an unknown field, and is sent the gains
+            alone.
     """
 
     lease: str
     gains: Gains
+    original: Annotated[Gains | None, omitted_if(None)] = None
 
 
 @dataclass(frozen=True, slots=True)

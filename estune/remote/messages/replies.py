@@ -1,15 +1,17 @@
 """Replies of a rig that are not a record."""
 
 from dataclasses import dataclass
-from typing import ClassVar, Literal
+from typing import Annotated, ClassVar, Literal
 
 from estune import errors
+from estune.core.gains import Gains
 from estune.errors import EstuneError, RigError
 from estune.remote.messages.codec import ANSWER_MAX_BYTES, Message, decode
 from estune.remote.messages.keys import VERSION
 from estune.remote.state_machine.reply_codes import ReplyCode
 from estune.remote.state_machine.state import Mode
 from estune.trial import Feedback, RigDescription
+from estune.trial.description import omitted_if
 
 _ERRORS: dict[str, type[EstuneError]] = {
     name: kind
@@ -101,6 +103,9 @@ class Description(Message):
         instance: This start of it; part of the keys of its commands.
         ledger: Identity of its ledger; survives a restart if the ledger does.
         protocol: Protocol version.
+        original: The gains that ran before daemons that share the rig set others, as the
+            command said by which the live ones were set; absent if it said none, or if others
+            are live since.
     """
 
     __pydantic_config__: ClassVar = {
@@ -112,6 +117,7 @@ class Description(Message):
     instance: str
     ledger: str
     protocol: Literal[1] = VERSION
+    original: Annotated[Gains | None, omitted_if(None)] = None
 
 
 def refusal(error: EstuneError, trial_id: str = "") -> Answer:

@@ -37,7 +37,8 @@ gained nothing up to 80 kB and left files behind killed processes. Other encodin
 mutations, for want of a checksum; the frame of `estune.trial.record_frame` accepted none.
 """
 
-from estune.remote.zenoh.remote_rig import RemoteRig, connect, discover_rigs
+from estune.remote.zenoh.discovery import connect, discover_rigs
+from estune.remote.zenoh.remote_rig import RemoteRig
 from estune.remote.zenoh.rig_server import RigServer, serve
 from estune.remote.zenoh.setpoint_stream import SetpointStream
 

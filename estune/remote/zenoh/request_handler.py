@@ -222,6 +222,7 @@ class RequestHandler:
             self._executor.apply(command.gains)
         except EstuneError as error:
             return refusal(error)
+        self._ledger.keep_original(command.gains, command.original)
         return Answer(ReplyCode.ACCEPTED)
 
     def follow(self, command: commands.Follow) -> Answer | Following:
@@ -310,7 +311,9 @@ class RequestHandler:
 
     def describe(self) -> Description:
         """Properties of the rig; during a trial those before it."""
-        return Description(self._executor.describe(), self._instance, self._ledger.identity)
+        rig = self._executor.describe()
+        original = self._ledger.original_of(rig.gains)
+        return Description(rig, self._instance, self._ledger.identity, original=original)
 
     @property
     def is_showing(self) -> bool:
