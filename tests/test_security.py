@@ -25,6 +25,8 @@ from tests.test_bus import trial
 
 SOON_S = 1.0
 CONNECTIONS = 300
+# Promised in docs/how-to/security.md. A listener that waits 100 ms for each of the 300 needs 30 s.
+NEWCOMER_S = 2.0
 
 
 def secret(path: Path, text: str) -> None:
@@ -322,7 +324,7 @@ def test_idle_connections_keep_out_neither_a_newcomer_nor_a_stop(holders, what):
         assert time.monotonic() - began_s < 0.5
         with zenoh.connect(server.endpoint, security=anna) as newcomer:
             newcomer.estop("smoke again")
-        assert time.monotonic() - began_s < 0.5
+        assert time.monotonic() - began_s < NEWCOMER_S
 
 
 # --- the file ---

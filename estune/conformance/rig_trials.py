@@ -21,7 +21,7 @@ EFFORT_ERROR_MAX = 0.05
 
 
 class TrialTests:
-    """Tests of trials."""
+    """What a client may rely on between `submit` and the result."""
 
     def test_describe_is_constant_and_within_its_own_limits(self, wire: WireClient) -> None:
         about = wire.describe()

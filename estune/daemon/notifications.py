@@ -32,7 +32,7 @@ _log = logging.getLogger("estune.daemon")
 
 
 def log_event(event: Event) -> None:
-    """Writes an event to the log."""
+    """Logs an event at the level of its kind; the rig and the facts stand beside the sentence."""
     _log.log(
         _LEVELS.get(event.kind, logging.INFO),
         "%s",

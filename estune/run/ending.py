@@ -4,7 +4,7 @@ from enum import StrEnum
 
 
 class RunEnding(StrEnum):
-    """End of a run."""
+    """Why a run ended, as its first line and its exit code say it."""
 
     TUNED = "tuned"
     NO_IMPROVEMENT = "no significant improvement"

@@ -157,7 +157,7 @@ class Panel:
 
     @property
     def styles(self) -> Markup:
-        """Its styles."""
+        """The style sheets of all parts, one after the other."""
         return Markup("\n".join(self._texts(".css")))  # noqa: S704  files of the packages
 
     @property

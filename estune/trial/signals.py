@@ -46,7 +46,7 @@ class NamedSignals:
 
     @property
     def gain_units(self) -> dict[str, str]:
-        """Units of the gains, by name."""
+        """By name of the gain, for a controller from this measurement to this effort."""
         return gain_units(self.measurement_unit, self.command_unit)
 
     def gains_text(self, gains: Gains) -> str:

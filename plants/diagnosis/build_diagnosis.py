@@ -77,7 +77,7 @@ class EffectChoices(NamedTuple):
 
 
 class FittedModel(NamedTuple):
-    """A model fitted to records."""
+    """A candidate fit beside the fitter that can repeat it."""
 
     fitter: ModelFitter
     fit: CandidateFit

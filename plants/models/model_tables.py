@@ -27,7 +27,7 @@ Reader = Callable[[Any], Any]
 
 
 class ModelKind(NamedTuple):
-    """A kind of model."""
+    """How one table of a model file becomes a plant, and a plant that table."""
 
     table: str  # name of its table
     type: type[PlantModel]  # its class
@@ -61,7 +61,7 @@ def read_share(value: Any) -> float:
 
 
 def toml_lines(values: Mapping[str, Any]) -> Iterator[str]:
-    """Lines of TOML."""
+    """One `key = value` line each, in the order given."""
     for name, value in values.items():
         yield f"{name} = {_toml(value)}"
 

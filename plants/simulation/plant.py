@@ -19,7 +19,7 @@ SOFTWARE = f"estune {version('estune')}"
 
 
 class TrialSetpoint(NamedTuple):
-    """Setpoint and mode of a trial."""
+    """What a trial asks of the plant at each of its samples."""
 
     time_s: FloatArray  # time at each sample, shape (samples,)
     setpoint_N: FloatArray  # the setpoint, same shape

@@ -34,7 +34,7 @@ FAILED = unknown(
 
 
 class TrialRig(Protocol):
-    """A rig that runs trials."""
+    """The part of a rig that the check trials need."""
 
     def describe(self) -> RigDescription:
         """Its description."""
@@ -49,7 +49,7 @@ class RigUnderTest(TrialRig, Protocol):
     """A rig on the link."""
 
     def status(self) -> Status:
-        """Its status."""
+        """Asks the rig: mode, holder of the lease, live gains."""
         ...
 
 

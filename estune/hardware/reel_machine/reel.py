@@ -67,7 +67,7 @@ class ReelState:
             self.answer = Refused(f"it stopped before the trial began: {sentence}")
 
     def begin_take_up(self) -> None:
-        """Begins to take up the cable."""
+        """Winds slack cable from the next sample on; the guard forgets what it saw before."""
         self.phase = MotionPhase.TAKE_UP
         self.guard.restart()
 
