@@ -1,9 +1,15 @@
-"""Settings and options of all tests, and their distribution over processes."""
+"""Settings of all tests, their distribution over processes, commands run in a test's process."""
 
+import signal
 from pathlib import Path
 
+import pytest
 from hypothesis import settings
 from xdist.scheduler import LoadScopeScheduling
+
+import estune
+from estune.cli import run
+from tests.support_runs import ArithmeticRig
 
 WORKERS = 3
 """One more than the two cores CI has, as many tests wait for other processes."""
@@ -60,3 +66,37 @@ def pytest_xdist_make_scheduler(config, log):
 def pytest_collection_modifyitems(items):
     rank = {name: n for n, name in enumerate(LONGEST)}
     items.sort(key=lambda item: rank.get(item.path.stem, len(rank)))
+
+
+@pytest.fixture
+def here(monkeypatch, capsys):
+    """Runs a command in this process, and gives what it printed."""
+    monkeypatch.setattr(signal, "signal", lambda *_: None)
+
+    def succeed(*arguments):
+        assert run(list(map(str, arguments))) == 0
+        return capsys.readouterr().out
+
+    return succeed
+
+
+@pytest.fixture
+def arithmetic_run(tmp_path):
+    estune.tune(ArithmeticRig(), trials=1, repeats=1, folder=tmp_path, run="one", watch=None)
+    return tmp_path / "one"
+
+
+@pytest.fixture
+def refused(monkeypatch, capsys):
+    """Runs a command that is to be refused, and gives its exit code and its one line."""
+    monkeypatch.setattr(signal, "signal", lambda *_: None)
+    monkeypatch.syspath_prepend(Path(__file__).parents[1])
+
+    def refuse(*arguments):
+        code = run(list(map(str, arguments)))
+        said = capsys.readouterr()
+        assert said.err.count("\n") == 1, said.err
+        assert said.err.startswith("estune: ")
+        return code, said.err
+
+    return refuse

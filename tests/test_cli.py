@@ -1,31 +1,22 @@
-"""The command line, as its own processes: main paths, bad input, Ctrl-C."""
+"""The command line, as its own processes: main paths, help, Ctrl-C."""
 
 import contextlib
 import json
 import os
 import re
-import shutil
 import signal
-import sqlite3
 import subprocess
 import sys
 from collections.abc import Iterator
 from importlib.metadata import version
 from pathlib import Path
-from types import SimpleNamespace
 
 import pytest
 
 import estune
-from estune.cli import Interrupts, app, run
-from estune.cli.approval_prompt import terminal_approval
-from estune.errors import RigError
+from estune.cli import app, run
 from estune.hardware import read_config
-from estune.run.journal import FILE_NAME, Journal
-from estune.run.loop import ApprovalRequest
-from estune.trial import TrialRequest
-from estune.tuners import TUNERS, CostPrediction
-from tests.support_runs import START, ArithmeticRig
+from estune.tuners import TUNERS
 
 COMMAND = [sys.executable, "-m", "estune"]
 COMMANDS = {
@@ -44,6 +35,7 @@ COMMANDS = {
     ),
     *("discover", "doctor", "estop", "clear", "daemon", "daemon-control"),
 }
+REEL = "plants:reference_reel"
 HERE = Path(__file__).parent.parent
 HEAVY = {
     "casadi",
@@ -314,207 +306,3 @@ def test_demo_tunes_a_reel_in_another_process_and_ends_it(tmp_path):
     endpoint = re.search(r"tcp/\S+", done.stdout)[0]
     assert "figure.png" in done.stdout
     call("discover", endpoint, code=4)
-
-
-@pytest.fixture
-def here(monkeypatch, capsys):
-    """Runs a command in this process, and gives what it printed."""
-    monkeypatch.setattr(signal, "signal", lambda *_: None)
-
-    def succeed(*arguments):
-        assert run(list(map(str, arguments))) == 0
-        return capsys.readouterr().out
-
-    return succeed
-
-
-@pytest.fixture
-def arithmetic_run(tmp_path):
-    estune.tune(ArithmeticRig(), trials=1, repeats=1, folder=tmp_path, run="one", watch=None)
-    return tmp_path / "one"
-
-
-@pytest.fixture
-def refused(monkeypatch, capsys):
-    """Runs a command that is to be refused, and gives its exit code and its one line."""
-    monkeypatch.setattr(signal, "signal", lambda *_: None)
-    monkeypatch.syspath_prepend(HERE)
-
-    def refuse(*arguments):
-        code = run(list(map(str, arguments)))
-        said = capsys.readouterr()
-        assert said.err.count("\n") == 1, said.err
-        assert said.err.startswith("estune: ")
-        return code, said.err
-
-    return refuse
-
-
-REEL = "plants:reference_reel"
-QUIET = ("--quiet", "--folder")
-
-
-@pytest.mark.parametrize(
-    ("arguments", "says"),
-    [
-        (("--start", "P=-1"), "gain P is -1.0; it must be finite and above zero"),
-        (("--start", "P=0"), "above zero"),
-        (("--start", "I=nan"), "gain I is nan"),
-        (("--start", "D=inf"), "gain D is inf"),
-        (("--start", "Q=1"), "there is no gain Q; the gains are P, I, D"),
-        (("--start", "P"), "not of the form NAME=VALUE"),
-        (("--bounds", "P=10:1"), "P: lower bound 10 is not below upper bound 1"),
-        (("--bounds", "P=1"), "write P=LOW:HIGH"),
-        (("--bounds", "P=a:b"), "'a' is not a number"),
-        (("--settling-time-s", 100), "settling time"),
-        (("--step-N", 0), "step_N: Input should not be zero"),
-        (("--preload-N", 500), "outside the rig's range"),
-        (("--trials", 0), "trials is 0; it must be finite and 1 or more"),
-        (("--eta-max", "nan"), "eta_max is nan"),
-        (("--run", "a/b"), "run name 'a/b'"),
-        (("--tuner", "magic"), "the tuners are model_based, "),
-        (("--tolerance", "little"), "tolerance: 'little' is not a number"),
-        (("--tolerance", "200%"), "tolerance is 2.0; it must be finite and from 0 to below 1"),
-        (("--ask",), "needs a terminal for its prompt"),
-        (("--trails", 3), "Did you mean --trials?"),
-    ],
-)
-def test_tune_refuses_bad_value_with_code_2_and_leaves_no_run(refused, arguments, says, tmp_path):
-    code, said = refused("tune", REEL, *arguments, *QUIET, tmp_path)
-    assert code == 2
-    assert says in said
-    assert not list(tmp_path.glob(f"*/{FILE_NAME}"))
-
-
-@pytest.mark.parametrize(
-    ("target", "code", "says"),
-    [
-        ("nowhere:thing", 2, "there is no module 'nowhere'"),
-        ("plants:nothing", 2, "plants has no 'nothing'"),
-        ("reel", 2, "neither an endpoint"),
-        ("tests.support_targets:unstable", 6, "unsafe on this rig"),
-        ("tests.support_targets:diverging", 6, "unsafe on this rig"),
-        ("tests.support_targets:misshapen", 3, "measurement"),
-        ("tests.support_targets:short", 4, "30 samples"),
-        ("tcp/127.0.0.1:9", 4, "estune serve --listen tcp/127.0.0.1:9"),
-    ],
-)
-def test_tune_reports_unusable_target_in_one_line_with_its_code(
-    refused, target, code, says, tmp_path
-):
-    found, said = refused("tune", target, *QUIET, tmp_path)
-    assert found == code
-    assert says in said
-
-
-def test_missing_locked_newer_or_torn_run_exits_with_code_5(refused, arithmetic_run):
-    assert refused("show", "nothing", "--folder", arithmetic_run.parent)[0] == 5
-    with Journal.open(arithmetic_run, write=True):
-        code, said = refused("resume", arithmetic_run)
-        assert (code, "another process" in said) == (5, True)
-    with contextlib.closing(sqlite3.connect(arithmetic_run / FILE_NAME)) as connection:
-        connection.execute("PRAGMA user_version=99")
-    code, said = refused("show", arithmetic_run)
-    assert (code, "version 99" in said) == (5, True)
-    (arithmetic_run / FILE_NAME).write_bytes(b"torn" * 100)
-    for command in ("show", "resume"):
-        code, said = refused(command, arithmetic_run)
-        assert (code, "damaged" in said) == (5, True)
-
-
-def test_damaged_record_exits_with_code_5_and_names_the_trial(refused, arithmetic_run):
-    with contextlib.closing(sqlite3.connect(arithmetic_run / FILE_NAME)) as connection:
-        connection.execute("UPDATE record SET frame = substr(frame, 1, 100) WHERE number = 0")
-        connection.commit()
-    code, said = refused("show", arithmetic_run)
-    assert (code, "record of trial one-00000 is damaged" in said) == (5, True)
-
-
-@pytest.mark.parametrize(
-    ("said", "answer"), [("y", "yes"), (" No ", "no"), ("maybe", None), ("always", "always")]
-)
-def test_terminal_approval_prompts_until_answered(monkeypatch, capsys, said, answer):
-    lines = iter([said])
-
-    def type_in(_prompt):
-        try:
-            return next(lines)
-        except StopIteration:
-            raise EOFError from None
-
-    monkeypatch.setattr(sys, "stdin", SimpleNamespace(isatty=lambda: True))
-    monkeypatch.setattr("builtins.input", type_in)
-    request = TrialRequest("run", 7, START, ArithmeticRig().description.step)
-    question = ApprovalRequest(request, CostPrediction(1.5, 1.25, 2.0, explored=False), 3.0)
-    if answer is None:  # the answer makes no sense, and nobody is there to give another
-        with pytest.raises(KeyboardInterrupt):
-            terminal_approval()(question)
-    else:
-        assert terminal_approval()(question) == answer
-    shown = capsys.readouterr().out
-    for what in ("trial 7", str(START), "1.5 (1.25 to 2)", "unsafe above 3"):
-        assert what in shown
-
-
-def test_second_ctrl_c_does_not_cut_off_the_wait_for_the_rig(capsys):
-    interrupts = Interrupts()
-    with pytest.raises(KeyboardInterrupt):
-        interrupts(signal.SIGINT, None)
-    interrupts(signal.SIGINT, None)
-    assert "waiting for the rig to confirm its gains" in capsys.readouterr().err
-    with pytest.raises(KeyboardInterrupt):
-        interrupts(signal.SIGINT, None)
-
-
-def test_rig_lost_during_stop_is_not_reported_as_confirmed(monkeypatch, capsys, tmp_path):
-    handlers = {}
-    monkeypatch.setattr(signal, "signal", handlers.__setitem__)
-
-    class Lost(ArithmeticRig):
-        def run(self, _request):
-            return handlers[signal.SIGINT](signal.SIGINT, None)
-
-        def abort(self):
-            raise RigError("the rig is gone")
-
-    monkeypatch.setattr("estune.run.targets.load", lambda _: Lost())
-    assert run(["tune", REEL, *QUIET, str(tmp_path)]) == 130
-    said = capsys.readouterr().err
-    assert "stopped, but the live gains are not confirmed; check the rig: the rig is gone" in said
-    assert said.count("\n") == 1
-
-
-def test_list_shows_the_newest_run_first(arithmetic_run, here, tmp_path):
-    for name, begun in (("b", "2026-03-02"), ("a", "2026-01-05"), ("c", "2026-02-01")):
-        shutil.copytree(arithmetic_run, tmp_path / "many" / name)
-        with Journal.open(tmp_path / "many" / name, write=True) as journal:
-            journal.note(created_at=f"{begun}T12:00:00+00:00")
-    listed = json.loads(here("list", "--folder", tmp_path / "many", "--json"))
-    assert [row["run"] for row in listed] == ["b", "c", "a"]
-
-
-def test_list_shows_other_runs_beside_an_unreadable_one(arithmetic_run, here):
-    torn = arithmetic_run.parent / "torn"
-    torn.mkdir()
-    (torn / FILE_NAME).write_bytes(b"torn" * 100)
-    listed = json.loads(here("list", "--folder", arithmetic_run.parent, "--json"))
-    states = {row["run"]: row["state"] for row in listed}
-    assert states["one"] == str(estune.load(arithmetic_run).ending)
-    assert states["torn"].startswith("unreadable: ")
-
-
-def test_apply_refuses_another_rig_unless_named(refused, here, arithmetic_run):
-    code, said = refused("apply", arithmetic_run, REEL)
-    assert code == 4
-    assert "--rig simulated-reel" in said
-    said = here("apply", arithmetic_run, REEL, "--rig", "simulated-reel", "--backoff", "25%")
-    assert "confirms" in said
-    assert "any gain margin is 1.33 times as large" in said
-
-
-def test_programming_error_keeps_its_traceback(monkeypatch, tmp_path):
-    monkeypatch.setattr(signal, "signal", lambda *_: None)
-    monkeypatch.setattr("estune.api.load", lambda _: 1 / 0)
-    (tmp_path / FILE_NAME).write_bytes(b"")
-    with pytest.raises(ZeroDivisionError):
-        run(["show", str(tmp_path)])
