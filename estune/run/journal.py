@@ -84,12 +84,13 @@ class JournalEntry(NamedTuple):
 
 
 class CompletedTrial(NamedTuple):
-    """A trial to be committed."""
+    """A trial to be committed; the reason is its outcome in words, or why it has no cost."""
 
     request: TrialRequest
     record: TrialRecord
     cost: float
     margin: float
+    reason: str = ""
 
 
 RECORDS_LEAST = 1000
@@ -178,7 +179,7 @@ class Journal:
                 self._file.write(
                     "UPDATE trial SET outcome=?, reason=?, cost=?, margin=?, told_at=?"
                     " WHERE number=? AND attempt=?",
-                    *(record.outcome.value, record.reason, finished.cost, finished.margin, now),
+                    *(record.outcome.value, finished.reason, finished.cost, finished.margin, now),
                     *place,
                 )
                 self._file.write("INSERT INTO record VALUES (?, ?, ?)", *place, frame)

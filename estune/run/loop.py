@@ -1,5 +1,6 @@
 """The loop of a tuning run: request, trial, cost, commit, next state."""
 
+import math
 import shlex
 from collections import deque
 from collections.abc import Callable, Iterable
@@ -32,7 +33,7 @@ from estune.support.blas import one_blas_thread
 from estune.trial import Outcome, Rig, RigDescription, TrialRecord, TrialRequest, empty_record
 from estune.trial.controller_fit import fitted_form
 from estune.trial.loop_records import loop_signals
-from estune.trial.scoring import constraint_margin, cost_of
+from estune.trial.scoring import constraint_margin, cost_of, unscored
 from estune.tuners.interface import CostPrediction, RecordUsingTuner
 
 CONSECUTIVE_VOID_MAX = 10
@@ -196,8 +197,9 @@ def session_after(tuning: TuningRun, entry: JournalEntry, journal: Journal) -> S
     if tuning.plan.needs_records:
         record = journal.record(entry.trial_id)
         margin = constraint_margin(record, tuning.description)
-        return _advanced(tuning, record, entry.cost, margin)
-    return after_trial(tuning.session, entry.outcome, entry.cost, entry.margin)
+        return _advanced(tuning, record, entry.cost, margin, entry.reason)
+    told = entry.outcome, entry.cost, entry.margin
+    return after_trial(tuning.session, *told, reason=entry.reason)
 
 
 @one_blas_thread()
@@ -324,14 +326,15 @@ def _record_trial(
     plan, before = tuning.plan, tuning.session
     cost = cost_of(record, plan.step, plan.cost, tuning.description.newtons_per_ampere)
     phase = before.phase or Phase.CONFIRM
+    reason = record.reason or (unscored(record, plan.step) if math.isnan(cost) else "")
     margin = constraint_margin(record, tuning.description)
     entry = JournalEntry(
         *(request.number, request.attempt, request.trial_id, phase, request.gains.as_tuple()),
-        *(record.outcome, record.reason, cost, margin),
+        *(record.outcome, reason, cost, margin),
     )
-    tuning.session = _advanced(tuning, record, cost, margin)
+    tuning.session = _advanced(tuning, record, cost, margin, reason)
     following = next_request(tuning.session)
-    _commit(tuning, CompletedTrial(request, record, cost, margin), following)
+    _commit(tuning, CompletedTrial(request, record, cost, margin, reason), following)
     tuning.entries.append(entry)
     keep_record(tuning, entry, record)
     if tuning.journal is not None:
@@ -342,7 +345,9 @@ def _record_trial(
     return following
 
 
-def _advanced(tuning: TuningRun, record: TrialRecord, cost: float, margin: float) -> Session:
+def _advanced(
+    tuning: TuningRun, record: TrialRecord, cost: float, margin: float, reason: str
+) -> Session:
     """The session after a trial."""
     if not tuning.session.baseline:
         adopt_form(tuning, record)
@@ -351,7 +356,7 @@ def _advanced(tuning: TuningRun, record: TrialRecord, cost: float, margin: float
     first = not before.baseline
     needed = (plan.uses_records and learning) or (plan.start_source and first)
     signals = loop_signals(record, plan.step, rig).record if needed else None
-    session = after_trial(before, record.outcome, cost, margin, signals)
+    session = after_trial(before, record.outcome, cost, margin, signals, reason=reason)
     if plan.start_source and signals is not None and first and session.baseline:
         settling_time_s = plan.cost.settling_time_s
         fault = first_record_fault(signals, plan.start, rig.controller, settling_time_s)

@@ -187,18 +187,20 @@ def after_trial(
     cost: float,
     margin: float = math.inf,
     record: LoopRecord | None = None,
+    *,
+    reason: str = "",
 ) -> Session:
     """The session after the trial that `next_request` returned.
 
     The cost is ignored unless the trial is done; `margin` is its `constraint_margin`, `record`
-    its signals if the plan uses them.
+    its signals if the plan uses them, `reason` its ending in words.
     """
     if outcome.is_void:
         return replace(session, attempt=session.attempt + 1)
     phase, censored = session.phase, is_censored(session, outcome, cost)
     changed: dict[str, Any]
     if phase is Phase.BASELINE and censored:
-        changed = {"failure": _unsafe_start(session, outcome, cost)}
+        changed = {"failure": _unsafe_start(session, outcome, cost, reason)}
     elif phase is Phase.BASELINE:
         changed = {"baseline": (*session.baseline, cost)}
         if isinstance(session.plan.tuner, RecordUsingTuner):
@@ -301,9 +303,11 @@ def _extended(repeats: InterleavedRepeats, plan: Plan) -> InterleavedRepeats:
     return repeats._replace(rounds=repeats.rounds + 1)
 
 
-def _unsafe_start(session: Session, outcome: Outcome, cost: float) -> str:
+def _unsafe_start(session: Session, outcome: Outcome, cost: float, reason: str) -> str:
     if outcome is not Outcome.DONE:
         what = outcome.sentence
+    elif reason:
+        what = reason
     elif cost > session.eta_max:
         what = f"cost {cost:.3g} is over eta_max = {session.eta_max:.3g}"
     else:

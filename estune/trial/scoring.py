@@ -1,6 +1,7 @@
 """Cost, constraint margin and step metrics of a trial record."""
 
 import math
+from itertools import pairwise
 
 import numpy as np
 
@@ -12,6 +13,7 @@ from estune.core.metrics import (
     load_metrics,
     step_metrics,
 )
+from estune.core.oscillation import growing_oscillation
 from estune.core.quantities import FloatArray
 from estune.errors import RigError
 from estune.trial.description import RigDescription
@@ -25,13 +27,13 @@ def cost_of(
     """The cost of one step trial: eta of (35), with its options.
 
     Returns:
-        The cost; NaN unless the trial is done and its values are finite.
+        The cost; NaN unless the trial is done, its values are finite and no oscillation grows.
 
     Raises:
         InvalidInput: the settling time is longer than the record after the step.
         RigError: the trial is reported done with another number of samples than requested.
     """
-    if not _is_complete(record, step):
+    if not _is_complete(record, step) or growing_oscillation_Hz(record, step) is not None:
         return math.nan
     eta = cost.evaluate(
         record.sampling_Hz,
@@ -41,6 +43,30 @@ def cost_of(
         record.current_A * newtons_per_ampere,
     )
     return float(eta) if np.isfinite(eta) else math.nan
+
+
+def growing_oscillation_Hz(record: TrialRecord, step: StepProfile) -> float | None:
+    """Frequency of an oscillation that grows after the step or after the load; None without one.
+
+    In a longer trial it would grow further, so that no cost of the trial says what the gains cost.
+    """
+    shape = step.shape(record.sampling_Hz)
+    begins = [shape.sample + shape.ramp - 1, *([shape.load.sample] if shape.load else [])]
+    for first, end in pairwise([*begins, record.tension_N.size]):
+        frequency = growing_oscillation(record.tension_N[first:end])
+        if frequency is not None:
+            return frequency * record.sampling_Hz
+    return None
+
+
+def unscored(record: TrialRecord, step: StepProfile) -> str:
+    """Why a trial that was done has no cost; empty where nothing is known."""
+    if not _is_complete(record, step):
+        return ""
+    frequency_Hz = growing_oscillation_Hz(record, step)
+    if frequency_Hz is None:
+        return ""
+    return f"its response oscillates at {frequency_Hz:.3g} Hz with a growing amplitude"
 
 
 def constraint_margin(record: TrialRecord, rig: RigDescription) -> float:

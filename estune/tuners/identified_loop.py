@@ -160,8 +160,8 @@ class IdentifiedLoopTuner:
             best_point=fallback.best_point,
             best_cost=fallback.best_cost,
         )
-        if not observation.censored and observation.record is not None and self.trial is not None:
-            state = self._learn(state, point, log_cost(observation), observation.record)
+        if observation.record is not None and self.trial is not None:
+            state = self._learn(state, point, observation, observation.record)
         recent = [abs(error) for error in state.errors[-3:]]
         failed = len(recent) == 3 and float(np.median(recent)) > PREDICTION_FAILED  # not with NaN
         if state.fit is None or state.best_cost is None or failed:
@@ -239,12 +239,16 @@ class IdentifiedLoopTuner:
         return next(filter(is_stable, points), points[-1])
 
     def _learn(
-        self, state: IdentifiedLoopState, point: Point, cost: float, record: LoopRecord
+        self,
+        state: IdentifiedLoopState,
+        point: Point,
+        observation: Observation,
+        record: LoopRecord,
     ) -> IdentifiedLoopState:
-        """The state with the model fitted to one more record."""
+        """The state with the model fitted to one more record, of an unsafe trial too."""
         assert self.trial is not None  # noqa: S101  checked by the caller
         x, last = self.space.coordinates(point), state.fit
-        error = cost - _log_cost(self._at(state, last, x)) if last else math.nan
+        predicted = _log_cost(self._at(state, last, x)) if last else math.nan
         records = (*state.records, record)[-self.memory :]
         fit = fit_loop(
             records,
@@ -252,15 +256,17 @@ class IdentifiedLoopTuner:
             self.trial.cost.settling_time_s,
             last,
         )
-        state = state._replace(
-            records=records,
-            points=(*state.points, x),
-            costs=(*state.costs, cost),
-            overshoots=(*state.overshoots, _overshoot(record, self.trial)),
-            errors=(*state.errors, error),
-            fit=fit,
-            surface=None,
-        )
+        state = state._replace(records=records, fit=fit, surface=None)
+        if not observation.censored:
+            cost = log_cost(observation)
+            state = state._replace(
+                points=(*state.points, x),
+                costs=(*state.costs, cost),
+                overshoots=(*state.overshoots, _overshoot(record, self.trial)),
+                errors=(*state.errors, cost - predicted),
+            )
+        if not state.points:
+            return state
         state = state._replace(surface=self._surface(state, fit))
         # The least measured cost may be luck, and would hold the search back where little changes.
         recent = {one: self._at(state, fit, one) for one in state.points[-self.memory :]}

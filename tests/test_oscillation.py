@@ -1,0 +1,125 @@
+"""An oscillation that grows, however slowly, makes a trial unsafe."""
+
+import control
+import numpy as np
+import pytest
+
+import estune
+import plants
+from estune.core.gains import Gains
+from estune.core.oscillation import growing_oscillation
+from estune.errors import UnsafeStart
+from estune.interop import margins
+from estune.trial import TrialRequest
+from estune.trial.profiles import StepProfile
+from estune.trial.scoring import growing_oscillation_Hz
+from plants.effects import CoulombFriction, TorqueRipple
+from tests.support_binomial import least_hits
+
+
+def decaying(growth, noise, *, frequency=8.0, drift=0.0):
+    """A response with an oscillation whose amplitude changes by exp(growth)."""
+    t = np.linspace(0.0, 1.0, 500)
+    swing = 0.1 * np.exp(growth * t) * np.sin(2.0 * np.pi * frequency * t)
+    error = np.random.default_rng(1).normal(0.0, noise, t.size)
+    return 1.0 - np.exp(-10.0 * t) + swing + drift * t + error
+
+
+@pytest.mark.parametrize("drift", [0.0, 0.5])
+@pytest.mark.parametrize("frequency", [3.0, 8.0, 40.0])
+def test_amplitude_that_grows_is_told_from_one_that_does_not(frequency, drift):
+    swing = {"frequency": frequency, "drift": drift}
+    found = growing_oscillation(decaying(0.3, 0.003, **swing))
+    assert found == pytest.approx(frequency / 499.0, rel=0.02)
+    for growth in (-0.1, -0.3):
+        assert growing_oscillation(decaying(growth, 0.003, **swing)) is None
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.003, 0.03])
+def test_response_without_an_oscillation_has_none_that_grows(noise):
+    rng = np.random.default_rng(2)
+    settled = 1.0 - np.exp(-np.linspace(0.0, 30.0, 300))
+    found = [growing_oscillation(settled + rng.normal(0.0, noise, 300)) for _ in range(100)]
+    assert not any(found)
+    assert growing_oscillation(np.ones(300)) is None
+    assert growing_oscillation(np.array([1.0, np.nan])) is None
+
+
+def random_loop(rng, *, mode):
+    """A plant of lags, or of one lag in series with a lightly damped mode."""
+    transfer = control.tf([1.0], [1.0])
+    for lag in [rng.uniform(0.02, 0.2)] if mode else rng.uniform(0.01, 0.2, rng.integers(2, 5)):
+        transfer *= control.tf([1.0], [float(lag), 1.0])
+    if mode:
+        w, damping = 2.0 * np.pi * rng.uniform(5.0, 25.0), rng.uniform(0.005, 0.05)
+        transfer *= control.tf([w * w], [1.0, 2.0 * damping * w, w * w])
+    return plants.linear_plant(
+        transfer,
+        dead_time_s=float(rng.choice([0.0, 0.01, 0.05])),
+        sampling_Hz=float(rng.choice([200.0, 632.0])),
+        gains=Gains(0.1, 3.0, 0.001, 0.02),
+        noise_rms_N=float(rng.choice([0.0, 0.003, 0.03])),
+        profile=StepProfile(0.0, 1.0, 0.2, 1.4),
+        settling_time_s=0.3,
+    )
+
+
+@pytest.mark.parametrize("plants_drawn", [30, pytest.param(300, marks=pytest.mark.nightly)])
+def test_unstable_random_loops_are_named_and_no_stable_ones(plants_drawn):
+    rng, centre = np.random.default_rng(1), np.array([-0.7, 1.5, -5.0, -3.5])
+    named = {True: [], False: []}
+    for number in range(plants_drawn):
+        rig = random_loop(rng, mode=bool(number % 2)).rig(seed=number)
+        about = rig.describe()
+        for trial in range(3):
+            gains = Gains(*np.exp(rng.normal(centre, [1.0, 1.0, 1.2, 0.7])).tolist())
+            record = rig.run(TrialRequest("loop", trial, gains, about.step))
+            if not np.isfinite(record.tension_N).all():
+                continue
+            stable = margins(about.linear_model, gains, about.controller).stable
+            named[stable].append(growing_oscillation_Hz(record, about.step) is not None)
+    assert not any(named[True])
+    assert sum(named[False]) >= least_hits(len(named[False]), 0.8)
+
+
+@pytest.mark.parametrize("effect", [CoulombFriction(0.05), TorqueRipple()])
+def test_reel_with_effects_has_no_oscillation_that_grows(effect):
+    rig = (plants.reference_reel(0.8) + effect).rig(seed=5)
+    step = rig.describe().step
+    for trial, P in enumerate((0.3, 0.6, 1.0)):
+        record = rig.run(TrialRequest("reel", trial, Gains(P, 30.0 * P, 0.017 * P, 0.002), step))
+        assert growing_oscillation_Hz(record, step) is None
+
+
+def slowly_unstable():
+    """A lag and a mode; at the initial gains an oscillation grows, at a low cost."""
+    w = 2.0 * np.pi * 12.0
+    mode = control.tf([w * w], [1.0, 2.0 * 0.02 * w, w * w])
+    return plants.linear_plant(
+        control.tf([1.0], [0.05, 1.0]) * mode,
+        sampling_Hz=632.0,
+        gains=Gains(0.1, 3.0, 0.001, 0.02),
+        noise_rms_N=0.003,
+        profile=StepProfile(0.0, 1.0, 0.2, 1.4),
+        settling_time_s=0.3,
+    )
+
+
+def test_start_whose_oscillation_grows_is_unsafe_and_says_so():
+    start = Gains(0.2, 3.4, 0.0015, 0.02)
+    with pytest.raises(UnsafeStart, match=r"oscillates at 1\d\.?\d* Hz with a growing amplitude"):
+        estune.tune(slowly_unstable(), start=start, journal=False, watch=None)
+
+
+def test_trials_that_are_truly_unstable_are_counted_as_unsafe():
+    start = Gains(0.15, 3.4, 0.001, 0.02)
+    options = {"tuner": "phase_compensated", "trials": 25, "journal": False, "watch": None}
+    result = estune.tune(slowly_unstable().rig(seed=1), start=start, **options)
+    flags = result.to_frame()["unsafe"]
+    unsafe = [entry for entry, flag in zip(result.entries, flags, strict=True) if flag]
+    model, settings = result.rig.linear_model, result.rig.controller
+    unstable = [e for e in result.entries if not margins(model, e.gains, settings).stable]
+    assert len(unstable) > 5
+    assert set(unsafe) <= set(unstable)
+    assert len(unsafe) >= 0.8 * len(unstable)
+    assert all("growing amplitude" in e.reason for e in unsafe)
