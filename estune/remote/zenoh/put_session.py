@@ -3,6 +3,8 @@
 import time
 from typing import Self
 
+import zenoh
+
 from estune.remote.security import OPEN
 from estune.remote.zenoh.zenoh_session import COMMANDS_MAX_BYTES, close_session, open_client
 
@@ -35,8 +37,17 @@ class PutSession:
         self._tokens.append(self._session.liveliness().declare_token(key))
 
     def put(self, key: str, payload: bytes, attachment: bytes | None) -> None:
-        """Sends a message to whoever has subscribed to the key."""
-        self._session.put(key, payload, attachment=attachment)
+        """Sends a message to whoever has subscribed to the key; waits while the queue is full.
+
+        Zenoh drops a put where its queue, of two messages, is full or just being emptied: of
+        bursts as short as seven messages one was lost now and then. Only the caller waits.
+        """
+        self._session.put(
+            key,
+            payload,
+            attachment=attachment,
+            congestion_control=zenoh.CongestionControl.BLOCK,
+        )
 
     def close(self) -> None:
         """Closes the session, and with it the tokens."""
