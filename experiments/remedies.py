@@ -33,7 +33,7 @@ from plants.diagnosis.result import NamedEffect
 from plants.effects import CoulombFriction, DahlHysteresis, Effect, LoadFriction, StribeckFriction
 from plants.remedies import offers_for
 from plants.remedies.behaviour import MEASURES, behaviour
-from plants.remedies.offers import known_friction
+from plants.simulation.compensation import compensation_of
 
 GAINS = Gains(0.78, 31.0, 0.0206, 0.0003)
 FRACTIONS = 0.4, 0.8, 1.0, 1.2
@@ -76,8 +76,8 @@ def told(effect: Effect) -> ToldDiagnosis:
 def measured(reel: Any, table: Any = None) -> dict[str, float]:
     """The measures of a reel's loop, with a table of friction fed forward or without."""
     settling_s = plants.reference_reel().describe("reel", GAINS).settling_time_s
-    known = known_friction(table, reel.scale)
-    return dict(zip(MEASURES, behaviour(reel, GAINS, settling_s, known).tolist(), strict=True))
+    remedy = compensation_of({"friction": table} if table else {}, reel.scale, reel.controller)
+    return dict(zip(MEASURES, behaviour(reel, GAINS, settling_s, remedy).tolist(), strict=True))
 
 
 @cache

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.signal import bilinear, lfilter, lfilter_zi
 
 from estune.core.gains import Gains
 from estune.errors import InvalidInput
@@ -40,12 +41,26 @@ ALL = {
     "inertia": {"inertia_kgm2": 0.002},
     "known_motion": {"inertia_kgm2": 0.001, "viscous_Nms_rad": 0.01},
     "gravity": {"weight_N_m": 0.5, "rise_m": 0.4, "length_min_m": 0.5, "length_max_m": 1.4},
+    "angle_map": {
+        "zero": "index",
+        "orders": [1, 7],
+        "torque_Nm": [0.0, 0.02],
+        "load_share": [0.02, 0.0],
+        "phase_rad": [0.3, -1.0],
+        "zero_rad": 0.1,
+        "lead_s": 0.002,
+    },
+    "hum": {"frequency_Hz": 50.0},
+    "mode": {"frequency_Hz": 90.0, "width_Hz": 20.0, "depth": 0.3},
 }
 COUNT = 2.0 * math.pi / 8192
 
 
 def rig_file(**compensation):
     return config(compensation=compensation or ALL)
+
+
+MAP = ALL["angle_map"]
 
 
 @cache
@@ -113,7 +128,30 @@ def test_terms_are_those_of_the_equations():
     measured = 0.002 * moved.acceleration_rad_s2 / radius
     announced = -0.01 * 0.02 / radius**2  # viscous friction of a drum that pays out at 0.02 m/s
     np.testing.assert_allclose(terms[4:, 3], measured[4:] + announced, atol=1e-12)
+    forward, ahead = known_setpoint(known), angles - 0.1 + 0.002 * terms[:, 0]
+    waves = 0.02 * forward * np.sin(ahead + 0.3) + 0.02 / radius * np.sin(7.0 * ahead - 1.0)
+    np.testing.assert_allclose(terms[1:, 4], 0.8 * waves[1:], rtol=1e-12)
+    shapes = ((50.0, 3.0, 0.0), (90.0, 20.0, 0.3))
+    notched = tensions
+    for frequency, width, depth in shapes:
+        notched = filtered_by_a_notch(notched, frequency, width, depth)
+    np.testing.assert_allclose(terms[:, 5], tensions - notched, atol=1e-9)
     assert np.abs(terms).max(axis=0).min() > 0.1
+
+
+def known_setpoint(known):
+    return np.array([one.setpoint_N for one in known])
+
+
+def filtered_by_a_notch(signal, frequency_Hz, width_Hz, depth):
+    """By the bilinear transform of `(s^2 + d w s + W^2)/(s^2 + w s + W^2)`, from rest."""
+    rate = 632.0
+    center = 2.0 * rate * np.tan(np.pi * frequency_Hz / rate)
+    wide = 2.0 * rate * np.tan(np.pi * width_Hz / rate)
+    # The width is that of the discrete filter: the bilinear transform stretches it at the center.
+    wide *= 1.0 + (center / (2.0 * rate)) ** 2
+    b, a = bilinear([1.0, depth * wide, center**2], [1.0, wide, center**2], rate)
+    return lfilter(b, a, signal, zi=lfilter_zi(b, a) * signal[0])[0]
 
 
 def rig_with(compensation=None, take_up_A=0.5, **settings):
@@ -148,13 +186,12 @@ def test_record_shows_each_compensation_and_the_current_is_their_sum():
         record = trial(rig)
         description = rig.describe()
     assert set(record.optional_columns) == {
-        *("drum_velocity_rad_s", "gravity_N", "friction_A", "inertia_A")
+        *("drum_velocity_rad_s", "gravity_N", "friction_A", "inertia_A", "angle_map_A", "notch_N")
     }
     assert all(np.abs(column).max() > 0.0 for column in record.optional_columns.values())
-    assert np.abs(record.friction_A + record.inertia_A).max() <= 0.2 * 6.0 + 1e-9
-    np.testing.assert_allclose(
-        record.controller_A, record.current_A - record.friction_A - record.inertia_A
-    )
+    fed = record.friction_A + record.inertia_A + record.angle_map_A
+    assert np.abs(fed).max() <= 0.2 * 6.0 + 1e-9
+    np.testing.assert_allclose(record.controller_A, record.current_A - fed)
     assert loop_signals(record, description.step, description).record is not None
 
 
@@ -262,6 +299,12 @@ def test_open_loop_is_not_compensated():
         ({"gravity": ALL["gravity"] | {"length_min_m": 0.9}}, "is outside compensation.gravity"),
         ({"gravity": ALL["gravity"] | {"rise_m": 0.6}}, "the cable would not reach"),
         ({"gravity": ALL["gravity"] | {"weight_N_m": 50.0}}, "check the unit of weight_N_m"),
+        ({"angle_map": MAP | {"phase_rad": [0.0]}}, "phase_rad has 1 numbers and orders has 2"),
+        ({"angle_map": MAP | {"torque_Nm": [0.0, 9.0]}}, "check the unit of torque_Nm"),
+        ({"angle_map": MAP | {"torque_Nm": [], "load_share": []}}, "give torque_Nm"),
+        ({"angle_map": {k: v for k, v in MAP.items() if k != "zero"}}, "zero"),
+        ({"hum": {"frequency_Hz": 315.0}}, "half the sampling rate"),
+        ({"mode": {"frequency_Hz": 30.0, "width_Hz": 40.0}}, "half the sampling rate"),
         ({"velocity": {"weak": 3.0}, "friction": FRICTION}, "thresholds weak"),
         ({"share_max": 0.3}, "switches nothing on"),
     ],
@@ -298,7 +341,8 @@ def test_compensation_compiles_alone_without_warnings(tmp_path):
         '  while (scanf("%lf", &a) == 1) {\n'
         "    static int k; estune_compensation_sample(&c, ++k / 632.0, 15.0, a,\n"
         "                               estune_pidf_setpoint(&p), 0.3 * a);\n"
-        "    a = estune_pidf_step_beside(&p, c.friction + c.inertia, 15.0, 15.0 - c.gravity, 0);\n"
+        "    a = estune_pidf_step_beside(&p, estune_compensation_forward(&c), 15.0,\n"
+        "                                15.0 - estune_compensation_off(&c), 0);\n"
         "    double counts = estune_current_counts(a / ESTUNE_NEWTONS_PER_AMPERE);\n"
         '    printf("%.17g %.17g\\n", a, counts); }\n'
         "  return 0; }\n"
@@ -318,6 +362,6 @@ def test_compensation_compiles_alone_without_warnings(tmp_path):
         known = KnownMotion(controller.filtered_setpoint_N, 0.3 * angle)
         terms = plain.sample(k / 632.0, 15.0, angle, known)
         controller.feed_forward(terms.feed_forward_N)
-        effort = controller.step(15.0, 15.0 - terms.gravity_N)
+        effort = controller.step(15.0, 15.0 - terms.off_gauge_N)
         counts = plan.current.counts(effort / plan.newtons_per_ampere)
         assert printed[k - 1] == pytest.approx((effort, counts), rel=1e-9, abs=1e-9)

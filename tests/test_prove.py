@@ -93,7 +93,7 @@ def test_simulated_rig_feeds_forward_what_the_loop_does():
         record = rig.run(
             TrialRequest("c", 0, GAINS, about.step, compensation=patch().compensation)
         )
-        text = json.dumps({"inertia": {"inertia_kgm2": 1e-3}})
+        text = json.dumps({"known_motion": {"inertia_kgm2": 1e-3}})
         with pytest.raises(InvalidInput, match="is simulated"):
             rig.run(TrialRequest("c", 1, GAINS, about.step, compensation=text))
     # From the step on: before it the loop has come to the preload, with a direction.

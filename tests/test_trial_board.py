@@ -207,6 +207,14 @@ def test_compensations_on_the_board_are_those_of_the_computer(tmp_path):
         },
         "inertia": {"inertia_kgm2": 1e-5},
         "gravity": {"weight_N_m": 0.5, "rise_m": 0.4, "length_min_m": 0.5, "length_max_m": 1.4},
+        "angle_map": {
+            "zero": "absolute",
+            "orders": [1, 7],
+            "torque_Nm": [0.001, 0.002],
+            "phase_rad": [0.5, 1.0],
+            "lead_s": 0.001,
+        },
+        "mode": {"frequency_Hz": 100.0, "width_Hz": 30.0, "depth": 0.3},
     }
     changes = {"compensation": compensation, "motion": BOARD["motion"] | {"taut_N": 15.0}}
     with board_rig(compiled(tmp_path, rig_file(**changes)), **changes) as (rig, _):
@@ -214,7 +222,7 @@ def test_compensations_on_the_board_are_those_of_the_computer(tmp_path):
         about = rig.describe()
     assert record.outcome is Outcome.DONE
     plain = PlainCompensation(rig_file(**changes).compensations())
-    gauge = record.tension_N + record.gravity_N
+    gauge = record.tension_N + record.gravity_N + record.notch_N
     c = pidf.coefficients(about.controller, record.gains)
     filtered = filter_setpoint(c.setpoint_pole, record.setpoint_N)
     sampled = zip(record.time_s, gauge, record.angle_rad, map(KnownMotion, filtered), strict=True)
@@ -226,6 +234,8 @@ def test_compensations_on_the_board_are_those_of_the_computer(tmp_path):
         record.gravity_N,
         16.0 * record.friction_A,
         16.0 * record.inertia_A,
+        16.0 * record.angle_map_A,
+        record.notch_N,
     )
     assert np.abs(terms).max(axis=0).min() > 0.0
     # The board counts time from its start: another rounding may choose another window.

@@ -23,7 +23,7 @@ BINS = 50_000
 """Bins of a histogram, 0 to 100 ms; the last one holds all longer times."""
 
 REASON_BYTES = 512
-_COLUMNS = 10
+_COLUMNS = 12
 _BYTES_PER_SAMPLE = 8 * _COLUMNS + 1
 
 
@@ -138,7 +138,8 @@ class Memory:
         columns = [self._take("d", capacity) for _ in range(_COLUMNS)]
         self.time_s, self.setpoint_N, self.tension_N = columns[:3]
         self.current_A, self.angle_rad, self.weights = columns[3:6]
-        self.drum_velocity_rad_s, self.gravity_N, self.friction_A, self.inertia_A = columns[6:]
+        self.drum_velocity_rad_s, self.gravity_N, self.friction_A = columns[6:9]
+        self.inertia_A, self.angle_map_A, self.notch_N = columns[9:]
         self.flags = self._take("B", capacity)
 
     @property

@@ -19,7 +19,10 @@ SATURATED, GUARD, LATE = 1, 2, 4
 COLUMNS = ("time_s", "setpoint_N", "tension_N", "current_A", "angle_rad")
 """Columns of every record, beside the flags."""
 
-OPTIONAL_COLUMNS = ("reference_N", "drum_velocity_rad_s", "gravity_N", "friction_A", "inertia_A")
+OPTIONAL_COLUMNS = (
+    *("reference_N", "drum_velocity_rad_s", "gravity_N", "friction_A", "inertia_A"),
+    *("angle_map_A", "notch_N"),
+)
 """Columns that only some rigs record."""
 
 
@@ -96,6 +99,8 @@ class TrialRecord:
         gravity_N: The cable's weight that the rig took off the tension of its gauge, or None.
         friction_A: Part of the current that feeds friction forward, or None.
         inertia_A: Part of the current that feeds inertia forward, or None.
+        angle_map_A: Part of the current that the map over the drum's angle gives, or None.
+        notch_N: What the rig's notches took off the tension of its gauge, or None.
     """
 
     trial_id: str
@@ -121,6 +126,8 @@ class TrialRecord:
     gravity_N: FloatArray | None = None
     friction_A: FloatArray | None = None
     inertia_A: FloatArray | None = None
+    angle_map_A: FloatArray | None = None
+    notch_N: FloatArray | None = None
 
     @property
     def optional_columns(self) -> dict[str, FloatArray]:
@@ -131,7 +138,8 @@ class TrialRecord:
     @property
     def controller_A(self) -> FloatArray:
         """The current that the controller commanded, without what was fed forward."""
-        forward = [column for column in (self.friction_A, self.inertia_A) if column is not None]
+        fed = self.friction_A, self.inertia_A, self.angle_map_A
+        forward = [column for column in fed if column is not None]
         return self.current_A - sum(forward) if forward else self.current_A
 
     @property

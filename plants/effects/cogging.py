@@ -9,7 +9,7 @@ from plants.effects import angle_phase
 from plants.effects.effect import Effect, Port, Response, Signal, Site, Values
 from plants.effects.parameter import PHASE_MAX_rad, Role, parameter, phase
 from plants.effects.plant_scale import PlantScale, digits
-from plants.effects.remedy import Remedy, workshop
+from plants.effects.remedy import Remedy, angle_map, workshop
 
 WAVES = 5
 
@@ -98,10 +98,15 @@ class Cogging(Effect):
         return f"has a motor that cogs: its torque varies with the angle by {listed}"
 
     @classmethod
-    def remedies(cls, _p: Values, _plant: PlantScale) -> tuple[Remedy, ...]:
+    def remedies(cls, p: Values, plant: PlantScale) -> tuple[Remedy, ...]:
         """What can be done about it."""
-        title = "map it over the angle in the drive, or change the motor for one that cogs less"
-        return (workshop(title),)
+        waves = [
+            {"orders": order, "torque_Nm": size, "phase_rad": phi}
+            for size, order, phi in _waves(p)
+            if size > 0.0
+        ]
+        change = workshop("change the motor for one that cogs less")
+        return (*angle_map(plant, "amplitude_1_Nm", waves), change) if waves else (change,)
 
     @staticmethod
     def respond(p: Values, state: Signal, _signal: Signal, site: Site) -> Response:

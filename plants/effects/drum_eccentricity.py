@@ -1,5 +1,6 @@
 """A drum that is not round about its axis."""
 
+import math
 from dataclasses import dataclass
 
 import casadi as ca
@@ -8,7 +9,7 @@ from plants.effects import angle_phase
 from plants.effects.effect import Effect, Port, Response, Signal, Site, Values
 from plants.effects.parameter import parameter, phase
 from plants.effects.plant_scale import PlantScale, also, share
-from plants.effects.remedy import Remedy, workshop
+from plants.effects.remedy import Remedy, angle_map, workshop
 
 
 @dataclass(frozen=True)
@@ -52,9 +53,14 @@ class DrumEccentricity(Effect):
         )
 
     @classmethod
-    def remedies(cls, _p: Values, _plant: PlantScale) -> tuple[Remedy, ...]:
-        """What can be done about it."""
-        return (workshop("true the drum, or centre it on its shaft", "eccentricity", 1.0),)
+    def remedies(cls, p: Values, plant: PlantScale) -> tuple[Remedy, ...]:
+        """What can be done about it: R e cos(theta + phi) r of torque holds the setpoint r."""
+        phase = p.phase_rad + 0.5 * math.pi
+        wave = {"orders": 1.0, "load_share": p.eccentricity, "phase_rad": phase}
+        return (
+            *angle_map(plant, "eccentricity", (wave,)),
+            workshop("true the drum, or centre it on its shaft", "eccentricity", 1.0),
+        )
 
     @staticmethod
     def prepare(p: Values, reel: Values) -> dict[str, Signal]:

@@ -70,6 +70,7 @@ class PlantScale(NamedTuple):
         stiffness_N_m: Of the cable, N/m; nan without one.
         newtons_per_ampere: Effort per motor current, N/A.
         sampling_Hz: Rate of the controller; nan if not known.
+        dead_time_s: From a command to its torque, s.
         units: The plant's own units by those of a drum, where they differ.
         names: The plant's own names of numbers and columns by those of a drum.
         input_unit: Unit of the input of a plant known by input and output; empty if not stated.
@@ -84,6 +85,7 @@ class PlantScale(NamedTuple):
     stiffness_N_m: float = math.nan
     newtons_per_ampere: float = math.nan
     sampling_Hz: float = math.nan
+    dead_time_s: float = 0.0
     units: Mapping[str, str] = {}
     names: Mapping[str, str] = {}
     input_unit: str = ""

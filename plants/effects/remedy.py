@@ -1,9 +1,10 @@
 """What can be done about an effect: declared by the effect, with its numbers."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
+from typing import Any
 
 from plants.effects.plant_scale import PlantScale
 
@@ -40,7 +41,8 @@ class Remedy:
         sized_by: The effect's parameter whose interval decides whether it can be done; empty where
             it has no number.
         removes: Share of that parameter that it takes away where the number is right.
-        tables: Tables of `[compensation]` in the rig's file, for a loop that has them.
+        tables: Tables of `[compensation]` in the rig's file, for a loop that has them. A
+            `fraction` in one is set by the interval of `sized_by`.
         work: What work it takes.
     """
 
@@ -49,7 +51,7 @@ class Remedy:
     harm: str = ""
     sized_by: str = ""
     removes: float = 0.0
-    tables: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    tables: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     work: str = ""
 
     @property
@@ -73,6 +75,7 @@ def friction_feed_forward(
         return (Remedy(Place.LOOP, f"feed the friction forward in {torque}", sized_by=sized_by),)
     per_rad = plant.stiffness_N_m * plant.radius_m
     table = {"coulomb_Nm": 0.0, "static_Nm": 0.0, "stribeck_rad_s": 1.0} | dict(friction)
+    table["fraction"] = SAFE_FRACTION
     if math.isfinite(per_rad):
         table["tension_per_rad_N"] = per_rad
     return (
@@ -85,6 +88,48 @@ def friction_feed_forward(
             tables={"friction": table},
         ),
     )
+
+
+def angle_map(
+    plant: PlantScale, sized_by: str, waves: Sequence[Mapping[str, float]]
+) -> tuple[Remedy, ...]:
+    """A map of the torque over the drum's angle, fed forward; see `[compensation.angle_map]`.
+
+    Args:
+        plant: Words and sizes of the plant.
+        sized_by: The parameter that sizes it.
+        waves: Of each wave `orders`, `phase_rad`, and `torque_Nm` or `load_share`.
+    """
+    if not plant.has_cable:
+        title = "map the torque over the angle in the drive's own controller"
+        return (Remedy(Place.LOOP, title, sized_by=sized_by),)
+    table: dict[str, Any] = {key: [wave[key] for wave in waves] for key in waves[0]}
+    # The effort acts for one sample after the dead time: in its middle on the average.
+    table["lead_s"] = plant.dead_time_s + 0.5 / plant.sampling_Hz
+    return (
+        Remedy(
+            Place.LOOP,
+            "feed a map over the drum's angle forward",
+            harm="a zero of the encoder that moves by a sixth of a period makes it worse than "
+            "without: the encoder must be absolute or indexed; zero_rad is what it reads where "
+            "the cable is just taut",
+            sized_by=sized_by,
+            tables={"angle_map": table | {"zero": "absolute", "fraction": SAFE_FRACTION}},
+        ),
+    )
+
+
+def notch(title: str, name: str, sized_by: str, table: Mapping[str, float]) -> Remedy:
+    """A notch in the measurement.
+
+    Args:
+        title: What to do.
+        name: Its table in `[compensation]`, `hum` or `mode`.
+        sized_by: The parameter that sizes it.
+        table: Keys of the table.
+    """
+    harm = "its lag below the notch costs phase margin: keep the gains' limits, or tune anew"
+    return Remedy(Place.LOOP, title, harm, sized_by, tables={name: dict(table)})
 
 
 def recalibrate(title: str, sized_by: str, harm: str = "") -> Remedy:

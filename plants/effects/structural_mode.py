@@ -9,7 +9,11 @@ from plants.effects.effect import Effect, Port, Response, Signal, Site, Values
 from plants.effects.oscillator import stepping
 from plants.effects.parameter import RecordScale, parameter
 from plants.effects.plant_scale import PlantScale, digits, share
-from plants.effects.remedy import Remedy, limit, workshop
+from plants.effects.remedy import Remedy, limit, notch, workshop
+
+WIDTH, DEPTH = 0.5, 0.3
+"""Width of the notch against it relative to its frequency, and its depth: shallow and wide, as the
+mode of a frame moves with the tension. Whether it gains is predicted for each machine."""
 
 
 def _stiffening_coefficients(records: RecordScale) -> list[float]:
@@ -66,9 +70,16 @@ class StructuralMode(Effect):
         )
 
     @classmethod
-    def remedies(cls, _p: Values, _plant: PlantScale) -> tuple[Remedy, ...]:
+    def remedies(cls, p: Values, plant: PlantScale) -> tuple[Remedy, ...]:
         """What can be done about it."""
+        title = "put a notch at the mode in the measurement"
+        table = {
+            "frequency_Hz": p.frequency_Hz,
+            "width_Hz": WIDTH * p.frequency_Hz,
+            "depth": DEPTH,
+        }
         return (
+            *((notch(title, "mode", "share", table),) if plant.has_cable else ()),
             workshop("stiffen or damp the frame", "share", 1.0),
             limit("the tuner respects the mode already"),
         )

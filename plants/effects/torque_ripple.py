@@ -6,7 +6,7 @@ from plants.effects import angle_phase
 from plants.effects.effect import Effect, Port, Response, Signal, Site, Values
 from plants.effects.parameter import Role, Share, parameter, phase
 from plants.effects.plant_scale import PlantScale, digits
-from plants.effects.remedy import Remedy, workshop
+from plants.effects.remedy import Remedy, angle_map, workshop
 
 
 @dataclass(frozen=True)
@@ -45,12 +45,12 @@ class TorqueRipple(Effect):
         )
 
     @classmethod
-    def remedies(cls, _p: Values, _plant: PlantScale) -> tuple[Remedy, ...]:
+    def remedies(cls, p: Values, plant: PlantScale) -> tuple[Remedy, ...]:
         """What can be done about it."""
+        wave = {"orders": p.per_turn, "torque_Nm": p.amplitude_Nm, "phase_rad": p.phase_rad}
         return (
-            workshop(
-                "change the motor for one that cogs less, or map its ripple", "amplitude_Nm", 1.0
-            ),
+            *angle_map(plant, "amplitude_Nm", (wave,)),
+            workshop("change the motor for one that cogs less", "amplitude_Nm", 1.0),
         )
 
     @staticmethod

@@ -156,6 +156,7 @@ class PlantModel(Plant, ABC):
             bound_N=bound_N,
             open_loop=drive.open_loop,
             load_N=drive.load_N,
+            compensation=drive.compensation,
         )
         return trial_loop(self.structure).run(batch)
 

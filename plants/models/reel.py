@@ -128,6 +128,7 @@ class Reel(PlantModel):
             stiffness_N_m=1.0 / softness,
             newtons_per_ampere=self.newtons_per_ampere,
             sampling_Hz=self.sampling_Hz,
+            dead_time_s=self.dead_time_s,
         )
 
     @property

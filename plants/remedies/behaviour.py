@@ -1,4 +1,4 @@
-"""Behaviour of a simulated loop with friction fed forward along the known motion."""
+"""Behaviour of a simulated loop, with the compensations of a remedy or without."""
 
 from collections.abc import Callable
 from typing import Any
@@ -11,7 +11,7 @@ from estune.core.quantities import FloatArray
 from estune.trial.profiles import AnyProfile
 from estune.trial.tracking import rest_of, resting_profile, tracking_of, tracking_profile
 from plants.simulation.batch import divergence_limit_N, simulate_drive
-from plants.simulation.known_friction import KnownFriction
+from plants.simulation.compensation import TrialCompensation
 from plants.simulation.plant import drive_of
 
 MEASURES = ("cost", "tracking", "reversal", "rest")
@@ -22,7 +22,7 @@ def behaviour(
     plant: Any,
     gains: Gains,
     settling_time_s: float,
-    known: KnownFriction | None = None,
+    remedy: TrialCompensation | None = None,
     truth: Callable[[FloatArray], FloatArray] | None = None,
 ) -> FloatArray:
     """`MEASURES` of a plant's loop; the cost counts the whole current.
@@ -31,7 +31,7 @@ def behaviour(
         plant: A plant model.
         gains: The controller's gains.
         settling_time_s: Desired settling time, s.
-        known: Friction that is fed forward; None for none.
+        remedy: Compensations beside the controller; None for none.
         truth: Tension that is there at a reading of the gauge, of which tracking and reversal then
             are; None where the gauge reads the tension.
 
@@ -42,7 +42,7 @@ def behaviour(
     resting = resting_profile(step, settling_time_s)
     triangle = tracking_profile(step, settling_time_s)
     rate = plant.controller.sampling_Hz
-    tension, current = _run(plant, gains, resting, known, seed=0)
+    tension, current = _run(plant, gains, resting, remedy, seed=0)
     _, wanted, *_ = drive_of(resting, rate)
     used = step.samples(rate)
     if tension.size < wanted.size:
@@ -50,7 +50,7 @@ def behaviour(
     cost = default_cost(settling_time_s).evaluate(
         rate, step.shape(rate), wanted[:used], tension[:used], current[:used]
     )
-    followed, _ = _run(plant, gains, triangle, known, seed=1)
+    followed, _ = _run(plant, gains, triangle, remedy, seed=1)
     followed = followed if truth is None else truth(followed)
     _, asked, *_ = drive_of(triangle, rate)
     error = asked[: followed.size] - followed
@@ -59,15 +59,10 @@ def behaviour(
 
 
 def _run(
-    plant: Any, gains: Gains, profile: AnyProfile, known: KnownFriction | None, seed: int
+    plant: Any, gains: Gains, profile: AnyProfile, remedy: TrialCompensation | None, seed: int
 ) -> tuple[FloatArray, FloatArray]:
-    """Tension, and the effort of the motor, of one trial, N."""
-    rate = plant.controller.sampling_Hz
-    drive = drive_of(profile, rate)
-    forward = np.zeros(drive.time_s.size)
-    if known is not None:
-        forward = known.along(plant.controller, gains, drive)
-        drive = drive._replace(load_N=forward)
+    """Tension at the gauge, and the effort of the motor, of one trial, N."""
+    drive = drive_of(profile, plant.controller.sampling_Hz)._replace(compensation=remedy)
     noise = plant.noise_rms_N * np.random.default_rng(seed).standard_normal(drive.time_s.size)
     done = simulate_drive(plant, gains, drive, noise, divergence_limit_N(profile))
-    return done.tension_N, done.effort_N + forward[: done.effort_N.size]
+    return done.tension_N, done.effort_N

@@ -17,12 +17,11 @@ import numpy as np
 from estune.core.gains import Gains
 from estune.core.quantities import FloatArray
 from estune.errors import EstuneError, InvalidInput
-from estune.reel.friction import FrictionFeedForward, StribeckFriction
 from plants.effects import Effect, Port, Site
 from plants.effects.plant_scale import PlantScale
 from plants.effects.remedy import SAFE_FRACTION, Place, Remedy
 from plants.remedies.behaviour import MEASURES, behaviour
-from plants.simulation.known_friction import KnownFriction
+from plants.simulation.compensation import TrialCompensation, compensation_of
 
 DRAWS = 16
 """Machines drawn from the intervals: their 2.5 and 97.5 % points are then the outermost two."""
@@ -88,7 +87,7 @@ class Offer:
     harm: str = ""
     worth: bool | None = None
     ratios: Mapping[str, PredictedRatio] = field(default_factory=dict)
-    tables: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    tables: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     refused: str = ""
 
 
@@ -149,13 +148,20 @@ def _offer(diagnosis: Any, found: Found, remedy: Remedy, gains: Gains | None) ->
         return replace(row, refused=refused)
     fraction = safe_fraction(bounds)
     tables = {
-        name: dict(table) | ({"fraction": fraction} if name == "friction" else {})
+        name: dict(table) | ({"fraction": fraction} if "fraction" in table else {})
         for name, table in remedy.tables.items()
     }
     ratios = _predicted(diagnosis, found, remedy, tables, gains)
-    gained = [1.0 - ratio.value for name, ratio in ratios.items() if name != "rest"]
-    worth = max(gained) >= WORTH if gained else None
-    return replace(row, worth=worth, ratios=ratios, tables=tables)
+    return replace(row, worth=_worth(ratios), ratios=ratios, tables=tables)
+
+
+def _worth(ratios: Mapping[str, PredictedRatio]) -> bool | None:
+    """Whether something gains enough and nothing else loses as much; None where unpredicted."""
+    if not ratios:
+        return None
+    judged = [ratio.value for name, ratio in ratios.items() if name != "rest"]
+    restless = ratios["rest"].low > 1.0 + WORTH
+    return min(judged) <= 1.0 - WORTH and max(judged) <= 1.0 + WORTH and not restless
 
 
 def safe_fraction(bounds: FittedNumber) -> float:
@@ -184,33 +190,39 @@ def _predicted(
     diagnosis: Any,
     found: Found,
     remedy: Remedy,
-    tables: Mapping[str, Mapping[str, float]],
+    tables: Mapping[str, Mapping[str, Any]],
     gains: Gains | None,
 ) -> dict[str, PredictedRatio]:
     """Ratios of the measures with the remedy to those without; none where nothing is predicted."""
     model = diagnosis.augmented
-    known = known_friction(tables.get("friction"), PlantScale.of(model))
-    if model.profile.loop != "closed" or (known is None and not remedy.removes):
+    if model.profile.loop != "closed" or not (tables or remedy.removes):
         return {}
     try:
+        beside = compensation_of(tables, PlantScale.of(model), model.controller)
         about = model.describe("model", gains)
         rows = [
-            _ratios((model, about), drawn, known, found, remedy)
+            _ratios((model, about), drawn, beside, found, remedy)
             for drawn in (found.effect, *_draws(found))
         ]
     except EstuneError:  # a model that cannot be run at these gains predicts nothing
         return {}
-    return _intervals(np.array(rows), widened=known is not None)
+    if not np.isfinite(rows).all():  # a machine of the intervals does not bear it
+        return {}
+    return _intervals(np.array(rows), widened="friction" in tables)
 
 
 def _ratios(
-    rig: tuple[Any, Any], true: Effect, known: KnownFriction | None, found: Found, remedy: Remedy
+    rig: tuple[Any, Any],
+    true: Effect,
+    beside: TrialCompensation | None,
+    found: Found,
+    remedy: Remedy,
 ) -> FloatArray:
     """Measures with the remedy over those without, on a machine that has the drawn effect."""
     model, about = rig
     machine = with_effect(model, found.effect, true)
     mended = machine
-    if known is None:
+    if beside is None:
         told, size = getattr(found.effect, remedy.sized_by), getattr(true, remedy.sized_by)
         allowed = true.parameters()[remedy.sized_by]
         left = size - remedy.removes * told
@@ -219,8 +231,8 @@ def _ratios(
         left = min(max(left, allowed.low), allowed.high) if neutral == 0.0 else neutral
         mended = with_effect(model, found.effect, replace(true, **{remedy.sized_by: left}))
     gains, settling = about.gains, about.settling_time_s
-    left_effect = replace(true, **{remedy.sized_by: left}) if known is None else true
-    after = behaviour(mended, gains, settling, known, truth_behind(left_effect))
+    left_effect = replace(true, **{remedy.sized_by: left}) if beside is None else true
+    after = behaviour(mended, gains, settling, beside, truth_behind(left_effect))
     return np.asarray(after / behaviour(machine, gains, settling, None, truth_behind(true)))
 
 
@@ -242,11 +254,8 @@ def _intervals(rows: FloatArray, *, widened: bool) -> dict[str, PredictedRatio]:
     """Ratios of the fitted model, and the range of the draws."""
     found = {}
     for name, column in zip(MEASURES, rows.T, strict=True):
-        drawn = column[np.isfinite(column)]
-        if not np.isfinite(column[0]):
-            continue
-        high = float(drawn.max()) + (REVERSAL_MARGIN if widened and name == "reversal" else 0.0)
-        found[name] = PredictedRatio(float(column[0]), float(drawn.min()), high)
+        high = float(column.max()) + (REVERSAL_MARGIN if widened and name == "reversal" else 0.0)
+        found[name] = PredictedRatio(float(column[0]), float(column.min()), high)
     return found
 
 
@@ -278,21 +287,6 @@ def with_effect(model: Any, old: Effect, new: Effect) -> Any:
     if new not in effects:
         raise InvalidInput(f"the model has no {old.name}")
     return replace(model, effects=effects)
-
-
-def known_friction(table: Mapping[str, float] | None, scale: PlantScale) -> KnownFriction | None:
-    """What a table `[compensation.friction]` feeds forward; None where there is none."""
-    if not table:
-        return None
-    dry = StribeckFriction(table["coulomb_Nm"], table["static_Nm"], table["stribeck_rad_s"])
-    per_rad = table["tension_per_rad_N"]
-    memory = table.get("memory_rad", 0.0) or SHORT_MEMORY_rad
-    law = FrictionFeedForward(dry, memory, table.get("load_share", 0.0), table["fraction"])
-    return KnownFriction(law, per_rad, scale.radius_m)
-
-
-SHORT_MEMORY_rad = 1e-4
-"""Presliding where none is found: a tenth of a count of an encoder of 6000 counts."""
 
 
 def _gain(offer: Offer) -> float:

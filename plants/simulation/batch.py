@@ -32,12 +32,13 @@ class Response:
         time_s: Time from the start.
         setpoint_N: The setpoint before its filter.
         tension_N: The measurement.
-        effort_N: The controller's effort, limited.
+        effort_N: The motor's effort, limited, with what is fed forward.
         angle_rad: Measured drum angle; zero where the plant has no drum.
         flags: `SATURATED` where the limits acted.
         diverged_at: First sample outside the bound or not finite, at which the columns end; None
             for a complete trial.
         reference_N: Tension outside the reel; None where it is the same.
+        terms: Compensations; see `Columns`.
     """
 
     time_s: FloatArray
@@ -48,6 +49,7 @@ class Response:
     flags: NDArray[np.uint8]
     diverged_at: int | None
     reference_N: FloatArray | None = None
+    terms: FloatArray | None = None
 
     def __repr__(self) -> str:
         end = "complete" if self.diverged_at is None else f"diverged at sample {self.diverged_at}"
@@ -95,7 +97,7 @@ def simulate_drive(
     # A response that is not finite has diverged, even with an infinite bound.
     columns = plant.respond(row, drive, noise, min(bound_N, sys.float_info.max))
     ended, samples = int(columns.ended[0]), len(drive.time_s)
-    tension, effort, angle, flags, _, reference = columns.trial(0)
+    tension, effort, angle, flags, _, reference, terms = columns.trial(0)
     used = slice(ended)
     return Response(
         drive.time_s[used],
@@ -106,6 +108,7 @@ def simulate_drive(
         flags[used],
         None if ended == samples else ended,
         None if reference is None else reference[used],
+        None if terms is None else terms[used],
     )
 
 

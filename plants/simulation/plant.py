@@ -14,6 +14,7 @@ from estune.core.quantities import FloatArray
 from estune.errors import InvalidInput
 from estune.trial import RigDescription
 from estune.trial.profiles import AnyProfile, LoadStepProfile, StepProfile
+from plants.simulation.compensation import TrialCompensation
 
 SOFTWARE = f"estune {version('estune')}"
 
@@ -26,6 +27,7 @@ class TrialSetpoint(NamedTuple):
     preload_N: float  # the tension at which the trial starts settled
     open_loop: bool  # whether the setpoint is the effort, limited by the controller's limits
     load_N: FloatArray | None = None  # added to the effort on its way to the plant, same shape
+    compensation: TrialCompensation | None = None  # beside the controller
 
 
 @lru_cache(maxsize=16)
@@ -55,7 +57,7 @@ class Columns(NamedTuple):
     """Columns of a batch of trials; samples from `ended` on are undefined."""
 
     tension_N: FloatArray  # measured tension, shape (trials, samples)
-    effort_N: FloatArray  # effort of the controller, same shape
+    effort_N: FloatArray  # effort of the motor, same shape
     angle_rad: FloatArray  # measured drum angle, same shape; zero where the plant has no drum
     flags: NDArray[np.uint8]  # `SATURATED` where the controller's limits acted, same shape
     # First sample of each trial outside the bound or not finite, or the number of samples, shape
@@ -63,6 +65,9 @@ class Columns(NamedTuple):
     ended: NDArray[np.int64]
     # Tension outside the reel, same shape; None where it is the same.
     reference_N: FloatArray | None = None
+    # Compensations in the order of `CompensationTerms`, shape (trials, samples, terms); None where
+    # there are none. The measured tension is that of the gauge, with all of it.
+    terms: FloatArray | None = None
 
     @classmethod
     def empty(cls, trials: int, samples: int, *, reference: bool = False) -> "Columns":
@@ -76,7 +81,8 @@ class Columns(NamedTuple):
         """Views of the columns of one trial."""
         signals = self.tension_N[n], self.effort_N[n], self.angle_rad[n]
         outside = None if self.reference_N is None else self.reference_N[n]
-        return Columns(*signals, self.flags[n], self.ended[n : n + 1], outside)
+        terms = None if self.terms is None else self.terms[n]
+        return Columns(*signals, self.flags[n], self.ended[n : n + 1], outside, terms)
 
 
 class Plant(Protocol):

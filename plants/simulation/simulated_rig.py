@@ -6,20 +6,20 @@ from dataclasses import replace
 from datetime import UTC, datetime
 from typing import Any
 
+import numpy as np
+
 from estune.core.gains import Gains
 from estune.core.quantities import check_not_negative
-from estune.errors import InvalidInput, RigError
+from estune.errors import RigError
+from estune.hardware.compensation.plan import CompensationTerms
 from estune.hardware.compensation.tables import table_of
 from estune.trial import Outcome, RigDescription, Telemetry, TrialRecord, TrialRequest
 from estune.trial.executed_trials import ExecutedTrials, stopped_trial
 from estune.trial.records import record_of
 from plants.simulation.batch import Response, divergence_limit_N, simulate_drive
-from plants.simulation.known_friction import KnownFriction
+from plants.simulation.compensation import TrialCompensation, trial_compensation
 from plants.simulation.noise import NoiseSource
 from plants.simulation.plant import Plant, drive_of
-
-ENCODER_COUNTS = 8192.0
-"""Of which a tenth of one is the presliding distance where none is given."""
 
 _COLUMNS = ("time_s", "setpoint_N", "tension_N", "angle_rad", "flags", "reference_N")
 
@@ -152,12 +152,8 @@ class SimulatedRig:
         size = drive_of(request.profile, rate).time_s.size
         rms = self._plant.noise_rms_N
         noise = self._noise.draw(request.number, size, rms) if rms else None
-        known = self._known_friction(request)
-        drive, forward = drive_of(request.profile, rate), None
-        if known is not None:
-            forward = known.along(self._plant.controller, request.gains, drive)
-            load = forward if drive.load_N is None else drive.load_N + forward
-            drive = drive._replace(load_N=load)
+        compensation = self._compensation(request)
+        drive = drive_of(request.profile, rate)._replace(compensation=compensation)
         bound = divergence_limit_N(request.profile)
         response = simulate_drive(self._plant, request.gains, drive, noise, bound)
         samples, outcome, reason = len(response.time_s), Outcome.DONE, ""
@@ -173,16 +169,15 @@ class SimulatedRig:
                 outcome, reason = Outcome.CANCELLED, Outcome.CANCELLED.sentence
         columns = {name: getattr(response, name) for name in _COLUMNS}
         columns["current_A"] = response.effort_N / self._plant.newtons_per_ampere
-        if forward is not None:
-            fed_A = forward[: response.time_s.size] / self._plant.newtons_per_ampere
-            columns["friction_A"], columns["current_A"] = fed_A, columns["current_A"] + fed_A
+        if compensation is not None:
+            columns |= self._terms(response, compensation.plan.columns)
         return record_of(
             *(request, self._description, outcome, reason, started_at),
             **{name: _read_only(column, samples) for name, column in columns.items()},
         )
 
-    def _known_friction(self, request: TrialRequest) -> KnownFriction | None:
-        """Friction that the trial feeds forward; None without.
+    def _compensation(self, request: TrialRequest) -> TrialCompensation | None:
+        """Compensations of a trial; None without.
 
         Raises:
             InvalidInput: the table has mistakes, or a simulated rig has not what it switches on.
@@ -193,19 +188,17 @@ class SimulatedRig:
         if table is None:
             return None
         scale: Any = getattr(self._plant, "scale", None)
-        others = table.inertia or table.gravity or table.known_motion or not table.friction
-        if others or scale is None or not scale.has_cable:
-            raise InvalidInput(
-                f"rig {self._description.name} is simulated, and feeds friction forward on a reel "
-                "alone; leave the other compensations out"
-            )
-        settings = self._plant.controller
-        plan = table.plan(
-            *(settings.sampling_Hz, ENCODER_COUNTS, scale.radius_m, scale.length_m),
-            settings.output_max_N,
-        )
-        assert plan.friction is not None  # noqa: S101  the table switches nothing else on
-        return KnownFriction(plan.friction, plan.tension_per_rad_N, scale.radius_m)
+        name = f"rig {self._description.name}"
+        return trial_compensation(table, scale, self._plant.controller, name)
+
+    def _terms(self, response: Response, names: tuple[str, ...]) -> dict[str, Any]:
+        """Columns of the compensations, and the tension that was controlled."""
+        assert response.terms is not None  # noqa: S101  the drive has compensations
+        terms = CompensationTerms(*response.terms.T)
+        amperes = 1.0 / self._plant.newtons_per_ampere
+        columns = terms.columns(amperes)
+        found = {name: np.ascontiguousarray(columns[name]) for name in names}
+        return found | {"tension_N": response.tension_N - terms.off_gauge_N}
 
     def _stop_running(self) -> None:
         with self._state:

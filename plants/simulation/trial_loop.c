@@ -8,8 +8,18 @@
  * A load is added to the effort on its way to the plant; a null pointer is no load.
  *
  * With `open` equal to one the setpoint is the effort, limited by the controller's limits.
+ *
+ * Compensations are the text of the hardware loop. They need what the gauge and the encoder read, so
+ * that a sample with them is sensed twice: first for the readings, then with what is fed forward and
+ * taken off the gauge. The trial begins at rest with them: the controller has the rest of the effort.
  */
+#include <math.h>
 #include <stdlib.h>
+#include <string.h>
+
+enum { VELOCITY, GRAVITY, FRICTION, INERTIA, MAP, NOTCH, TERMS };
+typedef void (*compensate_function)(void *state, double time, double tension, double angle,
+                                    double setpoint, double far_end, double *terms);
 
 /* An unrolled copy is free: the values stay in registers. */
 #define UNROLLED _Pragma("GCC unroll 128")
@@ -18,10 +28,11 @@ static long one_trial(long samples, long delay, double bound, double preload, do
                       const double *parameters, const double *coefficients,
                       const double *setpoint, const double *load, const double *noise, double *ring,
                       double *tension, double *effort, double *angle, double *reference,
-                      unsigned char *flags) {
+                      unsigned char *flags, compensate_function compensate, void *compensation,
+                      double period, double *terms) {
   /* CasADi may write outputs before it has read all inputs: they must not share memory. */
   double constants[CONSTANTS], state[STATES], moved[STATES], pidf[PIDF_STATES];
-  double following[PIDF_STATES], drive, excess;
+  double following[PIDF_STATES], drive, excess, forward, off;
   long i, k, n, now = delay + 1, before = 0, after = 1;
   {
     const double *arg[2];
@@ -33,16 +44,28 @@ static long one_trial(long samples, long delay, double bound, double preload, do
   for (n = 0; n < delay + 2; n++) ring[n] = drive;
   for (k = 0; k < samples; k++) {
     {
-      const double *arg[9];
+      const double *arg[11];
       double *res[8];
       arg[0] = constants; arg[1] = state; arg[2] = ring + before;
       arg[3] = noise ? noise + k : 0;  /* CasADi reads a null pointer as zero */
       arg[4] = coefficients; arg[5] = pidf; arg[6] = setpoint + k; arg[7] = &open;
       arg[8] = load ? load + k : 0;
+      arg[9] = arg[10] = 0;
       res[0] = moved; res[1] = tension + k; res[2] = angle + k;
       res[3] = following; res[4] = effort + k; res[5] = ring + now; res[6] = &excess;
       res[7] = reference ? reference + k : 0;  /* a null pointer: not written */
       estune_sense(arg, res, 0, 0, 0);
+      if (compensate) {
+        double *now = terms + TERMS * k;
+        compensate(compensation, k * period, tension[k], angle[k],
+                   open ? NAN : pidf[FILTERED_SETPOINT], 0.0, now);
+        if (open) now[GRAVITY] = now[NOTCH] = 0.0;
+        forward = now[FRICTION] + now[INERTIA] + now[MAP];
+        off = now[GRAVITY] + now[NOTCH];
+        if (k == 0) pidf[INTEGRAL] -= forward;
+        arg[9] = &forward; arg[10] = &off;
+        estune_sense(arg, res, 0, 0, 0);
+      }
     }
     /* This form also ends the trial on NaN. */
     if (!(tension[k] <= bound && tension[k] >= -bound)) return k;
@@ -74,17 +97,23 @@ __attribute__((visibility("default"))) int estune_trials(
     long trials, long samples, long delay, double bound, double preload, double open,
     const double *parameters, long parameter_stride, const double *coefficients,
     const double *setpoint, const double *load, const double *noise, long noise_stride,
-    double *tension, double *effort, double *angle, double *reference, unsigned char *flags, long long *ended) {
+    double *tension, double *effort, double *angle, double *reference, unsigned char *flags,
+    long long *ended, void *compensate, long compensation_size, double period, double *terms) {
   double *ring = malloc((delay + 2) * sizeof *ring);
+  void *compensation = malloc(compensation_size + 1);
   long t;
-  if (!ring) return 1;
+  if (!ring || !compensation) return 1;
   for (t = 0; t < trials; t++) {
+    memset(compensation, 0, compensation_size);
     ended[t] = one_trial(samples, delay, bound, preload, open, parameters + t * parameter_stride,
                          coefficients + t * COEFFICIENTS, setpoint, load,
                          noise ? noise + t * noise_stride : 0, ring, tension + t * samples,
                          effort + t * samples, angle + t * samples,
-                         reference ? reference + t * samples : 0, flags + t * samples);
+                         reference ? reference + t * samples : 0, flags + t * samples,
+                         (compensate_function)compensate, compensation, period,
+                         terms ? terms + TERMS * t * samples : 0);
   }
+  free(compensation);
   free(ring);
   return 0;
 }

@@ -1,6 +1,7 @@
 """The closed-loop trial, run as compiled C or in CasADi's virtual machine."""
 
 import ctypes
+import math
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol
@@ -11,15 +12,21 @@ import numpy as np
 from estune.core import pidf
 from estune.core.quantities import FloatArray
 from estune.errors import PlantError
+from estune.hardware.compensation.plan import CompensationTerms, KnownMotion
+from estune.hardware.compensation.runtime import Compensation
 from estune.support import c_compiler
 from estune.trial import SATURATED
 from plants.simulation.buffers import Buffers
 from plants.simulation.c_source import c_source
+from plants.simulation.compensation import TrialCompensation
 from plants.simulation.equations import Equations
 from plants.simulation.plant import Columns
 
 COEFFICIENTS = len(pidf.Coefficients._fields)
 PIDF_STATES = len(pidf.PidfState._fields)
+INTEGRAL = pidf.PidfState._fields.index("integral_N")
+FILTERED_SETPOINT = pidf.PidfState._fields.index("filtered_setpoint_N")
+TERMS = len(CompensationTerms._fields)
 
 
 class Structure(Protocol):
@@ -42,6 +49,7 @@ class Batch(NamedTuple):
     # Whether the setpoint is the effort, limited by the controllers' limits.
     open_loop: bool = False
     load_N: FloatArray | None = None  # added to the effort on its way to the plant, (samples,)
+    compensation: TrialCompensation | None = None
 
 
 @lru_cache(maxsize=64)
@@ -60,8 +68,9 @@ class Functions(NamedTuple):
 
     prepare: Any  # (parameters, preload) -> (constants, state, controller state, drive at rest)
     # (constants, state, present drive, noise, coefficients, controller state, setpoint, 1 in open
-    # loop else 0, load) -> (state, measurement, angle, controller state, effort, drive, excess,
-    # tension outside: empty where the plant has no gauge there).
+    # loop else 0, load, effort fed forward, taken off the measurement) -> (state, measurement,
+    # angle, controller state, effort, drive, excess, tension outside: empty where the plant has no
+    # gauge there).
     sense: Any
     substep: Any  # (constants, state, drive before, drive after, n) -> state
     move: Any  # (constants, state, drive before, drive after) -> state one sample later
@@ -87,11 +96,17 @@ def loop_functions(plant: Equations) -> Functions:
     coefficients = ca.SX.sym("coefficients", COEFFICIENTS)
     memory, setpoint = ca.SX.sym("memory", PIDF_STATES), ca.SX.sym("setpoint")
     is_open, load = ca.SX.sym("is_open"), ca.SX.sym("load")
+    forward, off = ca.SX.sym("forward"), ca.SX.sym("off")
     observed, measurement, angle = plant.observe(c, x, in_force, noise)
     controller = pidf.Coefficients(*ca.vertsplit(coefficients))
-    following, *closed = pidf.step(
-        controller, pidf.PidfState(*ca.vertsplit(memory)), setpoint, measurement
+    own = controller._replace(
+        output_min_N=controller.output_min_N - forward,
+        output_max_N=controller.output_max_N - forward,
     )
+    following, effort, excess = pidf.step(
+        own, pidf.PidfState(*ca.vertsplit(memory)), setpoint, measurement - off
+    )
+    closed = effort + forward, excess
     effort, excess = (
         ca.if_else(is_open, one, other)
         for one, other in zip(pidf.limit_effort(controller, setpoint), closed, strict=True)
@@ -101,7 +116,7 @@ def loop_functions(plant: Equations) -> Functions:
     outputs = [driven, measurement, angle, ca.vertcat(*following), effort, drive, excess, outside]
     sense = ca.Function(
         "estune_sense",
-        [c, x, in_force, noise, coefficients, memory, setpoint, is_open, load],
+        [c, x, in_force, noise, coefficients, memory, setpoint, is_open, load, forward, off],
         [ca.densify(output) for output in outputs],  # C writes structural nonzeros only
     )
     *arguments, n = plant.substep.sx_in()
@@ -127,6 +142,7 @@ class CompiledLoop:
             *(count, count, count, ctypes.c_double, ctypes.c_double, ctypes.c_double),
             *(address, count, address, address, address, address, count),
             *(address, address, address, address, address, address),
+            *(address, count, ctypes.c_double, address),
         )
         self._trials.restype = ctypes.c_int
 
@@ -144,6 +160,9 @@ class CompiledLoop:
         signals = np.empty((3 + self._reference, trials, samples))
         flags, ended = np.empty((trials, samples), np.uint8), np.empty(trials, np.int64)
         tension, signal_bytes = _address(signals), 8 * trials * samples
+        compensation = batch.compensation
+        compiled = None if compensation is None else compensation.compiled()
+        terms = None if compiled is None else np.empty((trials, samples, TERMS))
         failed = self._trials(
             *(trials, samples, batch.delay, batch.bound_N, batch.preload_N, batch.open_loop),
             _address(parameters),
@@ -157,11 +176,15 @@ class CompiledLoop:
             tension + 3 * signal_bytes if self._reference else None,
             _address(flags),
             _address(ended),
+            None if compiled is None else compiled.function,
+            0 if compiled is None else compiled.size,
+            0.0 if compensation is None else compensation.plan.period_s,
+            None if terms is None else _address(terms),
         )
         if failed:
             raise MemoryError(f"no memory for a dead time of {batch.delay} samples")
         reference = signals[3] if self._reference else None
-        return Columns(signals[0], signals[1], signals[2], flags, ended, reference)
+        return Columns(signals[0], signals[1], signals[2], flags, ended, reference, terms)
 
 
 def _address(array: Any) -> int:
@@ -179,6 +202,8 @@ def _source(functions: Functions) -> str:
         "SUBSTEPS": functions.substeps,
         "PIDF_STATES": PIDF_STATES,
         "COEFFICIENTS": COEFFICIENTS,
+        "INTEGRAL": INTEGRAL,
+        "FILTERED_SETPOINT": FILTERED_SETPOINT,
     }
     generated = (functions.prepare, functions.sense, functions.substep)
     return c_source(generated, sizes, Path(__file__).with_suffix(".c"))
@@ -194,6 +219,8 @@ class CasadiLoop:
         """Runs the trials, one after the other."""
         trials, samples = len(batch.coefficients), len(batch.setpoint_N)
         columns = Columns.empty(trials, samples, reference=self._functions.has_reference)
+        if batch.compensation is not None:
+            columns = columns._replace(terms=np.empty((trials, samples, TERMS)))
         parameters = np.broadcast_to(batch.parameters, (trials, batch.parameters.shape[-1]))
         noise = np.zeros((1, samples)) if batch.noise_N is None else batch.noise_N
         noise = np.broadcast_to(noise, (trials, samples))
@@ -217,7 +244,7 @@ class VirtualMachine(Buffers):
     def __init__(self, functions: Functions) -> None:
         prepare, sense, _, move, _ = functions
         scalars = ["preload", "setpoint", "is_open", "load", "noise", "before", "after"]
-        scalars += ["y", "angle", "effort", "drive", "excess"]
+        scalars += ["y", "angle", "effort", "drive", "excess", "forward", "off"]
         room = dict.fromkeys(scalars, 1)
         room |= {
             "reference": sense.numel_out(7),
@@ -230,7 +257,7 @@ class VirtualMachine(Buffers):
         self.prepare = self.bind(prepare, "parameters preload", "constants state pidf drive")
         self.sense = self.bind(
             sense,
-            "constants state before noise coefficients pidf setpoint is_open load",
+            "constants state before noise coefficients pidf setpoint is_open load forward off",
             "driven y angle following effort drive excess reference",
         )
         self.move = self.bind(move, "constants driven before after", "state")
@@ -253,15 +280,19 @@ class VirtualMachine(Buffers):
     def trial(self, batch: Batch, noise_N: FloatArray, columns: Columns) -> int:
         """Runs the loop of `trial_loop.c`; returns its end index."""
         m, size = self.memory, batch.delay + 2
+        beside = None if batch.compensation is None else batch.compensation.plain()
         ring = [m["drive"][0]] * size
         m["is_open"][0] = batch.open_loop
         for k, (setpoint, noise) in enumerate(
             zip(batch.setpoint_N.tolist(), noise_N.tolist(), strict=True)
         ):
             m["load"][0] = 0.0 if batch.load_N is None else batch.load_N[k]
+            m["forward"][0] = m["off"][0] = 0.0
             m["setpoint"][0], m["noise"][0], m["before"][0] = setpoint, noise, ring[k % size]
             self.sense()
             y = m["y"][0]
+            if beside is not None and columns.terms is not None:
+                columns.terms[k] = self._compensate(beside, batch, k)
             columns.tension_N[k], columns.effort_N[k] = y, m["effort"][0]
             columns.angle_rad[k] = m["angle"][0]
             if columns.reference_N is not None:
@@ -274,3 +305,18 @@ class VirtualMachine(Buffers):
             m["after"][0] = ring[(k + 1) % size]
             self.move()
         return len(batch.setpoint_N)
+
+    def _compensate(self, beside: Compensation, batch: Batch, k: int) -> CompensationTerms:
+        """Senses a sample again with its compensations, as the loop of `trial_loop.c` does."""
+        m = self.memory
+        known = KnownMotion(math.nan if batch.open_loop else m["pidf"][FILTERED_SETPOINT])
+        assert batch.compensation is not None  # noqa: S101  the caller has made it
+        time_s = k * batch.compensation.plan.period_s
+        terms = beside.sample(time_s, m["y"][0], m["angle"][0], known)
+        if batch.open_loop:
+            terms = terms._replace(gravity_N=0.0, notch_N=0.0)
+        m["forward"][0], m["off"][0] = terms.feed_forward_N, terms.off_gauge_N
+        if k == 0:
+            m["pidf"][INTEGRAL] -= terms.feed_forward_N
+        self.sense()
+        return terms

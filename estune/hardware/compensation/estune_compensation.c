@@ -1,19 +1,19 @@
 /* Compensations beside the PIDF controller: friction (10) as feed-forward along the known motion,
- * velocity and acceleration by adaptive windows, inertia as feed-forward, the cable's weight (9),
- * and the current's calibration C1.
+ * velocity and acceleration by adaptive windows, inertia as feed-forward, a map over the drum's
+ * angle, the cable's weight (9), notches in the measurement, and the current's calibration C1.
  *
  *     static estune_compensation reel;                    all zero at the start
  *     estune_compensation_sample(&reel, time_s, gauge_N, angle_rad, estune_pidf_setpoint(&pidf),
  *                                far_end_m_s);
- *     effort = estune_pidf_step_beside(&pidf, reel.friction + reel.inertia, setpoint,
- *                                      gauge_N - reel.gravity, &excess);
+ *     effort = estune_pidf_step_beside(&pidf, estune_compensation_forward(&reel), setpoint,
+ *                                      gauge_N - estune_compensation_off(&reel), &excess);
  *     counts = estune_current_counts(effort / ESTUNE_NEWTONS_PER_AMPERE);
  *
  * The setpoint is the filtered one of the last step, N, and NAN where the loop was open; the far
  * end's commanded velocity counts away from the reel, 0 where nothing is commanded.
  *
  * C99, in double precision (times need it), no allocation, no library but math. A compensation that
- * is not a number is zero; friction and inertia together stay within ESTUNE_FEED_FORWARD_MAX.
+ * is not a number is zero; all that is fed forward stays within ESTUNE_FEED_FORWARD_MAX.
  */
 #include <math.h>
 #include <string.h>
@@ -28,11 +28,13 @@ typedef struct {
   double times[ESTUNE_HISTORY], angles[ESTUNE_HISTORY], half_bands[ESTUNE_HISTORY];
   double middles[ESTUNE_HISTORY], velocities[ESTUNE_HISTORY], bounds[ESTUNE_HISTORY];
   double velocity, velocity_bound, acceleration; /* of the drum, rad/s and rad/s2 */
-  double gravity, friction, inertia;             /* N */
+  double gravity, friction, inertia, map, notch; /* N */
   double far_end, far_acceleration;              /* of the far end, m/s and m/s2 */
   long unchanged, interval;                      /* samples since it changed, and before that */
   int closed;                                    /* whether the next is a setpoint */
   double setpoint, sliding;                      /* of the last sample; N, direction -1 to 1 */
+  int filtering;                                 /* whether the notches have begun */
+  double in[ESTUNE_NOTCHES][2], out[ESTUNE_NOTCHES][2]; /* of the notches, newest first; N */
 } estune_compensation;
 
 static void estune_prepend(double *values, double value) {
@@ -140,6 +142,43 @@ static double estune_known_motion(estune_compensation *c, double far_end) {
   return drum_per_m * (ESTUNE_KNOWN_INERTIA * c->far_acceleration + ESTUNE_KNOWN_VISCOUS * far_end);
 }
 
+/* Waves over the drum's angle as it will be when the effort acts: order, N, share of the setpoint,
+ * phase. */
+static double estune_angle_map(const estune_compensation *c, double angle, double setpoint) {
+  static const double waves[][4] = {ESTUNE_WAVES};
+  double ahead = angle - ESTUNE_MAP_ZERO + c->velocity * ESTUNE_MAP_LEAD, sum = 0.0;
+  int n;
+  if (!isfinite(setpoint) || !isfinite(angle)) return 0.0;
+  for (n = 0; n < (int)(sizeof waves / sizeof *waves); n++)
+    sum += (waves[n][1] + waves[n][2] * fmax(setpoint, 0.0)) *
+           sin(waves[n][0] * ahead + waves[n][3]);
+  return sum;
+}
+
+/* What the notches take off the gauge. They begin at rest, and anew where it is not a number. */
+static double estune_notch(estune_compensation *c, double tension) {
+  static const double notches[ESTUNE_NOTCHES][5] = {ESTUNE_NOTCH_COEFFICIENTS};
+  double x = tension, y;
+  int n;
+  if (!isfinite(tension)) {
+    c->filtering = 0;
+    return 0.0;
+  }
+  for (n = 0; n < ESTUNE_NOTCHES; n++) {
+    const double *k = notches[n];
+    if (!c->filtering) c->in[n][0] = c->in[n][1] = c->out[n][0] = c->out[n][1] = x;
+    y = k[0] * x + k[1] * c->in[n][0] + k[2] * c->in[n][1] - k[3] * c->out[n][0] -
+        k[4] * c->out[n][1];
+    c->in[n][1] = c->in[n][0];
+    c->in[n][0] = x;
+    c->out[n][1] = c->out[n][0];
+    c->out[n][0] = y;
+    x = y;
+  }
+  c->filtering = 1;
+  return tension - x;
+}
+
 static double estune_limited(double value) {
   if (isnan(value)) return 0.0;
   return fmin(fmax(value, -ESTUNE_FEED_FORWARD_MAX), ESTUNE_FEED_FORWARD_MAX);
@@ -156,6 +195,19 @@ ESTUNE_COMPENSATION_EXPORT void estune_compensation_sample(estune_compensation *
   c->inertia = estune_limited(ESTUNE_INERTIA * c->acceleration / ESTUNE_DRUM_RADIUS +
                               estune_known_motion(c, isfinite(setpoint) ? far_end : 0.0));
   c->inertia = estune_limited(c->friction + c->inertia) - c->friction;
+  c->map = estune_limited(c->friction + c->inertia + estune_angle_map(c, angle, setpoint)) -
+           (c->friction + c->inertia);
+  c->notch = estune_notch(c, tension);
+}
+
+/* Effort beside that of the controller, N. */
+ESTUNE_COMPENSATION_EXPORT double estune_compensation_forward(const estune_compensation *c) {
+  return c->friction + c->inertia + c->map;
+}
+
+/* What the controlled tension is less than that at the gauge, N. */
+ESTUNE_COMPENSATION_EXPORT double estune_compensation_off(const estune_compensation *c) {
+  return c->gravity + c->notch;
 }
 
 /* Command of the current controller, counts, by Newton's method on its calibrated curve C1. */

@@ -2,7 +2,7 @@
 
 import math
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from estune.reel.friction import FrictionFeedForward
 from estune.reel.velocity import Windows
@@ -33,20 +33,108 @@ class CompensationTerms(NamedTuple):
         friction_N: Feed-forward of the friction, (10), along the known motion; added to the
             effort.
         inertia_N: Feed-forward of the inertia, added to the effort.
+        angle_map_N: Feed-forward of the map over the drum's angle, added to the effort.
+        notch_N: What the notches take off the tension at the gauge.
     """
 
     velocity_rad_s: float
     gravity_N: float
     friction_N: float
     inertia_N: float
+    angle_map_N: float
+    notch_N: float
 
     @property
     def feed_forward_N(self) -> float:
         """Effort beside that of the controller, N."""
-        return self.friction_N + self.inertia_N
+        return self.friction_N + self.inertia_N + self.angle_map_N
+
+    @property
+    def off_gauge_N(self) -> float:
+        """What the controlled tension is less than that at the gauge, N."""
+        return self.gravity_N + self.notch_N
+
+    def columns(self, amperes_per_newton: float) -> dict[str, Any]:
+        """The terms, numbers or arrays of them, as the columns of a record."""
+        return {
+            "drum_velocity_rad_s": self.velocity_rad_s,
+            "gravity_N": self.gravity_N,
+            "friction_A": self.friction_N * amperes_per_newton,
+            "inertia_A": self.inertia_N * amperes_per_newton,
+            "angle_map_A": self.angle_map_N * amperes_per_newton,
+            "notch_N": self.notch_N,
+        }
 
 
-NO_COMPENSATION = CompensationTerms(0.0, 0.0, 0.0, 0.0)
+NO_COMPENSATION = CompensationTerms(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+
+
+class Wave(NamedTuple):
+    """One wave of a map over the drum's angle: `(force_N + load_share r) sin(N theta + phi)`.
+
+    Attributes:
+        order: Periods N in a turn of the drum.
+        force_N: Amplitude of the effort, N.
+        load_share: Amplitude relative to the setpoint r, as an eccentric drum asks for.
+        phase_rad: Phase phi at the map's zero, rad.
+    """
+
+    order: float
+    force_N: float
+    load_share: float
+    phase_rad: float
+
+
+@dataclass(frozen=True, slots=True)
+class AngleMap:
+    """Effort over the drum's angle.
+
+    Attributes:
+        waves: The waves, which are added.
+        zero_rad: Angle read at the map's zero, rad.
+        lead_s: Time from a reading to the middle of the sample in which its effort acts, s; the
+            angle is taken as far ahead as the drum turns in it.
+    """
+
+    waves: tuple[Wave, ...]
+    zero_rad: float
+    lead_s: float
+
+    def force_N(self, angle_rad: float, velocity_rad_s: float, setpoint_N: float) -> float:
+        """The effort at a sample, N."""
+        ahead = angle_rad - self.zero_rad + velocity_rad_s * self.lead_s
+        load = max(setpoint_N, 0.0)
+        return sum(
+            (force + share * load) * math.sin(order * ahead + phase)
+            for order, force, share, phase in self.waves
+        )
+
+
+class Notch(NamedTuple):
+    """A notch as a difference equation, `y = b0 x + b1 x' + b2 x'' - a1 y' - a2 y''`."""
+
+    b0: float
+    b1: float
+    b2: float
+    a1: float
+    a2: float
+
+    @classmethod
+    def at(cls, frequency_Hz: float, width_Hz: float, depth: float, sampling_Hz: float) -> "Notch":
+        """The notch at a frequency.
+
+        Args:
+            frequency_Hz: Its middle, below half the sampling rate.
+            width_Hz: Width between the points of -3 dB of a notch to zero.
+            depth: Gain in its middle; one is no notch.
+            sampling_Hz: Sampling rate.
+        """
+        from scipy.signal import iirnotch  # noqa: PLC0415  slow to import
+
+        b, a = iirnotch(frequency_Hz, frequency_Hz / width_Hz, fs=sampling_Hz)
+        numerator = depth * a + (1.0 - depth) * b
+        b_0, b_1, b_2 = map(float, numerator)
+        return cls(b_0, b_1, b_2, float(a[1]), float(a[2]))
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,8 +174,10 @@ class CompensationPlan:
         known_inertia_kgm2: Inertia fed forward along the far end's commanded motion, kg m2.
         known_viscous_Nms_rad: Viscous friction, likewise, N m per rad/s.
         gravity: The cable's weight; None where it is off.
+        angle_map: Effort over the drum's angle; None where it is off.
+        notches: Notches in the measurement.
         drum_radius_m: Radius of the cable on the drum, m.
-        feed_forward_max_N: Greatest size of friction and inertia together, N.
+        feed_forward_max_N: Greatest size of all that is fed forward, N.
         columns: Names of the columns that a record has of them.
     """
 
@@ -99,6 +189,8 @@ class CompensationPlan:
     known_inertia_kgm2: float
     known_viscous_Nms_rad: float
     gravity: Gravity | None
+    angle_map: AngleMap | None
+    notches: tuple[Notch, ...]
     drum_radius_m: float
     feed_forward_max_N: float
     columns: tuple[str, ...]

@@ -26,6 +26,7 @@ void estune_compensation_terms(estune_compensation *c, double time, double tensi
                                double setpoint, double far_end, double *terms) {
   estune_compensation_sample(c, time, tension, angle, setpoint, far_end);
   terms[0] = c->velocity; terms[1] = c->gravity; terms[2] = c->friction; terms[3] = c->inertia;
+  terms[4] = c->map; terms[5] = c->notch;
 }
 """
 
@@ -62,25 +63,35 @@ class PlainCompensation:
         self._setpoint_N, self._direction = math.nan, 0.0
         self._far_end = self._far_acceleration = 0.0
         self._unchanged = self._interval = 0
+        self._rung: list[list[float]] = []  # the last two of each notch, in and out
 
     def sample(
         self, time_s: float, gauge_N: float, angle_rad: float, known: KnownMotion = NOTHING_KNOWN
     ) -> CompensationTerms:
         """The compensations at a sample; none where it is out of order or not finite."""
-        plan, times = self._plan, self._state.times_s
+        plan = self._plan
         friction = plan.limited_N(self._friction_N(known))
         along_N = self._known_motion_N(known)
-        gravity = self._gravity_N(gauge_N, angle_rad)
+        velocity_rad_s, acceleration_rad_s2 = self._motion(time_s, angle_rad)
+        torque_Nm = plan.inertia_kgm2 * acceleration_rad_s2
+        inertia = plan.limited_N(torque_Nm / plan.drum_radius_m + along_N)
+        inertia = plan.limited_N(friction + inertia) - friction
+        mapped, forward = 0.0, friction + inertia
+        if plan.angle_map is not None and math.isfinite(known.setpoint_N + angle_rad):
+            mapped = plan.angle_map.force_N(angle_rad, velocity_rad_s, known.setpoint_N)
+        mapped = plan.limited_N(forward + mapped) - forward
+        gravity, notch = self._gravity_N(gauge_N, angle_rad), self._notch_N(gauge_N)
+        return CompensationTerms(velocity_rad_s, gravity, friction, inertia, mapped, notch)
+
+    def _motion(self, time_s: float, angle_rad: float) -> tuple[float, float]:
+        """Velocity and acceleration of the drum; begins anew where a sample is out of order."""
+        times = self._state.times_s
         finite = math.isfinite(time_s) and math.isfinite(angle_rad)
         if not finite or (times and not time_s > times[0]):
             self._state = MotionState()
-            inertia = plan.limited_N(friction + plan.limited_N(along_N)) - friction
-            return CompensationTerms(0.0, gravity, friction, inertia)
-        self._state, motion = velocity.step(plan.windows, self._state, time_s, angle_rad)
-        torque_Nm = plan.inertia_kgm2 * motion.acceleration_rad_s2
-        inertia = plan.limited_N(torque_Nm / plan.drum_radius_m + along_N)
-        inertia = plan.limited_N(friction + inertia) - friction
-        return CompensationTerms(motion.velocity_rad_s, gravity, friction, inertia)
+            return 0.0, 0.0
+        self._state, motion = velocity.step(self._plan.windows, self._state, time_s, angle_rad)
+        return motion.velocity_rad_s, motion.acceleration_rad_s2
 
     def _known_motion_N(self, known: KnownMotion) -> float:
         """Inertia and viscous friction along the far end's motion; see the C text."""
@@ -114,6 +125,21 @@ class PlainCompensation:
             self._direction, velocity, known.setpoint_N, plan.drum_radius_m
         )
 
+    def _notch_N(self, gauge_N: float) -> float:
+        """What the notches take off the gauge; see the C text."""
+        if not math.isfinite(gauge_N):
+            self._rung = []
+            return 0.0
+        x, fresh = gauge_N, not self._rung
+        for n, k in enumerate(self._plan.notches):
+            if fresh:
+                self._rung.append([x, x, x, x])
+            x_1, x_2, y_1, y_2 = self._rung[n]
+            y = k.b0 * x + k.b1 * x_1 + k.b2 * x_2 - k.a1 * y_1 - k.a2 * y_2
+            self._rung[n] = [x, x_1, y, y_1]
+            x = y
+        return gauge_N - x
+
     def _gravity_N(self, gauge_N: float, angle_rad: float) -> float:
         gravity = self._plan.gravity
         if gravity is None or not (math.isfinite(gauge_N) and math.isfinite(angle_rad)):
@@ -126,7 +152,12 @@ class PlainCompensation:
 
 
 class CompiledCompensation:
-    """The C text, compiled."""
+    """The C text, compiled.
+
+    Attributes:
+        size: Bytes of its state, which is all zero at the start.
+        function: Address of `estune_compensation_terms`.
+    """
 
     def __init__(self, source: str) -> None:
         """Compiles the text, or takes it from the cache.
@@ -138,7 +169,9 @@ class CompiledCompensation:
         self._sample = library.estune_compensation_terms
         number, address = ctypes.c_double, ctypes.c_void_p
         self._sample.argtypes, self._sample.restype = (address, *5 * (number,), address), None
-        self._state = ctypes.create_string_buffer(library.estune_compensation_size())
+        self.size = library.estune_compensation_size()
+        self.function = ctypes.cast(self._sample, address).value
+        self._state = ctypes.create_string_buffer(self.size)
         self._terms = (number * len(CompensationTerms._fields))()
         self._addresses = ctypes.addressof(self._state), ctypes.addressof(self._terms)
 

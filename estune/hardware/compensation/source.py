@@ -1,12 +1,16 @@
 """C text of compensations and hybrid control, with a rig's numbers; beside the controller's."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 from estune.core.gains import Gains
-from estune.hardware.compensation.plan import CompensationPlan
+from estune.hardware.compensation.plan import CompensationPlan, Notch, Wave
 from estune.hardware.scales import CurrentScale
 from estune.reel.hybrid import SwitchingRules
+
+_NO_WAVE = Wave(0.0, 0.0, 0.0, 0.0)
+_NO_NOTCH = Notch(1.0, 0.0, 0.0, 0.0, 0.0)
+"""What stands in arrays of the C text, which cannot be empty."""
 
 
 def compensation_source(
@@ -21,6 +25,8 @@ def compensation_source(
     """
     windows, friction, gravity = plan.windows, plan.friction, plan.gravity
     dry = friction.friction if friction else None
+    mapped = plan.angle_map
+    notches = plan.notches or (_NO_NOTCH,)
     numbers: dict[str, float | int | str] = {
         "HISTORY": max(windows.velocity_intervals, windows.acceleration_intervals) + 1,
         "VELOCITY_INTERVALS": windows.velocity_intervals,
@@ -46,6 +52,11 @@ def compensation_source(
         "LENGTH": gravity.length_m if gravity else 1.0,
         "LENGTH_MIN": gravity.length_min_m if gravity else 1.0,
         "LENGTH_MAX": gravity.length_max_m if gravity else 1.0,
+        "WAVES": _rows(mapped.waves if mapped else (_NO_WAVE,)),
+        "MAP_ZERO": mapped.zero_rad if mapped else 0.0,
+        "MAP_LEAD": mapped.lead_s if mapped else 0.0,
+        "NOTCHES": len(notches),
+        "NOTCH_COEFFICIENTS": _rows(notches),
         "NEWTONS_PER_AMPERE": newtons_per_ampere,
         "CURRENT_CURVE": ", ".join(map(repr, current.coefficients)),
         "CURRENT_MIDDLE": current.middle,
@@ -68,6 +79,10 @@ def hybrid_source(rules: SwitchingRules, position: Gains) -> str:
         "POSITION_GAINS": ", ".join(map(repr, position.as_tuple())),
     }
     return _with_numbers(numbers, "estune_hybrid.c")
+
+
+def _rows(rows: Iterable[tuple[float, ...]]) -> str:
+    return ", ".join(f"{{{', '.join(map(repr, row))}}}" for row in rows)
 
 
 def _with_numbers(numbers: Mapping[str, float | int | str], file: str) -> str:

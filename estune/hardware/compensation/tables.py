@@ -2,12 +2,12 @@
 
 import json
 import math
-from typing import Annotated
+from typing import Annotated, Literal, Self
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from estune.errors import InvalidInput
-from estune.hardware.compensation.plan import CompensationPlan, Gravity
+from estune.hardware.compensation.plan import AngleMap, CompensationPlan, Gravity, Notch, Wave
 from estune.hardware.tables import FileOrNumbers, NotNegative, Positive
 from estune.reel.friction import FRACTION_MAX, FrictionFeedForward, StribeckFriction
 from estune.reel.velocity import Windows
@@ -16,6 +16,9 @@ from estune.support.toml_file import TomlTable, validate
 INTERVALS_MAX = 200
 """Longest window: 0.3 s at 632 Hz, and 10 kB of a board's memory."""
 
+
+WAVES_MAX = 16
+"""Most waves of a map: a sine each in every sample, and 0.5 kB of JSON in a trial's request."""
 
 MEMORY_COUNTS = 0.1
 """Presliding distance where none is given, in encoder counts: far below what can be seen."""
@@ -90,6 +93,58 @@ class GravityTable(TomlTable):
     length_max_m: Positive
 
 
+class AngleMapTable(TomlTable):
+    """Torque over the drum's angle, `sum (A_k + c_k R r) sin(N_k theta + phi_k)`, r the setpoint.
+
+    The angle counts from `zero_rad` of the encoder, which must read the same at the same place of
+    the drum after every start: an absolute one, or one that the drive sets at its index.
+    """
+
+    zero: Literal["absolute", "index"]
+    orders: Annotated[list[Positive], Field(min_length=1, max_length=WAVES_MAX)]
+    torque_Nm: list[float] = Field(default_factory=list)
+    load_share: list[float] = Field(default_factory=list)
+    phase_rad: list[float]
+    zero_rad: float = 0.0
+    lead_s: NotNegative = 0.0
+    fraction: Annotated[float, Field(ge=0.0, le=FRACTION_MAX)] = 0.8
+
+    @model_validator(mode="after")
+    def _alike(self) -> Self:
+        for name in ("torque_Nm", "load_share", "phase_rad"):
+            given = len(getattr(self, name))
+            if given != len(self.orders) and (given or name == "phase_rad"):
+                raise ValueError(
+                    f"{name} has {given} numbers and orders has {len(self.orders)}; "
+                    "give one for each order"
+                )
+        if not self.torque_Nm and not self.load_share:
+            raise ValueError("give torque_Nm, load_share or both")
+        return self
+
+    def map(self, drum_radius_m: float) -> AngleMap:
+        """The map, a share of it."""
+        none = [0.0] * len(self.orders)
+        rows = zip(
+            self.orders,
+            self.torque_Nm or none,
+            self.load_share or none,
+            self.phase_rad,
+            strict=True,
+        )
+        share = self.fraction
+        waves = tuple(Wave(n, share * a / drum_radius_m, share * c, phi) for n, a, c, phi in rows)
+        return AngleMap(waves, self.zero_rad, self.lead_s)
+
+
+class NotchTable(TomlTable):
+    """A notch in the measurement; a depth of zero takes its frequency away altogether."""
+
+    frequency_Hz: Positive
+    width_Hz: Positive = 3.0
+    depth: Annotated[float, Field(ge=0.0, lt=1.0)] = 0.0
+
+
 def table_of(text: str, source: str) -> "CompensationTable | None":
     """The table in JSON text; None for one that switches nothing on.
 
@@ -111,7 +166,7 @@ def table_of(text: str, source: str) -> "CompensationTable | None":
 class CompensationTable(TomlTable):
     """Compensations that run beside the controller; each is on if its table is there.
 
-    Friction and inertia together never exceed a share of the greatest current.
+    All that is fed forward together never exceeds a share of the greatest current.
     """
 
     share_max: Annotated[float, Field(gt=0.0, le=0.5)] = 0.2
@@ -120,15 +175,22 @@ class CompensationTable(TomlTable):
     inertia: InertiaTable | None = None
     known_motion: KnownMotionTable | None = None
     gravity: GravityTable | None = None
+    angle_map: AngleMapTable | None = None
+    hum: NotchTable | None = None
+    mode: NotchTable | None = None
 
     @property
     def columns(self) -> tuple[str, ...]:
         """Columns that a record has of the compensations."""
         columns = {
-            "drum_velocity_rad_s": self.friction or self.inertia or self.known_motion,
+            "drum_velocity_rad_s": (
+                self.friction or self.inertia or self.known_motion or self.angle_map
+            ),
             "gravity_N": self.gravity,
             "friction_A": self.friction,
             "inertia_A": self.inertia or self.known_motion,
+            "angle_map_A": self.angle_map,
+            "notch_N": self.hum or self.mode,
         }
         return tuple(name for name, table in columns.items() if table is not None)
 
@@ -155,7 +217,7 @@ class CompensationTable(TomlTable):
         if not self.columns:
             raise InvalidInput(
                 "[compensation] switches nothing on; add [compensation.friction], .inertia, "
-                ".known_motion or .gravity, or leave it out"
+                ".known_motion, .gravity, .angle_map, .hum or .mode, or leave it out"
             )
         windows = Windows(
             self.velocity.error_counts * 2.0 * math.pi / abs(encoder_counts),
@@ -172,6 +234,8 @@ class CompensationTable(TomlTable):
             known_inertia_kgm2=self.known_motion.inertia_kgm2 if self.known_motion else 0.0,
             known_viscous_Nms_rad=self.known_motion.viscous_Nms_rad if self.known_motion else 0.0,
             gravity=self._gravity(cable_length_m, limit),
+            angle_map=self._angle_map(drum_radius_m, limit),
+            notches=self._notches(sampling_Hz),
             drum_radius_m=drum_radius_m,
             feed_forward_max_N=limit,
             columns=self.columns,
@@ -193,6 +257,36 @@ class CompensationTable(TomlTable):
                 "N; check the unit of static_Nm, then raise share_max"
             )
         return forward
+
+    def _angle_map(self, drum_radius_m: float, limit_N: float) -> AngleMap | None:
+        if self.angle_map is None:
+            return None
+        found = self.angle_map.map(drum_radius_m)
+        largest_N = sum(abs(wave.force_N) for wave in found.waves)
+        if largest_N > limit_N:
+            raise InvalidInput(
+                f"compensation.angle_map feeds up to {largest_N:.4g} N forward, above "
+                f"compensation.share_max {self.share_max:g} of the greatest effort, {limit_N:.4g} "
+                "N; check the unit of torque_Nm, then raise share_max"
+            )
+        return found
+
+    def _notches(self, sampling_Hz: float) -> tuple[Notch, ...]:
+        found = []
+        for name in ("hum", "mode"):
+            table: NotchTable | None = getattr(self, name)
+            if table is None:
+                continue
+            upper = table.frequency_Hz + 0.5 * table.width_Hz
+            if not (upper < 0.5 * sampling_Hz and table.width_Hz < table.frequency_Hz):
+                raise InvalidInput(
+                    f"compensation.{name}: a notch at {table.frequency_Hz:g} Hz, "
+                    f"{table.width_Hz:g} Hz wide, does not lie between 0 and half the sampling "
+                    f"rate, {0.5 * sampling_Hz:g} Hz"
+                )
+            shape = table.frequency_Hz, table.width_Hz, table.depth
+            found.append(Notch.at(*shape, sampling_Hz))
+        return tuple(found)
 
     def _gravity(self, cable_length_m: float | None, limit_N: float) -> Gravity | None:
         table = self.gravity

@@ -97,7 +97,7 @@ class ReelStateMachine:
             *(time_s, gauge, angle, reel.setpoint.far_end_m_s),
             is_open=recorded and reel.trial.under_way.open_loop,
         )
-        tension = gauge - terms.gravity_N
+        tension = gauge - terms.off_gauge_N
         flags = LATE if late else 0
         self._take_orders(time_s)
         trip = self._cell(MotionEvent.TRIP)
@@ -120,10 +120,7 @@ class ReelStateMachine:
                 tension_N=tension,
                 current_A=current,
                 angle_rad=angle,
-                drum_velocity_rad_s=terms.velocity_rad_s,
-                gravity_N=terms.gravity_N,
-                friction_A=terms.friction_N / plan.newtons_per_ampere,
-                inertia_A=terms.inertia_N / plan.newtons_per_ampere,
+                **terms.columns(1.0 / plan.newtons_per_ampere),
                 flags=flags | (SATURATED if reel.control.limited else 0),
             )
         memory.publish(

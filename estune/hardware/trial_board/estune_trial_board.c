@@ -32,7 +32,7 @@ enum outcome { NONE, DONE, GUARD, CANCELLED, INTERRUPTED };
 enum reason { NO_REASON, TENSION, TRAVEL, SILENCE, ABORT, ESTOP, NOT_TAUT, NOT_SETTLED, SENSOR };
 
 #ifdef ESTUNE_COMPENSATED
-#define TERMS 4 /* velocity, gravity, friction, inertia */
+#define TERMS 6 /* velocity, gravity, friction, inertia, map, notch */
 #else
 #define TERMS 0
 #endif
@@ -66,6 +66,7 @@ static estune_compensation compensation;
 
 static void uncompensated(void) {
   compensation.gravity = compensation.friction = compensation.inertia = 0;
+  compensation.map = compensation.notch = 0;
 }
 
 /* The tension that is controlled; in an open loop nothing is altered. */
@@ -76,8 +77,8 @@ static double compensate(double gauge, double angle) {
   estune_compensation_sample(&compensation, ++samples / ESTUNE_PIDF_SAMPLING_HZ, gauge, angle,
                              closed ? estune_pidf_setpoint(&board.pidf) : NAN, 0);
   if (board.state == TRIAL && board.open_loop) uncompensated();
-  board.forward = compensation.friction + compensation.inertia;
-  return gauge - compensation.gravity;
+  board.forward = estune_compensation_forward(&compensation);
+  return gauge - estune_compensation_off(&compensation);
 }
 #else
 static double compensate(double gauge, double angle) {
@@ -174,6 +175,8 @@ static void trial(double tension, double angle) {
   now->numbers[4] = (estune_stored)compensation.gravity;
   now->numbers[5] = (estune_stored)compensation.friction;
   now->numbers[6] = (estune_stored)compensation.inertia;
+  now->numbers[7] = (estune_stored)compensation.map;
+  now->numbers[8] = (estune_stored)compensation.notch;
 #endif
   now->flags = excess != 0;
   if (++board.done == board.samples) end_trial(tension, DONE);

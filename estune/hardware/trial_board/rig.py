@@ -242,13 +242,9 @@ class BoardRig:
         if self._config.compensation is None:
             return {}
         amperes = 1.0 / self._config.newtons_per_ampere
-        columns = {
-            "drum_velocity_rad_s": rows["velocity_rad_s"].copy(),
-            "gravity_N": rows["gravity_N"].copy(),
-            "friction_A": rows["friction_N"] * amperes,
-            "inertia_A": rows["inertia_N"] * amperes,
-        }
-        return {name: columns[name] for name in self._config.compensation.columns}
+        terms: Any = CompensationTerms._make(rows[name] for name in CompensationTerms._fields)
+        columns = terms.columns(amperes)
+        return {name: np.array(columns[name]) for name in self._config.compensation.columns}
 
     def _coefficients(self, gains: Gains) -> bytes:
         numbers = pidf.coefficients(self._description.controller, gains)

@@ -31,7 +31,7 @@ class Patch:
     effect: str
     title: str
     harm: str
-    tables: Mapping[str, Mapping[str, float]]
+    tables: Mapping[str, Mapping[str, Any]]
     predicted: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     proof: Mapping[str, Any] | None = None
 
