@@ -16,7 +16,13 @@ from estune.hardware.compensation.runtime import PlainCompensation
 from estune.hardware.compensation.tables import CompensationTable
 from estune.trial import TrialRequest
 from estune.trial.profiles import StepProfile, TriangleProfile
-from plants.effects import Cogging, DrumEccentricity, MainsInterference, TorqueRipple
+from plants.effects import (
+    Cogging,
+    DrumEccentricity,
+    MainsInterference,
+    StructuralMode,
+    TorqueRipple,
+)
 from plants.remedies.offers import offers_for
 from plants.simulation.compensation import trial_compensation
 from plants.simulation.trial_loop import CasadiLoop, loop_functions
@@ -131,3 +137,11 @@ def test_a_notch_keeps_the_hum_out_of_the_current():
 def test_what_a_simulated_rig_has_not_is_refused():
     with pytest.raises(InvalidInput, match="leave gravity and known_motion out"):
         run(plants.reference_reel(), {"gravity": ALL["gravity"]})
+
+
+def test_a_notch_is_offered_only_where_it_gains():
+    """A notch at a low mode lowers every measure at the same gains, and takes margin."""
+    hum = offers_for(found(MainsInterference(0.4, 50.0, 0.3), 0.02), GAINS)
+    assert any(offer.tables.get("hum") and offer.worth for offer in hum)
+    mode = offers_for(found(StructuralMode(0.3, 20.0), 0.1), GAINS)
+    assert not any("mode" in offer.tables and offer.worth for offer in mode)

@@ -27,7 +27,7 @@ def remedy(
     Args:
         diagnosis: The diagnosis, JSON of estune explain --json.
         rig: The rig's file, such as my-rig.toml.
-        effect: The effect to be remedied; by default that of the greatest predicted gain.
+        effect: The effect to be remedied, whatever is predicted; by default that of most gain.
         out: The patch; EFFECT.remedy.json beside the rig's file by default.
 
     Raises:

@@ -143,6 +143,11 @@ class TrialRecord:
         return self.current_A - sum(forward) if forward else self.current_A
 
     @property
+    def unfiltered_N(self) -> FloatArray:
+        """The tension with what the rig's notches took off: by which a loop is judged."""
+        return self.tension_N if self.notch_N is None else self.tension_N + self.notch_N
+
+    @property
     def ended_late(self) -> bool:
         """Whether the rig's guard ended the trial because the loop's own sample came late."""
         return bool(self.flags.size) and int(self.flags[-1]) & (LATE | GUARD) == LATE | GUARD

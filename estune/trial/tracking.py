@@ -12,12 +12,16 @@ from typing import NamedTuple
 import numpy as np
 
 from estune.core.quantities import FloatArray
+from estune.trial.description import RigLimits
 from estune.trial.profiles import StepProfile, TriangleProfile
 
 CYCLE_SETTLINGS = 15.0
 """Length of a triangle's cycle in settling times: slow beside the loop."""
 AMPLITUDE_SHARE = 0.3
 """Amplitude of the triangle relative to the step."""
+WIDE_SHARE = 0.8
+"""Width of a triangle that is to turn the drum, relative to the range of the tension: the tenth
+left at each end is for the error."""
 CYCLES = 3
 """Cycles of the triangle; the first one, which begins from rest, does not count."""
 REVERSAL_SETTLINGS = 1.2
@@ -41,18 +45,26 @@ class TriangleTracking(NamedTuple):
     reversal_N: float
 
 
-def tracking_profile(step: StepProfile, settling_time_s: float) -> TriangleProfile:
+def tracking_profile(
+    step: StepProfile, settling_time_s: float, limits: RigLimits | None = None
+) -> TriangleProfile:
     """The slow triangle that belongs to a rig's step: about the middle of it.
 
     Args:
         step: The rig's step.
         settling_time_s: Desired settling time, s.
+        limits: Limits of the tension, within which the triangle is as wide as they allow; it then
+            turns the drum as far as the tension can, which waves over its angle ask for.
     """
+    middle, amplitude = step.preload_N + 0.5 * step.step_N, AMPLITUDE_SHARE * step.step_N
+    if limits is not None:
+        low, high = limits.tension_min_N, limits.tension_max_N
+        middle, amplitude = 0.5 * (low + high), 0.5 * WIDE_SHARE * (high - low)
     period = CYCLE_SETTLINGS * settling_time_s
     start = 2.0 * settling_time_s
     return TriangleProfile(
-        preload_N=step.preload_N + 0.5 * step.step_N,
-        amplitude_N=AMPLITUDE_SHARE * step.step_N,
+        preload_N=middle,
+        amplitude_N=amplitude,
         period_s=period,
         duration_s=start + CYCLES * period,
         start_s=start,

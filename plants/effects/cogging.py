@@ -103,10 +103,9 @@ class Cogging(Effect):
         waves = [
             {"orders": order, "torque_Nm": size, "phase_rad": phi}
             for size, order, phi in _waves(p)
-            if size > 0.0
         ]
         change = workshop("change the motor for one that cogs less")
-        return (*angle_map(plant, "amplitude_1_Nm", waves), change) if waves else (change,)
+        return (*angle_map(plant, "amplitude_1_Nm", waves), change)
 
     @staticmethod
     def respond(p: Values, state: Signal, _signal: Signal, site: Site) -> Response:

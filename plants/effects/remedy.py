@@ -112,7 +112,7 @@ def angle_map(
             "feed a map over the drum's angle forward",
             harm="a zero of the encoder that moves by a sixth of a period makes it worse than "
             "without: the encoder must be absolute or indexed; zero_rad is what it reads where "
-            "the cable is just taut",
+            "the cable is just taut; it gains most where the far end moves, which no trial shows",
             sized_by=sized_by,
             tables={"angle_map": table | {"zero": "absolute", "fraction": SAFE_FRACTION}},
         ),

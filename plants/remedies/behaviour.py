@@ -8,6 +8,7 @@ import numpy as np
 from estune.core.cost import default_cost
 from estune.core.gains import Gains
 from estune.core.quantities import FloatArray
+from estune.trial.description import RigLimits
 from estune.trial.profiles import AnyProfile
 from estune.trial.tracking import rest_of, resting_profile, tracking_of, tracking_profile
 from plants.simulation.batch import divergence_limit_N, simulate_drive
@@ -23,7 +24,9 @@ def behaviour(
     gains: Gains,
     settling_time_s: float,
     remedy: TrialCompensation | None = None,
+    *,
     truth: Callable[[FloatArray], FloatArray] | None = None,
+    limits: RigLimits | None = None,
 ) -> FloatArray:
     """`MEASURES` of a plant's loop; the cost counts the whole current.
 
@@ -34,13 +37,14 @@ def behaviour(
         remedy: Compensations beside the controller; None for none.
         truth: Tension that is there at a reading of the gauge, of which tracking and reversal then
             are; None where the gauge reads the tension.
+        limits: Limits within which the triangle is as wide as they allow; None for the usual one.
 
     Returns:
         Cost, then tracking, reversal and rest in N, shape (4,); NaN where the loop diverges.
     """
     step = plant.profile
     resting = resting_profile(step, settling_time_s)
-    triangle = tracking_profile(step, settling_time_s)
+    triangle = tracking_profile(step, settling_time_s, limits)
     rate = plant.controller.sampling_Hz
     tension, current = _run(plant, gains, resting, remedy, seed=0)
     _, wanted, *_ = drive_of(resting, rate)

@@ -18,9 +18,11 @@ from estune.core.gains import Gains
 from estune.core.quantities import FloatArray
 from estune.errors import EstuneError, InvalidInput
 from plants.effects import Effect, Port, Site
+from plants.effects.parameter import Role
 from plants.effects.plant_scale import PlantScale
 from plants.effects.remedy import SAFE_FRACTION, Place, Remedy
 from plants.remedies.behaviour import MEASURES, behaviour
+from plants.remedies.margins import sensitivity
 from plants.simulation.compensation import TrialCompensation, compensation_of
 
 DRAWS = 16
@@ -75,7 +77,7 @@ class Offer:
         work: The work it takes.
         harm: What it may harm.
         worth: Whether it is predicted to gain enough; None where nothing is predicted.
-        ratios: Predicted ratios by `MEASURES`.
+        ratios: Predicted ratios by `MEASURES`, and of Ms (`sensitivity`) where it takes margin.
         tables: Tables of `[compensation]` that switch it on.
         refused: Why it cannot be done yet, with the experiment that helps; empty where it can.
     """
@@ -159,9 +161,10 @@ def _worth(ratios: Mapping[str, PredictedRatio]) -> bool | None:
     """Whether something gains enough and nothing else loses as much; None where unpredicted."""
     if not ratios:
         return None
-    judged = [ratio.value for name, ratio in ratios.items() if name != "rest"]
-    restless = ratios["rest"].low > 1.0 + WORTH
-    return min(judged) <= 1.0 - WORTH and max(judged) <= 1.0 + WORTH and not restless
+    gained = min(ratios[name].value for name in MEASURES if name != "rest") <= 1.0 - WORTH
+    harmed = any(ratios[name].value > 1.0 + WORTH for name in MEASURES if name != "rest")
+    unsafe = "sensitivity" in ratios and ratios["sensitivity"].high > 1.0 + WORTH
+    return gained and not harmed and not unsafe and not ratios["rest"].low > 1.0 + WORTH
 
 
 def safe_fraction(bounds: FittedNumber) -> float:
@@ -208,7 +211,25 @@ def _predicted(
         return {}
     if not np.isfinite(rows).all():  # a machine of the intervals does not bear it
         return {}
-    return _intervals(np.array(rows), widened="friction" in tables)
+    ratios = _intervals(np.array(rows), widened="friction" in tables)
+    if "mode" in tables:
+        ratios["sensitivity"] = _sensitivity(model, about.gains, found, tables)
+    return ratios
+
+
+def _sensitivity(
+    model: Any, gains: Gains, found: Found, tables: Mapping[str, Mapping[str, Any]]
+) -> PredictedRatio:
+    """Ratio of Ms, of the mode found and of the drawn ones of least and greatest frequency.
+
+    At the same gains a notch may lower every measure and take the margin that a tuning would use.
+    """
+    ordered = sorted(_draws(found), key=lambda one: float(getattr(one, "frequency_Hz", 0.0)))
+    machines = [
+        with_effect(model, found.effect, e) for e in (found.effect, ordered[0], ordered[-1])
+    ]
+    value, *others = (sensitivity(m, gains, tables) / sensitivity(m, gains, {}) for m in machines)
+    return PredictedRatio(value, min(value, *others), max(value, *others))
 
 
 def _ratios(
@@ -232,8 +253,15 @@ def _ratios(
         mended = with_effect(model, found.effect, replace(true, **{remedy.sized_by: left}))
     gains, settling = about.gains, about.settling_time_s
     left_effect = replace(true, **{remedy.sized_by: left}) if beside is None else true
-    after = behaviour(mended, gains, settling, beside, truth_behind(left_effect))
-    return np.asarray(after / behaviour(machine, gains, settling, None, truth_behind(true)))
+    # Waves over the angle are judged where the drum turns as far as the tension can turn it.
+    waves = any(p.role is Role.PERIODS for p in true.parameters().values())
+    wide = about.limits if waves or "angle_map" in remedy.tables else None
+    after = behaviour(
+        mended, gains, settling, beside, truth=truth_behind(left_effect), limits=wide
+    )
+    return np.asarray(
+        after / behaviour(machine, gains, settling, truth=truth_behind(true), limits=wide)
+    )
 
 
 def truth_behind(effect: Effect) -> Callable[[FloatArray], FloatArray] | None:
@@ -291,5 +319,5 @@ def with_effect(model: Any, old: Effect, new: Effect) -> Any:
 
 def _gain(offer: Offer) -> float:
     """What a row is sorted by: the greatest predicted gain."""
-    gains = [1.0 - ratio.value for name, ratio in offer.ratios.items() if name != "rest"]
+    gains = [1.0 - offer.ratios[name].value for name in MEASURES[:3] if name in offer.ratios]
     return max(gains, default=-math.inf)

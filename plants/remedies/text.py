@@ -56,7 +56,7 @@ def _what(offer: Offer) -> str:
     if offer.refused:
         return f"{offer.title} (not yet)"
     if offer.worth is False:
-        return f"{offer.title} (not worth it: under {WORTH:.0%})"
+        return f"{offer.title} (not worth it: gains under {WORTH:.0%}, or costs as much elsewhere)"
     return offer.title
 
 

@@ -113,7 +113,8 @@ def patch_of(diagnosis: Path, effect: str | None = None) -> Patch:
 
     Args:
         diagnosis: JSON of `estune explain --json`.
-        effect: Slug of the effect; None takes the remedy of the greatest predicted gain.
+        effect: Slug of the effect, whose remedy is then taken whatever is predicted; None takes
+            that of the greatest predicted gain.
 
     Raises:
         InvalidInput: the file is no diagnosis, or offers none, with the reason for each remedy.
@@ -125,7 +126,7 @@ def patch_of(diagnosis: Path, effect: str | None = None) -> Patch:
     for offer in values["remedies"]:
         if effect not in (None, offer["effect"]):
             continue
-        if offer["tables"] and offer["worth"] and not offer["refused"]:
+        if offer["tables"] and (offer["worth"] or effect) and not offer["refused"]:
             names = ("effect", "title", "harm", "tables")
             return Patch(**{name: offer[name] for name in names}, predicted=offer["ratios"])
         reasons.append(f"{offer['effect'] or 'calibration'}: {offer['title']}; {_why_not(offer)}")

@@ -5,7 +5,6 @@ a trial, so that it is on while that trial runs and never longer: a proof that i
 rig as it was.
 """
 
-import math
 import uuid
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, replace
@@ -168,9 +167,8 @@ def prove(
     try:
         for number, on in enumerate((False, True, True, False) * (pairs // 2)):
             say(f"{'with' if on else 'without'} the remedy, {number + 1} of {2 * pairs}")
-            tables = patch.compensation if on else ""
-            calm = found[False][0][-1] if found[False] else math.inf
-            found[on].append(_measured(rig, about, (run, 2 * number), tables, calm))
+            calm = float(found[False][0][-1]) if on else None
+            found[on].append(_measured(rig, about, (run, 2 * number), patch, calm))
     except Stop as stop:
         stopped = str(stop)
     ratios = {} if stopped else _ratios(np.array(found[True]), np.array(found[False]))
@@ -178,7 +176,7 @@ def prove(
 
 
 def _measured(
-    rig: Rig, about: RigDescription, place: tuple[str, int], tables: str, calm_N: float
+    rig: Rig, about: RigDescription, place: tuple[str, int], patch: Patch, calm_N: float | None
 ) -> FloatArray:
     """`MEASURES` of one turn: a step with rest, and a triangle.
 
@@ -186,21 +184,23 @@ def _measured(
         rig: The rig.
         about: Its description.
         place: Run and number of the first trial.
-        tables: The remedy; empty for none.
-        calm_N: Deviation at rest without the remedy, N.
+        patch: The remedy.
+        calm_N: Deviation at rest without the remedy, N; None runs the turn without it.
 
     Raises:
         Stop: with the remedy on the rig was restless, or a trial did not end well.
         RigError: so did a trial without it, or the rig ignores the remedy.
     """
-    settling = about.settling_time_s
+    settling, tables = about.settling_time_s, "" if calm_N is None else patch.compensation
     resting = resting_profile(about.step, settling)
-    triangle = tracking_profile(about.step, settling)
+    # A map is judged where the drum turns as far as the tension can turn it.
+    wide = about.limits if "angle_map" in patch.tables else None
+    triangle = tracking_profile(about.step, settling, wide)
     run, number = place
     rate = about.controller.sampling_Hz
     record = _trial(rig, about, (run, number, resting), tables)
-    rest = rest_of(settling, rate, record.tension_N)
-    if tables and not rest <= RESTLESS * calm_N:
+    rest = rest_of(settling, rate, record.unfiltered_N)
+    if calm_N is not None and not rest <= RESTLESS * calm_N:
         raise Stop(f"at rest the tension deviates by {rest:.3g} N, without it by {calm_N:.3g} N")
     used = slice(about.step.samples(rate))
     cost = (
@@ -210,13 +210,13 @@ def _measured(
             rate,
             about.step.shape(rate),
             record.setpoint_N[used],
-            record.tension_N[used],
+            record.unfiltered_N[used],
             record.current_A[used]
             * about.newtons_per_ampere,  # the whole, with what is fed forward
         )
     )
     followed = _trial(rig, about, (run, number + 1, triangle), tables)
-    error = followed.setpoint_N - followed.tension_N
+    error = followed.setpoint_N - followed.unfiltered_N
     return np.array([float(cost), *tracking_of(triangle, settling, rate, error), rest])
 
 
