@@ -102,6 +102,9 @@ def test_stage_in_the_units_of_its_model_has_no_issues():
             "seems to be in ms; give s",
         ),
         (lambda m: {"current_A": -m.current_A}, "current_A", "its sign seems to be reversed"),
+        (lambda m: {"current_A": 1e3 * m.current_A}, "current_A", "in thousandths, as mN m, mN"),
+        (lambda m: {"current_A": 1e-3 * m.current_A}, "angle_rad", "or the command in kN"),
+        (lambda m: {"angle_rad": 57.3 * m.angle_rad}, "angle_rad", "in degrees"),
     ],
 )
 def test_record_in_another_unit_or_of_another_sign_is_refused(change, column, told):
@@ -110,6 +113,21 @@ def test_record_in_another_unit_or_of_another_sign_is_refused(change, column, to
     (issue,) = [i for i in found if i.level == "refused"]
     assert issue.column == column
     assert told in issue.sentence
+
+
+def test_angle_that_may_be_in_turns_is_told_and_used():
+    m = stage_record()
+    turned = replace(m, angle_rad=m.angle_rad / (2.0 * np.pi))
+    (issue,) = findings(turned, STAGE, replace(m, source="good"))
+    assert issue.level == "warning"
+    assert "turns" in issue.sentence
+
+
+def test_noisy_command_that_moves_a_drive_is_not_called_still():
+    m = stage_record()
+    noise = np.random.default_rng(0).normal(0.0, m.current_A.std(), m.samples)
+    noisy = replace(m, current_A=m.current_A + noise)
+    assert findings(noisy, STAGE, replace(m, source="good")) == ()
 
 
 def test_reel_whose_current_has_the_other_sign_is_refused():

@@ -74,25 +74,34 @@ class Run(NamedTuple):
 
 
 @cache
-def library() -> ctypes.CDLL:
-    """The compiled machine.
+def compiled(source: Path) -> ctypes.CDLL:
+    """A C text as a library.
 
     Raises:
-        NoCompiler: there is none.
+        NoCompiler: there is no C compiler.
     """
-    source = Path(__file__).with_name("machine.c")
     compiler = next(filter(None, map(shutil.which, COMPILERS)), None)
     if compiler is None:
         raise NoCompiler("the hidden machine needs a C compiler: cc, gcc or clang")
     key = hashlib.sha256(source.read_bytes() + repr((compiler, FLAGS)).encode()).hexdigest()[:24]
-    product = Path(tempfile.gettempdir()) / f"hidden-machine-{os.getuid()}-{key}.so"
+    product = Path(tempfile.gettempdir()) / f"hidden-{source.stem}-{os.getuid()}-{key}.so"
     if not product.exists():
         with tempfile.TemporaryDirectory(prefix="hidden-") as workshop:
             made = Path(workshop, "machine.so")
             subprocess.run([compiler, *FLAGS, "-o", made, source, "-lm"], check=True)
             shutil.copy(made, product.with_suffix(f".{os.getpid()}"))
         product.with_suffix(f".{os.getpid()}").replace(product)
-    loaded = ctypes.CDLL(str(product))
+    return ctypes.CDLL(str(product))
+
+
+@cache
+def library() -> ctypes.CDLL:
+    """The compiled machine.
+
+    Raises:
+        NoCompiler: there is no C compiler.
+    """
+    loaded = compiled(Path(__file__).with_name("machine.c"))
     loaded.machine_parameters.restype = ctypes.c_char_p
     loaded.machine_numbers.restype = ctypes.c_long
     loaded.machine_warmth.restype = ctypes.c_double

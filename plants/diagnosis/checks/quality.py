@@ -171,7 +171,13 @@ def _unmoved(m: MeasuredRecord) -> Iterator[DataIssue]:
 
 
 def _moves(column: FloatArray) -> bool:
-    return float(column.std()) > max(MOVES * upper_rms(column), _rounding(column))
+    """Whether a channel or its moving mean, in which there is less noise, exceeds the noise.
+
+    The command of a loop on a coarse encoder is noisy, and moves the drive all the same.
+    """
+    noise, slow = upper_rms(column), _slow(column)
+    moved = max(float(column.std()), float(slow.std()) * math.sqrt(column.size - slow.size + 1))
+    return moved > MOVES * noise and float(column.std()) > _rounding(column)
 
 
 def _rounding(column: FloatArray) -> float:

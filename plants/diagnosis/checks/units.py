@@ -17,6 +17,10 @@ UNIT_FACTOR = 1.6
 """Factor within which a ratio is taken for that of two units; the model may be off by as much."""
 DEGREE = 180.0 / math.pi
 THOUSAND = 1000.0
+TURN = 2.0 * math.pi
+TURN_FACTOR = 1.3
+"""Factor within which a ratio is taken for that of turns: a model may be off by 2 pi, so that this
+is said and the record is used."""
 R2_MIN = 0.5
 """Share of a channel's variance that another must explain for their ratio to mean something."""
 BOTH_WAYS = 0.05
@@ -55,6 +59,9 @@ def mistaken_units(m: MeasuredRecord, b: BaseNumbers, rate_Hz: float) -> Iterato
     elif m.angle_rad is not None:
         by_angle = _slope(smoother.sampled(m.angle_rad, b.tension_per_angle_N_rad), u)
     reversed_ = list(_reversed(m, by_angle, by_effort))
+    if b.stiffness_N_m is None and by_angle is not None:
+        yield from reversed_ or _issues_of_drive(m, 1.0 / by_angle)
+        return
     yield from reversed_ or _issues(m, by_angle, by_effort)
 
 
@@ -109,12 +116,27 @@ def _issues(
         yield _issue("angle_rad", 1.0 / by_angle, "what the model turns", units)
 
 
+def _issues_of_drive(m: MeasuredRecord, times: float) -> Iterator[DataIssue]:
+    """Issues by the torque that the motion takes, relative to the command."""
+    command = "setpoint_N" if m.loop == "open" and m.setpoint_N is not None else "current_A"
+    if 1.0 / TURN_FACTOR < times * TURN < TURN_FACTOR:
+        said = "its changes are 1/6.28 of what the model turns, which is the ratio of turns to rad"
+        yield DataIssue("warning", f"{said}; check the unit and the inertia", "angle_rad")
+    elif _is_far(times) and times < 1.0:
+        unit = "thousandths, as mN m, mN or mA"
+        yield _issue(command, 1.0 / times, "what the motion takes", {THOUSAND: unit})
+    elif _is_far(times):
+        units = {DEGREE: "degrees", THOUSAND: "thousandths, as mm or mrad, or the command in kN"}
+        yield _issue("angle_rad", times, "what the model turns", units)
+
+
 def _issue(column: str, times: float, what: str, units: dict[float, str]) -> DataIssue:
     near = [u for f, u in units.items() if 1 / UNIT_FACTOR < times / f < UNIT_FACTOR]
     sentence = f"its changes are {times:.3g} times {what}"
     if not near:
         return DataIssue("warning", f"{sentence}; check the unit and the model", column)
     proper = "rad, or m of a stage" if column == "angle_rad" else column.rpartition("_")[2]
+    proper = "N m, N or A" if "mN m" in near[0] else proper
     sentence += f": it seems to be in {near[0]}; give {proper}"
     return DataIssue("refused", sentence, column)
 

@@ -1,0 +1,1 @@
+"""Servos, stages, spindles, links and conveyors that share no code with `plants`."""
