@@ -11,8 +11,9 @@ import pytest
 import scipy.io
 from mcap import writer as mcap_writer
 
-from estune.conformance.recordings import ReaderConformance, columns
+from estune.conformance.recordings import RATE_Hz, ReaderConformance, columns
 from estune.errors import InvalidInput
+from estune.recordings.black_box_file import ROW, head
 from estune.recordings.column_map import AS_NAMED, read_column_map
 from estune.recordings.issue import Unusable
 from estune.recordings.raw_file import is_readable
@@ -94,6 +95,17 @@ class TestTdms(ReaderConformance):
             writer.write_segment(
                 [nptdms.ChannelObject("reel", name, values) for name, values in written.items()]
             )
+
+
+class TestBlackBox(ReaderConformance):
+    ending = ".blackbox"
+
+    def write(self, path, written):
+        rows = np.zeros(len(written["time_s"]), ROW)
+        rows["sample"] = 1 + np.arange(rows.size)
+        for name, values in written.items():
+            rows[name] = values
+        path.write_bytes(head({"sampling_Hz": RATE_Hz, "loop": "closed"}) + rows.tobytes())
 
 
 JOINT = {"current_A": "effort[0]", "setpoint_N": "position[1]", "angle_rad": "position[0]"}

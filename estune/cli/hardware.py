@@ -15,6 +15,7 @@ from estune.support.plugins import load_plugin, plugins
 
 if TYPE_CHECKING:
     from estune.hardware import HardwareRig
+    from estune.hardware.black_box import BlackBox
     from estune.hardware.trial_board.rig import BoardRig
 
 
@@ -48,6 +49,7 @@ def serve_hardware(
         raise InvalidInput("give the rig's file; for one to begin from, use --example")
     from estune.daemon.notifications import Notifier  # noqa: PLC0415  slow to import
     from estune.hardware import HardwareRig, read_config  # noqa: PLC0415  slow to import
+    from estune.hardware.black_box import black_box  # noqa: PLC0415  as above
     from estune.hardware.real_time import prioritised  # noqa: PLC0415  as above
     from estune.hardware.trial_board.rig import DRIVER, BoardRig  # noqa: PLC0415  as above
 
@@ -58,6 +60,7 @@ def serve_hardware(
         ExitStack() as ended,
         rig(config) as hardware,
         suppress(KeyboardInterrupt),
+        black_box(hardware, file, config.black_box) as box,
         # The threads that take a stop from the network are started from here on.
         prioritised(config.real_time.server_priority) as refused,
         zenoh.serve(
@@ -65,6 +68,7 @@ def serve_hardware(
             ledger=ledger or file.with_suffix(".ledger"),
             allow_remote=allow_remote,
             security=security_from(security),
+            heard=box.hear if box else lambda *_: None,
         ) as server,
     ):
         for note in filter(None, (*hardware.notes, refused)):
@@ -75,7 +79,7 @@ def serve_hardware(
             f"{server.endpoint}    stop with Ctrl-C",
             flush=True,
         )
-        watch = threading.Thread(target=_close_after, args=(hardware, server), daemon=True)
+        watch = threading.Thread(target=_close_after, args=(hardware, server, box), daemon=True)
         watch.start()
         ended.callback(watch.join)  # the interpreter must not shut down while it is inside Zenoh
         service = Notifier()
@@ -93,7 +97,9 @@ def _example() -> str:
     return str(load_plugin(examples["rig"])())
 
 
-def _close_after(hardware: "HardwareRig | BoardRig", server: zenoh.RigServer) -> None:
+def _close_after(
+    hardware: "HardwareRig | BoardRig", server: zenoh.RigServer, box: "BlackBox | None"
+) -> None:
     """Closes the server once the control loop of its rig, or its board, has failed."""
     hardware.wait()
     if server.closed:
@@ -102,6 +108,8 @@ def _close_after(hardware: "HardwareRig | BoardRig", server: zenoh.RigServer) ->
         hardware.describe()
     except RigError as error:
         server.fail(str(error))
+        if box is not None:
+            box.close(str(error))
     server.close()
 
 

@@ -26,6 +26,7 @@ from estune.hardware.loop_messages import LoopPlan, Motion, RealTime, SafeState
 from estune.hardware.scales import CurrentScale, GaugeScale
 from estune.hardware.schedule_file import read_schedule
 from estune.hardware.tables import (
+    BlackBoxTable,
     ControllerTable,
     CurrentTable,
     DriverTable,
@@ -69,6 +70,7 @@ class RigConfig(TomlTable):
     hybrid: HybridTable | None = None
     step: RigStepTable
     real_time: RealTimeTable = RealTimeTable()
+    black_box: BlackBoxTable = BlackBoxTable()
 
     @property
     def newtons_per_ampere(self) -> float:

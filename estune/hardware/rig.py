@@ -10,6 +10,7 @@ from datetime import UTC, datetime
 from typing import Self
 
 import numpy as np
+from numpy.typing import NDArray
 
 from estune.core import pidf
 from estune.core.cost import StepCost
@@ -219,6 +220,15 @@ class HardwareRig:
         sources = (memory.setpoint_N, memory.tension_N, memory.current_A, memory.angle_rad)
         columns = (np.array(source[first:measured], np.float64) for source in sources)
         return Telemetry(trial_id, first, self._config.sampling_Hz, *columns)
+
+    def motion_since(self, sample: int) -> NDArray[np.void]:
+        """Samples after one of this number, in trials and between them; see `Memory`."""
+        return self._memory.motion_since(sample)
+
+    @property
+    def stop_reason(self) -> str:
+        """Why the guard or an operator last stopped the reel; empty if none did."""
+        return self._memory.reason
 
     def timing(self) -> Timing:
         """Timing of the loop since it started."""

@@ -1,13 +1,15 @@
 """Memory shared by a rig and its real-time loop.
 
 One block without a name, which vanishes with the last of the two processes: counters and flags,
-the latest readings, two histograms of times, the reason of a stop, and the columns of one trial.
+the latest readings, two histograms of times, the reason of a stop, the last samples for the black
+box, and the columns of one trial.
 Each number has one writer. The loop reads the flags at every sample, so that an emergency stop
 waits for no message; whatever needs an answer goes through the pipe beside it.
 """
 
 import mmap
 import os
+import struct
 from collections.abc import Sequence
 from enum import IntEnum
 from typing import Any, NamedTuple
@@ -16,12 +18,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estune.errors import RigError
+from estune.recordings.black_box_file import ROW
 from estune.trial.records import COLUMNS
 
 BIN_s = 2e-6
 BINS = 50_000
 """Bins of a histogram, 0 to 100 ms; the last one holds all longer times."""
 
+BOX_ROWS = 8192
+"""Samples for the black box: 13 s at 632 Hz; its keeper takes them twice a second."""
+
+_BOX_ROW = struct.Struct("<Q5dBB")  # `black_box_file.ROW`
 REASON_BYTES = 512
 _COLUMNS = 12
 _BYTES_PER_SAMPLE = 8 * _COLUMNS + 1
@@ -141,6 +148,7 @@ class Memory:
         self.drum_velocity_rad_s, self.gravity_N, self.friction_A = columns[6:9]
         self.inertia_A, self.angle_map_A, self.notch_N = columns[9:]
         self.flags = self._take("B", capacity)
+        self._box_at = self._next_byte
 
     @property
     def reason(self) -> str:
@@ -161,7 +169,13 @@ class Memory:
         self._write(self._order, Word.ORDER, text)
 
     def publish(
-        self, phase: MotionPhase, levels: Sequence[float], *, latched: bool, in_position: bool
+        self,
+        phase: MotionPhase,
+        levels: Sequence[float],
+        *,
+        latched: bool,
+        in_position: bool,
+        flags: int = 0,
     ) -> None:
         """Writes the status of the reel; levels in the order of `SensorLevels`."""
         for index, level in enumerate(levels):
@@ -169,7 +183,21 @@ class Memory:
         words = self.words
         words[Word.IN_POSITION], words[Word.LATCHED] = in_position, latched
         words[Word.PHASE] = phase
-        words[Word.SAMPLES] += 1
+        sample = words[Word.SAMPLES] + 1
+        place = self._box_at + sample % BOX_ROWS * _BOX_ROW.size
+        _BOX_ROW.pack_into(self._map, place, sample, *levels[:5], phase, flags)
+        words[Word.SAMPLES] = sample
+
+    def motion_since(self, sample: int) -> NDArray[np.void]:
+        """Rows of `black_box_file.ROW` after a sample, oldest first, if they are still there."""
+        last = self.words[Word.SAMPLES]
+        first = max(sample, last - BOX_ROWS + BOX_ROWS // 8)  # not those being overwritten
+        data = self._map[self._box_at : self._box_at + BOX_ROWS * _BOX_ROW.size]
+        rows: NDArray[np.void] = np.frombuffer(data, ROW)[
+            np.arange(first + 1, last + 1) % BOX_ROWS
+        ]
+        later: NDArray[np.void] = rows[rows["sample"] > sample]
+        return later
 
     def record(self, index: int, **values: float) -> None:
         """Writes a sample of the trial into the columns of these names."""
@@ -206,7 +234,7 @@ class Memory:
 
 def _size(capacity: int) -> int:
     head = 8 * (len(Word) + len(SensorLevels) + 3 + 2 * BINS) + 2 * REASON_BYTES
-    return head + _BYTES_PER_SAMPLE * capacity
+    return head + _BYTES_PER_SAMPLE * capacity + BOX_ROWS * _BOX_ROW.size
 
 
 def make_file(capacity: int) -> int:

@@ -252,6 +252,13 @@ class RealTimeTable(TomlTable):
     late_s: Positive | None = None
 
 
+class BlackBoxTable(TomlTable):
+    """Motion, commands and stops kept on disk beside the rig's file; no minutes for none."""
+
+    minutes: Annotated[float, Field(ge=0.0, le=60.0)] = 5.0
+    stops_kept: Annotated[int, Field(ge=1)] = 20
+
+
 def _check_order(table: _Any, low: str, high: str) -> _Any:
     if not getattr(table, low) < getattr(table, high):
         raise ValueError(

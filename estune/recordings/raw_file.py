@@ -57,6 +57,7 @@ _OWN = {
     ".mcap": "mcap:read_mcap",
     ".zstd": "mcap:refuse_compressed",
     ".tdms": "tdms:read_tdms",
+    ".blackbox": "black_box:read_black_box",
 }
 """Readers by the ending, module and function in `estune.recordings.readers`."""
 

@@ -1,7 +1,8 @@
 """`estune records`: how recorded data are understood, and the same data in estune's own form."""
 
+import json as json_text
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from rich.text import Text
 
@@ -13,6 +14,9 @@ if TYPE_CHECKING:
     from plants.diagnosis.data.measured_record import MeasuredRecord
     from plants.diagnosis.data.preview import Preview
     from plants.diagnosis.data.records import ColumnSource
+
+COMMANDS_SHOWN = 12
+SHOWN = 60
 
 
 def records(
@@ -67,10 +71,12 @@ def records(
                 "columns": contents.sources,
                 "findings": contents.findings,
                 "signs": signs,
+                "stop": _stop(data),
             }
         )
         return
     _show(previews, contents.sources)
+    _show_stop(_stop(data))
     for issue in contents.findings:
         _line(issue.level, str(issue))
     for name, sentences in signs.items():
@@ -80,6 +86,38 @@ def records(
         output.show_next(
             {"records": out, "explain": command_line("explain", model="MODEL", data=out)}
         )
+
+
+def _stop(data: Path) -> dict[str, Any]:
+    """What the black box of a rig says of the stop it was copied at; empty for other data."""
+    from estune.recordings.black_box_file import ENDING  # noqa: PLC0415  slow to import
+    from estune.recordings.metadata import metadata_beside  # noqa: PLC0415  as above
+
+    about = metadata_beside(data) if data.suffix == ENDING else {}
+    return {name: about[name] for name in ("at", "reason", "commands") if name in about}
+
+
+def _short(value: Any) -> str:
+    """JSON without the lease, which says nothing, cut off where it is long."""
+    kept = (
+        {k: v for k, v in value.items() if v and k != "lease"}
+        if isinstance(value, dict)
+        else value
+    )
+    text = json_text.dumps(kept)
+    return text if len(text) <= SHOWN else f"{text[: SHOWN - 3]}..."
+
+
+def _show_stop(stop: dict[str, Any]) -> None:
+    if not stop:
+        return
+    print()
+    print(f"stopped at {stop['at']}: {stop['reason']}")
+    rows = (
+        (c["at"], c["verb"], _short(c["command"]), _short(c["answer"]))
+        for c in stop.get("commands", ())[-COMMANDS_SHOWN:]
+    )
+    output.show_table(("at", "command", "payload", "answer"), rows)
 
 
 def _show(previews: list["Preview"], sources: tuple["ColumnSource", ...]) -> None:

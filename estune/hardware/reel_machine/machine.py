@@ -113,6 +113,8 @@ class ReelStateMachine:
         reel.effort_N = self._apply(MotionEvent.SAMPLE, time_s, tension)
         reel.control.note_setpoint(closed=reel.phase in _CLOSED)
         current = reel.effort_N / plan.newtons_per_ampere
+        setpoint_N = memory.setpoint_N[k] if recorded else reel.setpoint.tension_N
+        flags |= SATURATED if reel.control.limited else 0
         if recorded:
             memory.record(
                 k,
@@ -121,16 +123,17 @@ class ReelStateMachine:
                 current_A=current,
                 angle_rad=angle,
                 **terms.columns(1.0 / plan.newtons_per_ampere),
-                flags=flags | (SATURATED if reel.control.limited else 0),
+                flags=flags,
             )
         memory.publish(
             reel.phase,
             latched=reel.latched,
             in_position=reel.control.in_position,
             levels=(
-                *(time_s, reel.setpoint.tension_N, tension, current, angle),
+                *(time_s, setpoint_N, tension, current, angle),
                 *reel.control.operating_point,
             ),
+            flags=flags,
         )
         return plan.current.counts(current)
 

@@ -4,6 +4,7 @@ import logging
 import struct
 import threading
 import time
+from collections import deque
 from dataclasses import replace
 from datetime import UTC, datetime
 from typing import Any, Self
@@ -17,10 +18,12 @@ from estune.core.quantities import FloatArray
 from estune.errors import InvalidInput, RigError
 from estune.hardware.compensation.plan import CompensationTerms
 from estune.hardware.config import RigConfig
+from estune.hardware.shared_memory import MotionPhase
 from estune.hardware.trial_board.link import REASONS, BoardLink, BoardStatus
-from estune.trial import SATURATED, Outcome, RigDescription, TrialRecord, TrialRequest
+from estune.recordings.black_box_file import ROW
+from estune.trial import GUARD, SATURATED, Outcome, RigDescription, TrialRecord, TrialRequest
 from estune.trial.executed_trials import ExecutedTrials, stopped_trial
-from estune.trial.records import record_of
+from estune.trial.records import COLUMNS, record_of
 
 DRIVER = "trial-board"
 """Name of the driver in a rig's file by which the loop is the board's."""
@@ -28,6 +31,8 @@ DRIVER = "trial-board"
 BEAT_s = 0.1
 """Interval of the sign of life; the board stops by itself after guard.heartbeat_s without one."""
 _POLL_s = 0.01
+_TRIALS_MOVED = 8
+"""Trials whose samples the black box may be late for."""
 _PART, _BODY_MAX = 28, 236
 _NUMBERS = ("tension", "effort", "angle")
 _OUTCOMES = {
@@ -47,6 +52,9 @@ class BoardRig:
         config: The rig's file; `driver.settings` are `port`, `baud`, `answer_within_s` and
             `attempts`.
 
+    Attributes:
+        stop_reason: Why the board's guard last ended a trial; empty if it did not.
+
     Raises:
         RigError: no board answers at the port.
     """
@@ -60,8 +68,11 @@ class BoardRig:
         self._link = BoardLink(**{**settings, **config.driver.settings})
         self._records = ExecutedTrials()
         self._trial = threading.Lock()
+        self._moved: deque[NDArray[np.void]] = deque(maxlen=_TRIALS_MOVED)
+        self._samples = 0
         self._ended = threading.Event()
         self._failure = ""
+        self.stop_reason = ""
         try:
             self._number = self._link.status(b"s").trial
             self._link.status(b"g", self._coefficients(self._description.gains))
@@ -111,7 +122,13 @@ class BoardRig:
             status = self._until_ended(request)
             record = self._record(request, status, setpoint, began)
             self._records.add(request, record)
+            self._note_motion(record)
             return record
+
+    def motion_since(self, sample: int) -> NDArray[np.void]:
+        """Samples of trials after one of this number; between trials a board reports none."""
+        rows = np.concatenate([np.empty(0, ROW), *self._moved])
+        return rows[rows["sample"] > sample]
 
     def apply(self, gains: Gains) -> None:
         """Makes gains the live ones, without a jump of the effort.
@@ -236,6 +253,19 @@ class BoardRig:
         for first in range(0, count, at_once):
             data += self._link.exchange(b"r", struct.pack("<IB", first, at_once))[4:]
         return np.frombuffer(data, row)
+
+    def _note_motion(self, record: TrialRecord) -> None:
+        rows = np.zeros(record.time_s.size, ROW)
+        rows["sample"] = self._samples + 1 + np.arange(rows.size)
+        for name in COLUMNS:
+            rows[name] = getattr(record, name)
+        rows["time_s"] += time.monotonic() - rows.size / self._config.sampling_Hz
+        rows["phase"], rows["flags"] = MotionPhase.TRIAL, record.flags
+        if record.outcome in (Outcome.GUARD, Outcome.INTERRUPTED):
+            self.stop_reason = record.reason
+            rows["flags"][-1:] |= GUARD
+        self._samples += rows.size
+        self._moved.append(rows)
 
     def _compensations(self, rows: NDArray[np.void]) -> dict[str, Any]:
         """The columns of the compensations that are on."""

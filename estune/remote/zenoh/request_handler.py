@@ -48,6 +48,9 @@ from estune.trial import SETPOINT_S, Rig, Telemetry, TelemetrySource
 PROMPT_S = 0.01
 CLOSE_WITHIN_S = 10.0
 
+CommandListener = Callable[[str, bytes, bytes], None]
+"""Takes the verb, payload and reply of a command; must return at once and not raise."""
+
 _log = logging.getLogger(__name__)
 
 
@@ -77,6 +80,7 @@ class RequestHandler:
         *,
         instance: str,
         part_bytes: int = 0,
+        heard: CommandListener = lambda *_: None,
     ) -> None:
         """Takes charge of a rig.
 
@@ -87,8 +91,10 @@ class RequestHandler:
             changed: Called when the status has changed.
             instance: Identity of this start of the rig.
             part_bytes: Size of the parts of records; 0 sends them whole.
+            heard: Called after the reply to each command.
         """
         self._rig = rig
+        self._heard = heard
         self._ledger = ledger
         self._instance = instance
         self._part_bytes = part_bytes
@@ -112,7 +118,11 @@ class RequestHandler:
             handled = returned if isinstance(returned, Handled) else Handled(returned)
             return handled.answer
 
-        self.query(execute, reply, verb)
+        def reply_and_tell(data: bytes) -> None:
+            reply(data)
+            self._heard(verb, payload, data)
+
+        self.query(execute, reply_and_tell, verb)
         try:
             if handled.afterwards is not None:
                 handled.afterwards()

@@ -16,7 +16,7 @@ from estune.remote.ledger import FileLedger, Ledger, MemoryLedger
 from estune.remote.messages import VERBS, Inquire, Keys
 from estune.remote.security import OPEN, Security
 from estune.remote.zenoh.listening_session import ListeningSession, Reply
-from estune.remote.zenoh.request_handler import RequestHandler
+from estune.remote.zenoh.request_handler import CommandListener, RequestHandler
 from estune.trial import Rig
 
 SHOW_S = 0.05
@@ -36,6 +36,7 @@ def serve(
     allow_remote: bool = False,
     security: Security = OPEN,
     part_bytes: int = 0,
+    heard: CommandListener = lambda *_: None,
 ) -> "RigServer":
     """Serves a rig until the server is closed.
 
@@ -54,6 +55,7 @@ def serve(
         security: Users and their rights.
         part_bytes: Size of the parts in which records are sent, as by a small board; 0 sends them
             whole.
+        heard: Called with the verb, payload and reply of each command, after the reply.
 
     Raises:
         InvalidInput: an endpoint or the rig's name cannot be used, other machines could reach the
@@ -79,7 +81,7 @@ def serve(
     except BaseException:
         session.close()
         raise
-    return RigServer(rig, keys, book, session, part_bytes=part_bytes)
+    return RigServer(rig, keys, book, session, part_bytes=part_bytes, heard=heard)
 
 
 class RigServer:
@@ -92,7 +94,14 @@ class RigServer:
     """
 
     def __init__(
-        self, rig: Rig, keys: Keys, ledger: Ledger, session: ListeningSession, *, part_bytes: int
+        self,
+        rig: Rig,
+        keys: Keys,
+        ledger: Ledger,
+        session: ListeningSession,
+        *,
+        part_bytes: int,
+        heard: CommandListener,
     ) -> None:
         self.endpoint = session.endpoint
         self.name = keys.rig
@@ -111,6 +120,7 @@ class RigServer:
                 *(rig, ledger, self._status_changed.set),
                 instance=self.instance,
                 part_bytes=part_bytes,
+                heard=heard,
             )
             self._declare(self._handler)
         except BaseException:
