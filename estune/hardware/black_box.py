@@ -48,7 +48,7 @@ _AT_REST = (MotionPhase.OFF, MotionPhase.STOPPED)
 _log = logging.getLogger(__name__)
 
 
-class RecordedRig(Protocol):
+class MovingRig(Protocol):
     """What a black box asks of its rig."""
 
     @property
@@ -69,7 +69,7 @@ class BlackBox:
         stops: Stops copied so far.
     """
 
-    def __init__(self, rig: RecordedRig, folder: Path, table: BlackBoxTable) -> None:
+    def __init__(self, rig: MovingRig, folder: Path, table: BlackBoxTable) -> None:
         """Begins to record; what a program left that did not end in order is kept as a stop.
 
         Raises:
@@ -201,7 +201,7 @@ class BlackBox:
 
 
 @contextmanager
-def black_box(rig: RecordedRig, file: Path, table: BlackBoxTable) -> Iterator[BlackBox | None]:
+def black_box(rig: MovingRig, file: Path, table: BlackBoxTable) -> Iterator[BlackBox | None]:
     """The black box of a rig with this file, in the folder `<file>-blackbox`; None without one.
 
     Raises:
