@@ -17,7 +17,8 @@ white.
 - `least_squares`: for given poles, noise and dead time all else is linear. `identification`
   searches these few numbers; `order` adds poles, a load or a drift where prediction errors are
   not white (`whiteness`) and the Bayesian information criterion falls; `friction` does so for
-  dry friction.
+  dry friction (`friction_motion`), in service also where a load makes them white
+  (`friction_score`).
 - `fitting` leaves out a record that the others contradict: one whose prediction by them is worse
   than three times the worst of theirs.
 - `plant_error` bounds what the true plant may differ from G by, in each band; `intervals` holds

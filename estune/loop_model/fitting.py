@@ -6,11 +6,12 @@ from collections.abc import Sequence
 import numpy as np
 
 from estune.core.quantities import FloatArray
-from estune.loop_model.friction import fit_with_friction, friction_of, less_friction
+from estune.loop_model.friction import fit_with_friction
+from estune.loop_model.friction_motion import friction_of, less_friction
 from estune.loop_model.identification import (
     START_NOISES,
     PoleFit,
-    cold_start,
+    cold_starts,
     searched_dead_time,
 )
 from estune.loop_model.least_squares import FitSignals, Solution, signals_of
@@ -21,7 +22,9 @@ from estune.loop_model.records import LoopRecord
 
 STARTED_BY = 2
 SAMPLES_STARTED_BY = 3000
-"""Records, and samples of each, by which the starts of a search are compared."""
+SETTLING_TIMES_STARTED_BY = 25.0
+"""Records, and samples of each, or settling times where they are longer, by which the starts of a
+search are compared: seven settling times, of 400 samples each, began from the wrong one."""
 
 FRICTION_DONE = 0.002
 """Misfit with friction up to which no further poles are tried. One timid trial of the reference
@@ -131,19 +134,19 @@ def _fit(
 ) -> LoopFit:
     """The model of all records: of low order if that explains them, else by the criterion."""
     signals = signals_of(records, settling := settling_time_s * sampling_Hz, round(settling))
-    first = searched_dead_time(signals, _start(records, settling, last))
+    first = searched_dead_time(signals, _starts(records, settling, last))
     low = _summarised(records, signals, first)
     earlier = last if last is not None and last.model.friction_N else None
     # What did not help with a record less will hardly help now.
-    if low.is_white or not (again or earlier or (last and last.is_white)):
+    in_motion = any(group.history for group in signals.groups)
+    if (low.is_white and not in_motion) or not (again or earlier or (last and last.is_white)):
         return low
     found = fit_with_friction(records, low, earlier) if earlier else None
     if found is not None and found.misfit < FRICTION_DONE:
         return found
     linear = _summarised(records, signals, select_order(signals, first))
     # Further poles explain the friction of one timid trial, and foretell another loop.
-    in_motion = any(group.history for group in signals.groups)
-    if linear.is_white and (in_motion or linear.order == low.order):
+    if linear.is_white and not in_motion and linear.order == low.order:
         return linear
     if not (again or earlier):
         return linear
@@ -166,17 +169,19 @@ def _errors(fit: LoopFit, signals: FitSignals) -> FloatArray:
     )
 
 
-def _start(records: Sequence[LoopRecord], settling: float, last: LoopFit | None) -> PoleFit:
-    """The fit that a search begins from."""
+def _starts(records: Sequence[LoopRecord], settling: float, last: LoopFit | None) -> list[PoleFit]:
+    """The fits that a search begins from."""
     if last is not None:
         model = last.model
-        return PoleFit(0.0, np.array(model.coordinates), model.dead_samples, last.noise)
-    few = signals_of([_shortened(r) for r in records[:STARTED_BY]], settling, round(settling))
-    return cold_start(few, START_NOISES[: 1 if all(r.at_rest for r in records) else None])
+        return [PoleFit(0.0, np.array(model.coordinates), model.dead_samples, last.noise)]
+    samples = max(SAMPLES_STARTED_BY, round(SETTLING_TIMES_STARTED_BY * settling))
+    few = [_shortened(r, samples) for r in records[:STARTED_BY]]
+    signals = signals_of(few, settling, round(settling))
+    return cold_starts(signals, START_NOISES[: 1 if all(r.at_rest for r in records) else None])
 
 
-def _shortened(record: LoopRecord) -> LoopRecord:
-    part = slice(0, SAMPLES_STARTED_BY)
+def _shortened(record: LoopRecord, samples: int) -> LoopRecord:
+    part = slice(0, samples)
     return record._replace(
         effort_N=record.effort_N[part],
         measurement_N=record.measurement_N[part],

@@ -5,7 +5,7 @@ several starts, the dead time, a whole number of samples, beside the best one fo
 """
 
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from operator import attrgetter
 from typing import NamedTuple
 
@@ -56,8 +56,8 @@ def dead_times(settling_samples: float) -> list[int]:
     return sorted({0, 1, 2, *np.geomspace(3, longest, 8).astype(int).tolist()})
 
 
-def cold_start(signals: FitSignals, noises: Iterable[NoiseModel] = (WHITE,)) -> PoleFit:
-    """The best fit of two poles from a coarse grid, each with its best dead time."""
+def cold_starts(signals: FitSignals, noises: Iterable[NoiseModel] = (WHITE,)) -> list[PoleFit]:
+    """The best fits of two poles from a coarse grid, the best first, with dead times far apart."""
     scale = 2.0 * math.pi / signals.settling_samples  # rad/sample
     delays = dead_times(signals.settling_samples)
     poles = [np.log([scale * f, z]) for f in START_FREQUENCIES for z in START_DAMPINGS]
@@ -71,17 +71,27 @@ def cold_start(signals: FitSignals, noises: Iterable[NoiseModel] = (WHITE,)) -> 
     ]
     ranked = sorted(coarse, key=by_cost)
     starts = [*ranked[:STARTS], ranked[0]._replace(dead=0)]
-    best = min((improve(signals, one) for one in starts), key=by_cost)
-    return searched_dead_time(signals, best)
+    found = list[PoleFit]()
+    for fit in sorted((improve(signals, one) for one in starts), key=by_cost):
+        if all(abs(fit.dead - other.dead) > _first_step(other.dead) for other in found):
+            found.append(fit)
+    return found
 
 
-def searched_dead_time(signals: FitSignals, start: PoleFit) -> PoleFit:
-    """The best dead time about a fit, the poles improved at each."""
+def searched_dead_time(signals: FitSignals, starts: Sequence[PoleFit]) -> PoleFit:
+    """The best dead time about some fits, the poles improved at each."""
 
     def fit(beside: PoleFit, dead: int) -> PoleFit:
         return improve(signals, beside._replace(dead=dead))
 
-    return search_dead_time(fit, improve(signals, start), max(1, start.dead // 8))
+    improved = [improve(signals, start) for start in starts]
+    best = min(improved, key=by_cost)
+    return search_dead_time(fit, best, _first_step(best.dead))
+
+
+def _first_step(dead: int) -> int:
+    """Step, samples, by which a search about a dead time begins."""
+    return max(1, dead // 8)
 
 
 def search_dead_time(

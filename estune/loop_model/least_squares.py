@@ -222,8 +222,13 @@ def search_vector(coordinates: FloatArray, noise: NoiseModel) -> FloatArray:
 def split_vector(x: FloatArray, like: Solution) -> tuple[FloatArray, NoiseModel]:
     """Coordinates and noise of a vector that is searched, with the noises of a solution."""
     n = like.coordinates.size
-    sizes = iter(np.exp(np.clip(x[n:], -NOISE_RANGE, NOISE_RANGE)).tolist())
-    return x[:n], NoiseModel(*(next(sizes) if k > 0.0 else 0.0 for k in like.noise))
+    return x[:n], noise_of(x[n:], like.noise)
+
+
+def noise_of(logarithms: FloatArray, like: NoiseModel) -> NoiseModel:
+    """The noise of these sizes, of what another one has."""
+    sizes = iter(np.exp(np.clip(logarithms, -NOISE_RANGE, NOISE_RANGE)).tolist())
+    return NoiseModel(*(next(sizes) if k > 0.0 else 0.0 for k in like))
 
 
 def _tap_slopes(x: FloatArray) -> list[FloatArray]:

@@ -7,6 +7,7 @@ import numpy as np
 
 from estune.core.gains import Gains
 from estune.loop_model.claim import unexplained
+from estune.loop_model.friction_score import hides_friction
 from estune.loop_model.intervals import (
     PredictedMargins,
     predict_with_intervals,
@@ -79,6 +80,10 @@ def judge(
     half_width = DEVIATIONS * deviation
     band = margin.unknown and unknown_band(margin.unknown, loop.settings.sampling_Hz)
     reason = _too_still(loop, half_width)
+    if not reason and hides_friction(loop.records, loop.fit):
+        reason = (
+            "what the model leaves turns with the motion, as friction does that it cannot name"
+        )
     if not reason and not math.isfinite(margins.sensitivity.value):
         reason = "the identified loop is unstable with the gains that ran"
     if not reason and band and margin.excited:

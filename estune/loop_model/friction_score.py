@@ -1,0 +1,66 @@
+"""Whether the errors of a linear fit show dry friction.
+
+The score is the slope of the likelihood along the size of the friction, less what the parameters
+of the linear fit explain of it. It takes no search: a linear fit of small motion takes friction
+for a load, and is white with it.
+"""
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from estune.core.quantities import FloatArray
+from estune.loop_model.friction_motion import FrictionMotion, forces_of, less_friction, two_poles
+from estune.loop_model.least_squares import Solution
+from estune.loop_model.loop_fit import LoopFit
+from estune.loop_model.records import LoopRecord
+
+SHARES = (0.01, 0.03, 0.1, 0.25)
+"""Sizes of friction that a search begins from, over the effort of a step."""
+
+CHANCE = 1e-3
+"""Probability that errors of a loop without friction are taken to show some."""
+
+
+def grid_of_poles(linear: LoopFit) -> list[FloatArray]:
+    """The first two poles of a fit, and others that its settling time allows."""
+    w = 2.0 * math.pi / linear.settling_samples
+    others = [np.log([w * f, z]) for f in (0.3, 0.7, 1.5) for z in (0.2, 0.7)]
+    return [np.array(two_poles(linear.model).coordinates), *others]
+
+
+def friction_score(motion: FrictionMotion, linear: LoopFit) -> float:
+    """Largest score of a friction that a linear fit does not have, in standard deviations.
+
+    It is the slope of the likelihood along the size of the friction, less what the parameters of
+    the linear fit explain of it.
+    """
+    signals, model = motion.signals, linear.model
+    at = Solution.at(signals, np.array(model.coordinates), model.dead_samples, linear.noise)
+    known = np.linalg.qr(at.slopes(signals))[0]
+    errors = at.residual - known @ (known.T @ at.residual)
+    grid = [np.array([*p, share, 0.0]) for p in grid_of_poles(linear) for share in SHARES]
+    forces, scores = forces_of(motion, grid), [0.0]
+    for i in range(len(grid)):
+        driven = less_friction(signals, [force[i] for force in forces])
+        moved = Solution.at(driven, at.coordinates, at.dead, at.noise, at.numerator)
+        slope = at.residual - moved.residual
+        slope -= known @ (known.T @ slope)
+        scores.append(float(slope @ errors) / max(float(np.linalg.norm(slope)), 1e-300))
+    return max(scores) * math.sqrt(errors.size / max(float(errors @ errors), 1e-300))
+
+
+def hides_friction(records: Sequence[LoopRecord], linear: LoopFit) -> bool:
+    """Whether the errors of a fit without friction show some.
+
+    Friction in small motion, under a load that moves as much, is explained by no size of it; Ms
+    is then read as 1.20 for 1.79.
+    """
+    from scipy.special import ndtri  # noqa: PLC0415  slow to import
+
+    if linear.model.friction_N or not math.isfinite(linear.model.static_gain):
+        return False
+    motion = FrictionMotion.of(records, linear._replace(model=two_poles(linear.model)))
+    tried = len(SHARES) * len(grid_of_poles(linear))
+    return friction_score(motion, linear) > -float(ndtri(CHANCE / tried))

@@ -1,0 +1,51 @@
+"""Dry friction and dead time in records of service, where a load explains either."""
+
+import numpy as np
+import pytest
+
+import estune
+import plants
+from estune.core.gains import Gains
+from estune.loop_model.prediction import StepTrial
+from estune.recordings.loop_log import LoopLog
+from estune.service_records.sources import Logs
+from experiments.loop_claims.truth import true_sensitivity
+from experiments.sample_efficiency.problems import PROBLEMS
+from experiments.service_records.service import Service, serve
+from plants.effects import CoulombFriction
+
+
+def suggested(plant, cost, gains, kind, length=80.0):
+    step, rate = plant.profile, plant.controller.sampling_Hz
+    trial = StepTrial(plant.controller, cost, step.preload_N, step.shape(rate), step.samples(rate))
+    r = serve(plant, trial, gains, Service(kind, length), seed=1)
+    part = {
+        "time": np.arange(r.setpoint.size) / rate,
+        "setpoint": r.setpoint,
+        "measurement": r.measurement,
+        "effort": r.effort,
+    }
+    logs = Logs((LoopLog(kind, rate, (part,), gains, {}, {}, ()),), (), plant.controller)
+    return estune.suggest(logs, settling_time_s=cost.settling_time_s, step=trial.step.size_N)
+
+
+@pytest.mark.parametrize("kind", ["busy", "small steps"])
+def test_friction_in_service_is_in_the_margins_or_refuses_them(kind):
+    plant = plants.reference_reel() + CoulombFriction(0.005)
+    gains = Gains(0.685, 11.2, 0.00815, 0.00825)
+    margins = suggested(plant, PROBLEMS["friction"].cost, gains, kind).margins
+    if kind == "small steps":  # they move the effort by 4 times the friction
+        assert margins is None
+    else:
+        true = true_sensitivity(plant, gains)
+        assert margins.sensitivity.value == pytest.approx(true, rel=0.06)
+
+
+def test_a_load_does_not_stand_in_for_a_dead_time():
+    problem = PROBLEMS["K-K G1"]  # 100 samples of dead time
+    gains = Gains(1.64, 0.0584, 0.474, 0.596)
+    plant = problem.build()
+    margins = suggested(plant, problem.cost, gains, "busy", 40.0).margins
+    true = true_sensitivity(plant, gains)
+    assert margins.sensitivity.low <= true <= margins.sensitivity.high
+    assert margins.sensitivity.value == pytest.approx(true, rel=0.05)
