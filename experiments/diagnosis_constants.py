@@ -25,7 +25,7 @@ from experiments import hidden_machines
 from experiments.hidden_effects import FIRST_SEED, OUT, tasks
 from experiments.hidden_scores import DiagnosisTask, Row, diagnose, measurement, model
 from experiments.results import command_line, print_results, save_figure
-from plants.diagnosis import build_diagnosis
+from plants.diagnosis.pipeline import intervals as interval_step
 from plants.diagnosis.search import intervals, mains_interference
 from plants.diagnosis.search.constants import CONSTANTS, Constants
 from plants.diagnosis.search.decide import decide, probabilities
@@ -113,7 +113,9 @@ def right_models(cases: int) -> list[RightModel]:
     for n in range(cases):
         case, secret = hidden_machines.draw(FIRST_SEED + n, "plain")
         records = [measurement(record) for record in case.records]
-        with mock.patch.object(build_diagnosis, "intervals", wraps=intervals.intervals) as last:
+        with mock.patch.object(
+            interval_step, "fitted_intervals", wraps=intervals.intervals
+        ) as last:
             answer = plants.explain(model(case), records)
         if tuple(sorted(e.name for e in answer.effects)) in secret.accepted:
             own = {f"{e}.{n}": v for e, of in secret.parameters.items() for n, v in of.items()}

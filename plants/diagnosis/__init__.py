@@ -1,8 +1,21 @@
 """Identification of the physical effect that a model lacks, from measured records.
 
-The theory of operation is docs/explanation/how-explain-works.md.
+`explain` is a pipeline of eight steps. Each is a function in a file of its name in `pipeline`, from
+the frozen values of the steps before it to one of its own; no step goes back to an earlier one.
 
-`explain` is the one call, `improve` the loop closed on a live rig. Below them, from a user's view
-down: `report`, how a diagnosis is shown; `search`, which effect; `experiments`, what to measure;
-`result`, the diagnosis as values; `residual`, where; `prediction`, `models`, `checks` and `data`.
+    read       files or records            -> measurements on even clocks, in SI units
+    check      measurements                -> those that can be used, and why others cannot
+    noise      measurements                -> the noise of each sensor: the unit of all errors
+    fit        model, noise                -> the base model fitted, where its error is, mains hum
+    screen     base fit                    -> the share of the error that each direction explains
+    compare    base fit, directions        -> models with effects, the one believed, its verdict
+    intervals  the model believed          -> 95 % intervals of its numbers
+    report     all of it                   -> the diagnosis in words, in the plant's own units
+
+What each step assumes, why, and what was tried instead: docs/explanation/how-explain-works.md.
+
+`improve` closes the loop on a live rig. Rooms from a user's view down: `improvement`; `pipeline`;
+`report`, how a diagnosis is shown; `search`, the parts of screen, compare and intervals;
+`experiments`, what to measure next; `result`, the diagnosis as values; `residual`, where the error
+is; `prediction`, `models`, `checks` and `data`.
 """

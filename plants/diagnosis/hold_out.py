@@ -7,10 +7,10 @@ import numpy as np
 from plants.diagnosis.data.measured_record import OUTPUTS, MeasuredRecord
 from plants.diagnosis.data.noise_floor import noise_floor
 from plants.diagnosis.models.diagnosed_model import DiagnosedModel
-from plants.diagnosis.prediction.prediction import CHANNELS
 from plants.diagnosis.result import HoldOut, ModelErrors
 from plants.diagnosis.search.model_fitter import CandidateFit, ModelFitter
 from plants.diagnosis.search.more_records import settle
+from plants.diagnosis.search.validation import floor_of
 
 
 def hold_out(model: DiagnosedModel, base: CandidateFit, last: CandidateFit) -> HoldOut:
@@ -26,34 +26,26 @@ def hold_out(model: DiagnosedModel, base: CandidateFit, last: CandidateFit) -> H
     measurements = model.measurements
     fitter = ModelFitter(model, measurements, noise_floor(measurements))
     before = held_errors(fitter, fitter.given())
-    fits = [settle(fitter, one) for one in (base, last)]
+    fits = [settle(fitter, fit) for fit in (base, last)]
     return HoldOut(
         tuple(m.name for m in measurements),
         floor_of(fitter),
         before,
-        *(held_errors(fitter, one) for one in fits),
+        *(held_errors(fitter, fit) for fit in fits),
     )
 
 
-def held_errors(fitter: ModelFitter, one: CandidateFit) -> ModelErrors:
+def held_errors(fitter: ModelFitter, model: CandidateFit) -> ModelErrors:
     """Errors of a model on the records that it is compared with."""
-    ratio = float(np.sqrt(one.J))
-    return ModelErrors(ratio * floor_of(fitter), ratio, free_run_rms(fitter, one))
+    ratio = float(np.sqrt(model.J))
+    return ModelErrors(ratio * floor_of(fitter), ratio, free_run_rms(fitter, model))
 
 
-def floor_of(fitter: ModelFitter) -> float:
-    """The noise floor of the main channels, rms."""
-    index = fitter.base.index
-    main = [CHANNELS.index(n) for n in OUTPUTS if n.endswith(f"_{fitter.model.output}")]
-    sigma = index.sigma[np.isin(index.channel, main)]
-    return float(np.sqrt(np.mean(sigma**2))) if sigma.size else float("nan")
-
-
-def free_run_rms(fitter: ModelFitter, one: CandidateFit) -> float:
+def free_run_rms(fitter: ModelFitter, model: CandidateFit) -> float:
     """Error of the main channel where nothing is put right on the way, rms."""
     name = main_channel(fitter.measurements, fitter.model.output)
     errors = []
-    for m, run in zip(fitter.measurements, fitter.free_run(one), strict=True):
+    for m, run in zip(fitter.measurements, fitter.free_run(model), strict=True):
         measured, predicted = m.channel(name), getattr(run, name)
         if measured is not None and predicted is not None:
             errors.append(predicted[0] - measured)

@@ -214,13 +214,14 @@ class DiagnosedModel(ABC):
         return replace(self.model, effects=self.built(values, effects), **own)
 
     @property
-    def is_often_slack(self) -> bool:
-        """Whether the cable is slack in much of the records."""
-        return False
+    def is_linear(self) -> bool:
+        """Whether the balance of its motion is linear in what is measured."""
+        return not self.effects
 
-    def alternatives(self) -> "tuple[DiagnosedModel, ...]":
-        """Variants of the model, of which the records decide."""
-        return (self,)
+    def for_records(self, measurements: Sequence[MeasuredRecord]) -> "DiagnosedModel":
+        """The same model, with the same laws, for other records."""
+        effects = (*self.effects, self.calibration)
+        return type(self)(replace(self.model, effects=effects), measurements)
 
     @cached_property
     def base(self) -> list[Slot]:

@@ -1,6 +1,5 @@
 """A reel compared with records: length and preload of each record, parameters, offsets."""
 
-import copy
 import math
 from collections.abc import Sequence
 from dataclasses import replace
@@ -57,14 +56,14 @@ class DiagnosedReel(DiagnosedModel):
         self.output = "N" if self.has_gauge else "rad"
         self.is_watched = any(m.reference_N is not None for m in measurements)
         super().__init__(model, measurements)
+        if self._may_sag and not isinstance(self.calibration, SaggingCalibration):
+            self.calibration = SaggingCalibration(**vars(self.calibration))
 
-    def alternatives(self) -> tuple["DiagnosedModel", ...]:
-        """The linear law, and the law with full sag where the records can distinguish them."""
-        if isinstance(self.calibration, SaggingCalibration) or not self._may_sag:
-            return (self,)
-        sagging = copy.copy(self)
-        sagging.calibration = SaggingCalibration(**vars(self.calibration))
-        return self, sagging
+    @property
+    def is_linear(self) -> bool:
+        """Whether the balance of the drum is; with gauge and encoder it needs no cable's law."""
+        sags = isinstance(self.calibration, SaggingCalibration)
+        return not self.effects and (not sags or (self.has_gauge and self.has_encoder))
 
     @property
     def _may_sag(self) -> bool:

@@ -21,9 +21,10 @@ from plants.diagnosis.search.decide import (
     family_probabilities,
     probabilities,
 )
+from plants.diagnosis.search.fitted_models import FittedModels, is_named
 from plants.diagnosis.search.model_fitter import CandidateFit, ModelFitter, family_of
 from plants.diagnosis.search.nameless_laws import NAMELESS
-from plants.diagnosis.search.search import SearchResult, is_named
+from plants.diagnosis.search.screening import Screening
 from plants.effects.plant_scale import si
 
 
@@ -57,126 +58,124 @@ class Conclusion(NamedTuple):
         """The model that is believed: the base model for `unknown` and `none`."""
         return self.stages[-1]
 
+    def unknown(self, reason: str) -> "Conclusion":
+        """The same fits, none of which is believed."""
+        base = self.stages[:1]
+        return self._replace(verdict="unknown", stages=base, tied=(), rest="", reason=reason)
 
-def conclude(fitter: ModelFitter, found: SearchResult) -> Conclusion:
-    """The verdict on the fits of a search."""
-    base, *models = found.summaries(fitter)
-    decision = decide(base, models)
-    p = probabilities(base, models)
-    families, effects = family_probabilities(models, p), effect_probabilities(models, p)
+
+def conclude(fitter: ModelFitter, models: FittedModels) -> Conclusion:
+    """The verdict on some fits."""
+    base, *others = models.judged(fitter)
+    decision = decide(base, others)
+    p = probabilities(base, others)
+    families, effects = family_probabilities(others, p), effect_probabilities(others, p)
     # Where no name is believed, the best of the declared effects seldom is there.
-    named = (explained(base, m) for m in models if m.named)
-    scale = 1.0 if decision.best else (1.0 - CONSTANTS.named_share) * max(named, default=0.0)
-    fitted = {e.name: e for one in found.fits.values() for e in one.effects}
-    probability = {name: scale * families[family_of(e)] for name, e in fitted.items()}
-    own = {name: scale * effects[name] for name in fitted}
+    shares = (explained(base, m) for m in others if m.named)
+    scale = 1.0 if decision.best else (1.0 - CONSTANTS.named_share) * max(shares, default=0.0)
+    fitted = {e.name: e for fit in models.with_effects.values() for e in fit.effects}
+    conclusion = Conclusion(
+        decision.verdict,
+        (models.base,),
+        probability={name: scale * families[family_of(e)] for name, e in fitted.items()},
+        own_probability={name: scale * effects[name] for name in fitted},
+        models=(base, *others),
+    )
     if not decision.best:
-        return Conclusion(
-            decision.verdict,
-            (found.base,),
-            like=_title(found, decision.like),
-            reason=_reason(found, decision, base, models),
-            probability=probability,
-            own_probability=own,
-            models=(base, *models),
+        return conclusion._replace(
+            like=_title(models, decision.like), reason=_reason(models, decision, base, others)
         )
     names = dict.fromkeys(n for slugs in (decision.best, *decision.tied) for n in sorted(slugs))
-    return Conclusion(
-        decision.verdict,
-        _stages(found, decision.best),
+    return conclusion._replace(
+        stages=_stages(models, decision.best),
         tied=tuple(names) if decision.verdict == "ambiguous" else (),
-        rest=_rest(found, decision, models),
-        probability=probability,
-        own_probability=own,
-        models=(base, *models),
+        rest=_rest(models, decision, others),
     )
 
 
 def _reason(
-    found: SearchResult, decision: Decision, base: ModelSummary, models: Sequence[ModelSummary]
+    models: FittedModels, decision: Decision, base: ModelSummary, others: Sequence[ModelSummary]
 ) -> str:
     """A sentence on the share that the best named model explains, where it is not believed."""
     if not decision.leading:
         return ""
-    leading = next(m for m in models if m.names == decision.leading)
-    titles = " and ".join(_title(found, name) for name in sorted(decision.leading))
-    said = f"The best of them, {titles}, explains {_percent(explained(base, leading))} of it"
-    return f"{said}." if leading.eligible else f"{said}, but at a bound, or too small to matter."
+    leading = next(m for m in others if m.names == decision.leading)
+    titles = " and ".join(_title(models, name) for name in sorted(decision.leading))
+    share = f"The best of them, {titles}, explains {_percent(explained(base, leading))} of it"
+    return f"{share}." if leading.eligible else f"{share}, but at a bound, or too small to matter."
 
 
-def _stages(found: SearchResult, slugs: Slugs) -> tuple[CandidateFit, ...]:
+def _stages(models: FittedModels, slugs: Slugs) -> tuple[CandidateFit, ...]:
     """The base model, the better single one of a pair, and the model believed."""
-    single = [frozenset({name}) for name in slugs]
-    singles = sorted((found.fits[n] for n in single if n in found.fits), key=lambda f: f.J)
-    return (found.base, *singles[: len(slugs) - 1], found.fits[slugs])
+    singles = [fit for fit in models.singles if fit.names < slugs]
+    return (models.base, *singles[:1], models.with_effects[slugs])
 
 
-def _rest(found: SearchResult, decision: Decision, models: Sequence[ModelSummary]) -> str:
+def _rest(models: FittedModels, decision: Decision, others: Sequence[ModelSummary]) -> str:
     """The nameless law that takes the most off what a believed model leaves, if it is much."""
-    best = next(m for m in models if m.names == decision.best)
-    share = 1.0 - CONSTANTS.one_more
-    laws = [m for m in models if not m.named and best.power > CONSTANTS.floor]
-    laws = [m for m in laws if m.power - 1.0 < (1.0 - share) * (best.power - 1.0)]
+    best = next(m for m in others if m.names == decision.best)
+    laws = [m for m in others if not m.named and best.power > CONSTANTS.floor]
+    laws = [m for m in laws if m.power - 1.0 < CONSTANTS.one_more * (best.power - 1.0)]
     law = min(laws, key=lambda m: m.power, default=None)
     nameless = [e.name for e in NAMELESS if law is not None and e.name in law.names]
-    return _title(found, nameless[0]) if nameless else ""
+    return _title(models, nameless[0]) if nameless else ""
 
 
-def _title(found: SearchResult, slug: str) -> str:
+def _title(models: FittedModels, slug: str) -> str:
     """Title of an effect that was fitted."""
-    effects = (e for one in found.fits.values() for e in one.effects)
+    effects = (e for fit in models.with_effects.values() for e in fit.effects)
     return next((e.title for e in effects if e.name == slug), "")
 
 
-def candidates(found: SearchResult, judged: Conclusion) -> tuple[Candidate, ...]:
-    """All effects looked at as the first one, best first, each with why it was taken or not."""
-    before = ModelSummary(frozenset(), frozenset(), 0, found.base.J, 0)
-    fitted = {one.effects[0].name: one for one in found.of(1) if is_named(one)}
-    believed = [e.name for e in judged.best.effects]
+def candidates(
+    screening: Screening, models: FittedModels, conclusion: Conclusion
+) -> tuple[Candidate, ...]:
+    """All effects screened as the first one, best first, each with why it was taken or not."""
+    before = ModelSummary(frozenset(), frozenset(), 0, models.base.J, 0)
+    fitted = {fit.effects[0].name: fit for fit in models.singles if is_named(fit)}
+    believed = [e.name for e in conclusion.best.effects]
     listed = []
-    for name, s in found.screened.items():
-        one = fitted.get(name)
-        if one is None:
-            part, left, why = math.nan, math.nan, f"{s.effect.title} would change other things: "
-            why += f"its direction explains {_percent(s.screening_R2)} of the residual"
-        else:
-            part = explained(before, before._replace(J=one.J))
-            left, why = math.sqrt(one.J), _why(one, part, judged)
-        listed.append(
-            Candidate(
-                name,
-                part,
-                left,
-                s.screening_R2,
-                why,
-                judged.probability.get(name, 0.0),
-                judged.own_probability.get(name, 0.0),
+    for name, screened in screening.declared.items():
+        fit, share, ratio = fitted.get(name), math.nan, math.nan
+        if fit is None:
+            why = (
+                f"{screened.effect.title} changes the predictions in another way: its direction "
+                f"explains {_percent(screened.screening_R2)} of the residual"
             )
+        else:
+            share, ratio = explained(before, before._replace(J=fit.J)), math.sqrt(fit.J)
+            why = _why(fit, share, conclusion)
+        family, own = (
+            p.get(name, 0.0) for p in (conclusion.probability, conclusion.own_probability)
         )
+        listed.append(Candidate(name, share, ratio, screened.screening_R2, why, family, own))
     listed.sort(key=lambda c: (c.gap if math.isfinite(c.gap) else 1e9, -c.cosine2))
     listed.sort(key=lambda c: believed.index(c.name) if c.name in believed else len(believed))
     return tuple(listed)
 
 
-def _why(one: CandidateFit, part: float, judged: Conclusion) -> str:
-    effect, best = one.effects[0], judged.best.effects
-    what = f"{effect.title} explains {_percent(max(part, 0.0))} of the error power"
+def _why(fit: CandidateFit, share: float, conclusion: Conclusion) -> str:
+    """Why an effect that was fitted is believed or not."""
+    effect, best = fit.effects[0], conclusion.best.effects
+    what = f"{effect.title} explains {_percent(max(share, 0.0))} of the error power"
     if effect in best:
         return what
+    if not best and conclusion.like:
+        return f"{what}, but {conclusion.like} explains more"
     if not best:
-        return f"{what}, but {judged.like} explains more" if judged.like else f"{what}, too little"
+        return f"{what}, which is too little"
     if family_of(effect) in map(family_of, best):
-        return f"{what}, no more than {best[0].title}, which is simpler, needs to"
-    return f"{what}, {best[0].title} does better"
+        return f"{what}; of its family, {best[0].title} is the simplest law that is sufficient"
+    return f"{what}; {best[0].title} explains more"
 
 
-def not_excited(found: SearchResult) -> dict[str, str]:
+def not_excited(screening: Screening) -> dict[str, str]:
     """Effects that these records cannot show, with the reason."""
     return {
-        name: f"at its usual size {one.effect.title} would change these records by "
-        f"{one.usual_change:.1g} of the noise floor"
-        for name, one in found.screened.items()
-        if one.usual_change < CONSTANTS.shown
+        name: f"at its usual size {screened.effect.title} would change these records by "
+        f"{screened.usual_change:.1g} of the noise floor"
+        for name, screened in screening.declared.items()
+        if screened.usual_change < CONSTANTS.shown
     }
 
 
@@ -186,8 +185,8 @@ def _percent(share: float) -> str:
 
 def verdict_sentence(
     verdict: Verdict,
-    judged: Conclusion,
-    named: Sequence[NamedEffect],
+    conclusion: Conclusion,
+    effects: Sequence[NamedEffect],
     steps: Sequence[SearchStep],
     unit: str,
 ) -> str:
@@ -197,15 +196,16 @@ def verdict_sentence(
     if verdict == "none":
         return f"Nothing is missing that these records can show: the prediction error is {error}."
     if verdict == "unknown":
-        like = f"It looks like {judged.like}." if judged.like else ""
+        like = f"It looks like {conclusion.like}." if conclusion.like else ""
         said = f"No declared effect explains the prediction error, {error}."
-        return " ".join(filter(None, (said, judged.reason, like)))
-    what = " and ".join(one.title for one in named)
-    left = f"the prediction error falls from {error}, to {after.ratio:.2g} times the noise floor"
+        return " ".join(filter(None, (said, conclusion.reason, like)))
+    titles = " and ".join(effect.title for effect in effects)
+    falls = f"the prediction error falls from {error}, to {after.ratio:.2g} times the noise floor"
     if verdict == "ambiguous":
-        return f"These records cannot tell {' or '.join(judged.tied)} apart; with {what} {left}."
-    sentences = " ".join(one.sentence for one in named)
+        tied = " or ".join(conclusion.tied)
+        return f"These records cannot tell {tied} apart; with {titles} {falls}."
+    sentences = " ".join(effect.sentence for effect in effects)
     if verdict == "incomplete":
-        rest = f" What is left looks like {judged.rest}." if judged.rest else ""
-        return f"{sentences} With {what} {left}: something more is missing.{rest}"
-    return f"{sentences} With it {left}."
+        rest = f" What is left looks like {conclusion.rest}." if conclusion.rest else ""
+        return f"{sentences} With {titles} {falls}: something more is missing.{rest}"
+    return f"{sentences} With it {falls}."

@@ -14,6 +14,7 @@ from plants.diagnosis.data.measured_record import MeasuredRecord
 from plants.diagnosis.data.noise_floor import Noise
 from plants.diagnosis.interval import Interval
 from plants.diagnosis.search.constants import CONSTANTS
+from plants.diagnosis.search.model_fitter import CandidateFit, ModelFitter
 
 MAINS_Hz, HARMONICS, OVERTONES = (50.0, 60.0), 3, (2, 3, 5)
 """Frequencies looked at, their multiples, and multiples of the one found that go with it."""
@@ -50,6 +51,15 @@ def coarse_step_N(noise: Noise) -> float | None:
     # Below a twentieth of a step, what is beside the rounding cannot be told from none.
     rest = math.sqrt(max(beside, (noise.lsb / 20.0) ** 2))
     return noise.lsb if noise.lsb > CONSTANTS.coarse * rest else None
+
+
+def line_in_residual(fitter: ModelFitter, model: CandidateFit) -> MainsLine | None:
+    """Mains interference in what a model leaves of the gauge's readings."""
+    if "tension_N" not in fitter.floor.channels:
+        return None
+    predictions = model.fitted.predictor.predict(model.fitted.values[None, :])
+    tensions = [None if p.tension_N is None else p.tension_N[0] for p in predictions]
+    return find_mains_interference(fitter.measurements, tensions, fitter.floor.tension_N)
 
 
 def find_mains_interference(

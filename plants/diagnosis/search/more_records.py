@@ -1,14 +1,18 @@
 """Searches on a few of many records, and fits carried over from some records to others."""
 
 from collections.abc import Mapping, Sequence
+from typing import NamedTuple
 
 import numpy as np
 
 from estune.core.quantities import FloatArray
 from plants.diagnosis.data.measured_record import MeasuredRecord
+from plants.diagnosis.models.diagnosed_model import DiagnosedModel
 from plants.diagnosis.search.conclusion import Conclusion
+from plants.diagnosis.search.fitted_models import FittedModels
+from plants.diagnosis.search.mains_interference import MainsLine, line_in_residual
 from plants.diagnosis.search.model_fitter import CandidateFit, ModelFitter
-from plants.diagnosis.search.search import LEADING, SearchResult
+from plants.diagnosis.search.search import LEADING
 
 SEARCHED_samples = 60_000
 """Samples that a search takes: of 80 records of 10 000 samples, six."""
@@ -24,19 +28,20 @@ def differing(measurements: Sequence[MeasuredRecord]) -> tuple[MeasuredRecord, .
     """
     if sum(m.samples for m in measurements) <= SEARCHED_samples:
         return tuple(measurements)
-    at = _places(measurements)
-    taken = [int(at[:, 0].argmax())]
-    apart = np.full(len(at), np.inf)
+    properties = _properties(measurements)
+    taken = [int(properties[:, 0].argmax())]
+    distance = np.full(len(properties), np.inf)
     while True:
-        apart = np.minimum(apart, np.linalg.norm(at - at[taken[-1]], axis=1))
-        apart[taken] = -1.0
-        further = int(apart.argmax())
-        if sum(measurements[n].samples for n in (*taken, further)) > SEARCHED_samples:
+        to_last = np.linalg.norm(properties - properties[taken[-1]], axis=1)
+        distance = np.minimum(distance, to_last)
+        distance[taken] = -1.0
+        farthest = int(distance.argmax())
+        if sum(measurements[n].samples for n in (*taken, farthest)) > SEARCHED_samples:
             return tuple(measurements[n] for n in sorted(taken))
-        taken.append(further)
+        taken.append(farthest)
 
 
-def _places(measurements: Sequence[MeasuredRecord]) -> FloatArray:
+def _properties(measurements: Sequence[MeasuredRecord]) -> FloatArray:
     """Motion, operating point, gains and profile of each, in standard deviations."""
     kinds = sorted({(m.loop, m.profile) for m in measurements})
     rows = []
@@ -45,44 +50,91 @@ def _places(measurements: Sequence[MeasuredRecord]) -> FloatArray:
         gains = (0.0, 0.0, 0.0, 0.0)
         if m.gains is not None:
             gains = (m.gains.P, m.gains.I, m.gains.D, m.gains.setpoint_filter_s)
-        own = (float(np.nanstd(moved)), m.preload_N, m.cable_length_m or 0.0, *gains)
-        rows.append([*own, *((m.loop, m.profile) == kind for kind in kinds)])
-    place = np.array(rows, np.float64)
-    spread = place.std(axis=0)
-    found: FloatArray = (place - place.mean(axis=0)) / np.where(spread > 0.0, spread, 1.0)
-    return found
+        operating = (float(np.nanstd(moved)), m.preload_N, m.cable_length_m or 0.0, *gains)
+        rows.append([*operating, *((m.loop, m.profile) == kind for kind in kinds)])
+    table = np.array(rows, np.float64)
+    spread = table.std(axis=0)
+    scaled: FloatArray = (table - table.mean(axis=0)) / np.where(spread > 0.0, spread, 1.0)
+    return scaled
 
 
-def confirmed(fitter: ModelFitter, found: SearchResult, judged: Conclusion) -> SearchResult:
-    """A search's base model, what it believes and what comes near, fitted to all records.
+def refitted(fitter: ModelFitter, models: FittedModels, conclusion: Conclusion) -> FittedModels:
+    """The base model, what is believed and what comes near, fitted to other records.
 
     Args:
-        fitter: The model with all records.
-        found: A search on some of them.
-        judged: Its conclusion.
+        fitter: The model with those records.
+        models: The models as fitted to some.
+        conclusion: Which of them is believed.
     """
-    leading = sorted(found.fits.values(), key=lambda one: one.J)[:LEADING]
-    stages = [one for one in judged.stages if one.effects]
-    tied = [one for names, one in found.fits.items() if names & {*judged.tied}]
-    base = carried_over(fitter, found.base)
-    result = SearchResult(base, fitter.given(), {}, found.screened, found.beside)
-    chosen = {one.names: one for one in (*leading, *stages, *tied)}
-    result.add(carried_over(fitter, one) for one in chosen.values())
-    return result
+    ranked = sorted(models.with_effects.values(), key=lambda fit: fit.J)
+    believed = [fit for fit in conclusion.stages if fit.effects]
+    tied = [f for names, f in models.with_effects.items() if names & {*conclusion.tied}]
+    chosen = {fit.names: fit for fit in (*ranked[:LEADING], *believed, *tied)}
+    base = FittedModels(fitter.given(), carried_over(fitter, models.base))
+    return base.adding(carried_over(fitter, fit) for fit in chosen.values())
 
 
-def carried_over(fitter: ModelFitter, one: CandidateFit) -> CandidateFit:
+def carried_over(fitter: ModelFitter, model: CandidateFit) -> CandidateFit:
     """A model fitted to other records, from its values on some."""
-    settled = settle(fitter, one, SETTLING)
-    return fitter.fit(one.effects, settled.fitted.values)
+    settled = settle(fitter, model, SETTLING)
+    return fitter.fit(model.effects, settled.fitted.values)
 
 
-def settle(fitter: ModelFitter, one: CandidateFit, rounds: int = 15) -> CandidateFit:
+def settle(fitter: ModelFitter, model: CandidateFit, rounds: int = 15) -> CandidateFit:
     """A fitted model on other records, with only what belongs to each of them fitted."""
-    row = fitter.predictor(one.effects).row(shared(one.values))
-    return fitter.fit(one.effects, row, rounds, owners=frozenset())
+    row = fitter.predictor(model.effects).row(shared(model.values))
+    return fitter.fit(model.effects, row, rounds, owners=frozenset())
 
 
 def shared(values: Mapping[str, float]) -> dict[str, float]:
     """The values that do not belong to single records."""
     return {name: value for name, value in values.items() if not name.endswith("]")}
+
+
+class AllRecords(NamedTuple):
+    """What a search believes, fitted to all records.
+
+    Attributes:
+        fitter: The model with all records, mains interference taken out.
+        models: The base model, what is believed and what comes near.
+        line: The mains interference, or None.
+        recorded: The base model fitted to the records with interference, where there is some.
+        refitted: Whether models were fitted anew.
+    """
+
+    fitter: ModelFitter
+    models: FittedModels
+    line: MainsLine | None
+    recorded: tuple[ModelFitter, CandidateFit] | None
+    refitted: bool
+
+
+def on_all_records(
+    plant: DiagnosedModel,
+    searched: ModelFitter,
+    models: FittedModels,
+    conclusion: Conclusion,
+    line: MainsLine | None,
+) -> AllRecords:
+    """The models of a search fitted to all records.
+
+    Mains interference is looked for again beside the effects that are believed: what they do may
+    look like a line where they are missing.
+
+    Args:
+        plant: The model as given, with all records.
+        searched: The model with the records that were searched.
+        models: The models as fitted to those.
+        conclusion: Which of them is believed.
+        line: The mains interference in what the base model leaves of them.
+    """
+    if line is None and len(searched.measurements) == len(plant.measurements):
+        return AllRecords(searched, models, None, None, refitted=False)
+    fitter = ModelFitter(plant, plant.measurements, searched.floor)
+    if line is not None:
+        line = line_in_residual(fitter, carried_over(fitter, conclusion.best))
+    if line is None:
+        return AllRecords(fitter, refitted(fitter, models, conclusion), None, None, refitted=True)
+    recorded = fitter, carried_over(fitter, models.base)
+    fitter = ModelFitter(plant.for_records(line.measurements), line.measurements, searched.floor)
+    return AllRecords(fitter, refitted(fitter, models, conclusion), line, recorded, refitted=True)

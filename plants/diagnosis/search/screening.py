@@ -75,14 +75,26 @@ class ScreeningResult:
         )
 
 
-def screen(
-    effect: type[Effect], predictor: Predictor, seen: Sequence[ScoreContext]
+class Screening(NamedTuple):
+    """Screening of all effects from one model.
+
+    Attributes:
+        declared: Of each declared effect, by slug.
+        nameless: Of each law without a name, by slug.
+    """
+
+    declared: Mapping[str, ScreeningResult]
+    nameless: Mapping[str, ScreeningResult]
+
+
+def screen_effect(
+    effect: type[Effect], predictor: Predictor, contexts: Sequence[ScoreContext]
 ) -> ScreeningResult:
-    """Screening of an effect, the last of the predictor's, from one or more places."""
-    found, *rest = (_Probe(effect, predictor, one).screened() for one in seen)
-    for other in rest:
-        found = found.merged(other)
-    return found
+    """Screening of an effect, the last of the predictor's, from one or more models without it."""
+    first, *others = (_Probe(effect, predictor, context).screened() for context in contexts)
+    for other in others:
+        first = first.merged(other)
+    return first
 
 
 class _Way(NamedTuple):

@@ -1,17 +1,15 @@
-"""The search for missing effects.
+"""Fits of models with missing effects: single ones, then pairs with the best of them.
 
-The best single one, pairs with it, each effect of a pair dropped or swapped for another of its
-family. Every fit is kept; `decide` says which model is believed.
+Nothing is decided here. Every fit is kept; `decide` says which model is believed.
 """
 
 import math
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Mapping, Sequence
 
 from plants.diagnosis.progress import Progress, portion, silent
-from plants.diagnosis.result import ModelSummary
 from plants.diagnosis.search.constants import CONSTANTS
 from plants.diagnosis.search.decide import best_of, relative
+from plants.diagnosis.search.fitted_models import FittedModels, is_named, summarise
 from plants.diagnosis.search.model_fitter import (
     CandidateFit,
     ModelFitter,
@@ -20,158 +18,91 @@ from plants.diagnosis.search.model_fitter import (
 )
 from plants.diagnosis.search.nameless_laws import NAMELESS
 from plants.diagnosis.search.score_context import ScoreContext
-from plants.diagnosis.search.screening import ScreeningResult, screen
+from plants.diagnosis.search.screening import Screening, ScreeningResult, screen_effect
 from plants.diagnosis.search.starts import coarse_fit, fit_added, may_be_nonlinear
 from plants.effects import Effect, RecordScale, Role
 
 BESIDE = 5
-"""Further effects whose direction is looked at once more beside those there are, and as many laws
+"""Further effects whose direction is worked out beside those that are there, and as many laws
 without a name as have one no worse."""
 SHORTLIST = 5
 """Effects fitted jointly, by their direction."""
 AIMED, AIMED_BESIDE = 0.5, 0.2
 """A law is fitted whose direction explains this share of what the best's does: on 22 development
 seeds that of the effect hidden explained 0.76 or more, of a second effect 0.22 or more."""
-DISTORTED = 16.0
-"""Power left from which on directions are looked for from the model as given, too."""
 LEADING, BEHIND = 4, 3.0
-"""Fits that are finished, and ratio of powers left beyond which none is."""
+"""Fits that are finished, and ratio of powers beyond which none is."""
 
 
-@dataclass(eq=False)
-class SearchResult:
-    """All the fits of a search.
-
-    Attributes:
-        base: The base model.
-        given: The model as given.
-        fits: The best fit of each set of effects, by their slugs.
-        screened: Each effect's direction from the base model, by slug.
-        beside: Each further effect's direction beside the best single one.
-    """
-
-    base: CandidateFit
-    given: CandidateFit
-    fits: dict[frozenset[str], CandidateFit] = field(default_factory=dict)
-    screened: dict[str, ScreeningResult] = field(default_factory=dict)
-    beside: dict[str, ScreeningResult] = field(default_factory=dict)
-
-    def add(self, fits: Iterable[CandidateFit]) -> None:
-        """Keeps each fit that is the best of its effects."""
-        for one in fits:
-            if one.names not in self.fits or one.J < self.fits[one.names].J:
-                self.fits[one.names] = one
-
-    def summaries(self, fitter: ModelFitter) -> list[ModelSummary]:
-        """Every model as a verdict is decided from, the base model first."""
-        scale = fitter.scale
-        return [summarise(one, scale) for one in (self.base, *self.fits.values())]
-
-    def of(self, effects: int) -> list[CandidateFit]:
-        """The fits with so many effects, the best first."""
-        some = (f for f in self.fits.values() if len(f.effects) == effects)
-        return sorted(some, key=lambda f: f.J)
-
-
-def summarise(one: CandidateFit, scale: RecordScale) -> ModelSummary:
-    """The properties of a fit that a decision rests on."""
-    values, rank = one.values, sum(len(e.parameters()) for e in one.effects)
-    return ModelSummary(
-        names=one.names,
-        families=frozenset(map(family_of, one.effects)),
-        rank=rank,
-        J=one.J,
-        # A law without a name may stand for another where a value of it is at a bound.
-        values=one.own_values if is_named(one) else rank,
-        eligible=all(
-            e.matters({n: values[f"{e.name}.{n}"] for n in e.parameters()}, scale)
-            and not one.at_bound(e)
-            for e in one.effects
-        ),
-        named=is_named(one),
-        known_apart=any(e.known_apart for e in one.effects),
-    )
-
-
-def is_named(one: CandidateFit) -> bool:
-    """Whether a model has no law without a name."""
-    return not any(e in NAMELESS for e in one.effects)
-
-
-def power(one: CandidateFit) -> float:
+def power(fit: CandidateFit) -> float:
     """P: mean square of the whitened residuals, no less than the noise floor's."""
-    return max(one.J, 1.0)
+    return max(fit.J, 1.0)
 
 
 def search(
     fitter: ModelFitter,
-    base: CandidateFit,
-    effects: Sequence[type[Effect]],
-    records: RecordScale,
+    models: FittedModels,
+    screening: Screening,
+    scale: RecordScale,
     progress: Progress = silent,
-) -> SearchResult:
-    """Looks for the effects that are missing."""
-    effects = list(effects)
-    progress("screening effects", 0.0)
-    found = SearchResult(base, fitter.given())
-    nameless = [e for e in NAMELESS if fitter.model.unavailable(e) is None]
-    seen = [ScoreContext.of(fitter, base, records)]
-    found.screened = {e.name: screen(e, fitter.predictor((e,)), seen) for e in effects}
-    best = max((s.screening_R2 for s in found.screened.values()), default=0.0)
-    if base.J > DISTORTED and best < AIMED:
-        # Base parameters may have bent far to make up for what is missing.
-        seen.append(ScoreContext.of(fitter, found.given, records))
-        found.screened = {
-            name: s.merged(screen(s.effect, s.predictor, seen[1:]))
-            for name, s in found.screened.items()
-        }
-    if power(base) <= CONSTANTS.nothing:
-        return found
-    unnamed = {e.name: screen(e, fitter.predictor((e,)), seen) for e in nameless}
-    _fit_all(fitter, found, base, (found.screened, unnamed), portion(progress, 0.2, 0.6))
-    single = _leading(fitter, found)
-    if single is None or power(single) > 1.0 + (1.0 - CONSTANTS.named_share) * (power(base) - 1.0):
-        _fit_rest(fitter, found)
-        single = _leading(fitter, found)
+) -> FittedModels:
+    """The base model, models with one effect, and pairs with the best of those.
+
+    Args:
+        fitter: Model and records.
+        models: The model as given and the base model.
+        screening: Directions of all effects from the base model.
+        scale: What the records show of the machine.
+        progress: Called as each part begins.
+    """
+    above = power(models.base) - 1.0
+    if CONSTANTS.nothing >= models.base.J:
+        return models
+    fits = fit_promising(fitter, models.base, screening, portion(progress, 0.2, 0.6))
+    models = models.adding(fits)
+    single = leading_single(fitter, models)
+    if single is None or power(single) > 1.0 + (1.0 - CONSTANTS.named_share) * above:
+        models = models.adding(fit_undirected(fitter, models, screening))
+        single = leading_single(fitter, models)
     # A second effect is looked for beside one that explains something, and leaves something.
-    some = 1.0 + CONSTANTS.named_share * (power(base) - 1.0)
-    if single is None or power(single) > some:
-        return found
+    if single is None or power(single) > 1.0 + CONSTANTS.named_share * above:
+        return models
     if CONSTANTS.nothing >= single.J:
-        return found
+        return models
     progress("screening second effects", 0.6)
-    there = family_of(single.effects[0])
-    rest = [e for e in effects if family_of(e) != there]
-    found.beside = _screen_beside(fitter, [*rest, *nameless], single, records)
-    unnamed = {e.name: found.beside.pop(e.name) for e in nameless}
-    _fit_all(fitter, found, single, (found.beside, unnamed), portion(progress, 0.7, 0.95))
-    _, *models = relative(found.summaries(fitter))
-    # Whether an effect of it is of a size that matters shows after the moves.
-    pair = best_of([m._replace(eligible=True) for m in models])
-    if pair is not None and len(pair.names) == 2:
-        progress("comparing pairs", 0.95)
-        _moves(fitter, found, found.fits[pair.names])
-    return found
+    beside = screen_beside(fitter, screening, single, scale)
+    fits = fit_promising(fitter, single, beside, portion(progress, 0.7, 0.95))
+    models = models.adding(fits)
+    # Whether an effect is of a size that matters shows beside the right partner.
+    _, *summaries = relative(models.summaries(fitter.scale))
+    pair = best_of([s._replace(eligible=True) for s in summaries])
+    if pair is None or len(pair.names) < 2:
+        return models
+    progress("comparing pairs", 0.95)
+    best_pair = models.with_effects[pair.names]
+    return models.adding(fit_exchanged(fitter, best_pair, screening.declared))
 
 
-def _leading(fitter: ModelFitter, found: SearchResult) -> CandidateFit | None:
-    """The best of the named effects, with its family: one that could be believed, if there is."""
-    named = [one for one in found.of(1) if is_named(one)]
-    sized = [one for one in named if summarise(one, fitter.scale).eligible]
-    families = {family_of(one.effects[0]) for one in (sized or named)[:1]}
-    return next((one for one in named if family_of(one.effects[0]) in families), None)
+def leading_single(fitter: ModelFitter, models: FittedModels) -> CandidateFit | None:
+    """The best named effect of the family of the first that could be believed, if there is."""
+    named = [fit for fit in models.singles if is_named(fit)]
+    eligible = [fit for fit in named if summarise(fit, fitter.scale).eligible]
+    families = {family_of(fit.effects[0]) for fit in (eligible or named)[:1]}
+    return next((fit for fit in named if family_of(fit.effects[0]) in families), None)
 
 
-def _fit_all(
-    fitter: ModelFitter,
-    found: SearchResult,
-    current: CandidateFit,
-    looked_at: tuple[dict[str, ScreeningResult], dict[str, ScreeningResult]],
-    progress: Progress,
-) -> None:
-    """Fits the most promising effects with their families, and nameless laws that aim as well."""
-    screened, nameless = looked_at
-    ranked = sorted(screened.values(), key=lambda s: -s.screening_R2)
+def fit_promising(
+    fitter: ModelFitter, current: CandidateFit, screening: Screening, progress: Progress
+) -> list[CandidateFit]:
+    """Fits of the most promising effects with their families, and of nameless laws as promising.
+
+    Args:
+        fitter: Model and records.
+        current: The model that each effect is added to.
+        screening: Directions beside that model.
+        progress: Called before each fit.
+    """
+    ranked = sorted(screening.declared.values(), key=lambda s: -s.screening_R2)
     best = max((s.screening_R2 for s in ranked), default=0.0)
     least_R2 = best * (AIMED_BESIDE if current.effects else AIMED)
     promising = [s for s in ranked if s.screening_R2 > least_R2][:SHORTLIST]
@@ -182,20 +113,81 @@ def _fit_all(
     # The most promising family first, of it the simpler ones: others begin with their fit.
     aim = {family_of(s.effect): s.screening_R2 for s in reversed(chosen)}
     chosen.sort(key=lambda s: (-aim[family_of(s.effect)], _depth(s.effect), -s.screening_R2))
-    chosen += [s for s in nameless.values() if s.screening_R2 >= AIMED * best]
+    chosen += [s for s in screening.nameless.values() if s.screening_R2 >= AIMED * best]
     fits: list[CandidateFit] = []
     least = math.inf
-    for n, one in enumerate(chosen):
-        progress(f"fitting {one.effect.title}", n / len(chosen))
+    for n, candidate in enumerate(chosen):
+        progress(f"fitting {candidate.effect.title}", n / len(chosen))
         # Beside a model that leaves nothing only those count that point the same way.
-        if max(least, 1.0) <= CONSTANTS.floor and one.screening_R2 < AIMED * best:
+        if max(least, 1.0) <= CONSTANTS.floor and candidate.screening_R2 < AIMED * best:
             continue
-        fitted = fit_added(fitter, current, one, _simpler(one.effect, fits), least=least)
-        if least > fitted.J:
-            fitted = fitter.refine(fitted, 40)
-        fits.append(fitted)
-        least = min(least, _least(fitter, [fitted]))
-    found.add(_finished(fitter, fits))
+        simpler = _simpler(candidate.effect, fits)
+        fit = fit_added(fitter, current, candidate, simpler, least=least)
+        if least > fit.J:
+            fit = fitter.refine(fit, 40)
+        fits.append(fit)
+        least = min(least, _least(fitter, [fit]))
+    return _finished(fitter, fits)
+
+
+def fit_undirected(
+    fitter: ModelFitter, models: FittedModels, screening: Screening
+) -> list[CandidateFit]:
+    """Fits of effects that may act so unlike small ones that no direction shows them."""
+    fits = [
+        coarse_fit(fitter, candidate.effect)
+        for name, candidate in screening.declared.items()
+        if frozenset({name}) not in models.with_effects and may_be_nonlinear(candidate)
+    ]
+    return _finished(fitter, fits, _least(fitter, models.singles))
+
+
+def fit_exchanged(
+    fitter: ModelFitter, pair: CandidateFit, members: Mapping[str, ScreeningResult]
+) -> list[CandidateFit]:
+    """A pair with each effect left out, and exchanged for each other member of its family."""
+    singles, exchanged = [], []
+    for effect in pair.effects:
+        rest = tuple(e for e in pair.effects if e is not effect)
+        row = fitter.predictor(rest).row(pair.values)
+        singles.append(fitter.fit(rest, row))
+        partner = fitter.fit(rest, row, 0)
+        family = [s for s in members.values() if family_of(s.effect) == family_of(effect)]
+        fits = [pair]
+        for candidate in sorted(family, key=lambda s: len(s.effect.parameters())):
+            if candidate.effect is not effect:
+                simpler = _simpler(candidate.effect, fits)
+                fits.append(fit_added(fitter, partner, candidate, simpler))
+        exchanged += fits[1:]
+    return [*singles, *_finished(fitter, exchanged, pair.J)]
+
+
+def screen_beside(
+    fitter: ModelFitter, screening: Screening, current: CandidateFit, scale: RecordScale
+) -> Screening:
+    """Directions beside a model of the effects of other families, and of the nameless laws.
+
+    All are worked out alone first, which takes little; then the most promising beside the effects
+    there are. What those do not let through, or bend, has another direction without them.
+    """
+    family = family_of(current.effects[0])
+    declared = [s.effect for s in screening.declared.values() if family_of(s.effect) != family]
+    nameless = [e for e in NAMELESS if fitter.model.unavailable(e) is None]
+    context = (ScoreContext.of(fitter, current, scale),)
+
+    def beside(effect: type[Effect]) -> ScreeningResult:
+        return screen_effect(effect, fitter.predictor((*current.effects, effect)), context)
+
+    # A resonance shows only with the effects that drive and damp it.
+    resonant = [e for e in declared if e.named(Role.FREQUENCY)]
+    others = [e for e in (*declared, *nameless) if e not in resonant]
+    alone = {e.name: screen_effect(e, fitter.predictor((e,)), context) for e in others}
+    others.sort(key=lambda e: -alone[e.name].screening_R2)
+    named = [e for e in others if e not in NAMELESS][:BESIDE]
+    first = others[: others.index(named[-1]) + 1] if named else []
+    directions = alone | {e.name: beside(e) for e in (*resonant, *first)}
+    unnamed = {e.name: directions.pop(e.name) for e in nameless}
+    return Screening(directions, unnamed)
 
 
 def _depth(effect: type[Effect]) -> int:
@@ -208,21 +200,10 @@ def _simpler(effect: type[Effect], fits: Sequence[CandidateFit]) -> CandidateFit
     return next((f for f in fits if source in f.names), None)
 
 
-def _fit_rest(fitter: ModelFitter, found: SearchResult) -> None:
-    """Fits effects whose direction may not show them."""
-    fits = [
-        coarse_fit(fitter, one.effect)
-        for name, one in found.screened.items()
-        if frozenset({name}) not in found.fits and may_be_nonlinear(one)
-    ]
-    found.add(_finished(fitter, fits, _least(fitter, found.of(1))))
-
-
 def _least(fitter: ModelFitter, fits: Iterable[CandidateFit]) -> float:
     """J of the best of the fits that could be believed: no other stands in another's way."""
-    scale = fitter.scale
-    sized = (one for one in fits if is_named(one) and summarise(one, scale).eligible)
-    return min((one.J for one in sized), default=math.inf)
+    eligible = (f for f in fits if is_named(f) and summarise(f, fitter.scale).eligible)
+    return min((f.J for f in eligible), default=math.inf)
 
 
 def _finished(
@@ -230,53 +211,11 @@ def _finished(
 ) -> list[CandidateFit]:
     """The fits, those that lead fitted to the end."""
     ranked = sorted(fits, key=lambda f: f.J)
-    done: list[CandidateFit] = []
-    for one in ranked:
-        limit = min(least, _least(fitter, done))
-        limit = limit if math.isfinite(limit) else one.J
-        near = BEHIND * limit > one.J and len(done) < LEADING
-        done.append(fitter.refine(one, 40 if one is ranked[0] else 15) if near else one)
-    return done
-
-
-def _moves(fitter: ModelFitter, found: SearchResult, pair: CandidateFit) -> None:
-    """Each effect of a pair dropped, and swapped for each other member of its family."""
-    fits = []
-    for effect in pair.effects:
-        rest = tuple(e for e in pair.effects if e is not effect)
-        row = fitter.predictor(rest).row(pair.values)
-        alone = fitter.fit(rest, row)
-        found.add([alone])
-        held = fitter.fit(rest, row, 0)
-        family = family_of(effect)
-        members = [s for s in found.screened.values() if family_of(s.effect) == family]
-        there = [pair]
-        for one in sorted(members, key=lambda s: len(s.effect.parameters())):
-            if one.effect is not effect:
-                there.append(fit_added(fitter, held, one, _simpler(one.effect, there)))
-        fits += there[1:]
-    found.add(_finished(fitter, fits, pair.J))
-
-
-def _screen_beside(
-    fitter: ModelFitter,
-    effects: Sequence[type[Effect]],
-    current: CandidateFit,
-    records: RecordScale,
-) -> dict[str, ScreeningResult]:
-    """Each further effect's direction beside a model's, by slug.
-
-    All are looked at alone first, which is soon worked out; then the most promising beside the
-    effects there are. What those do not let through, or bend, has another direction without them.
-    """
-    seen = [ScoreContext.of(fitter, current, records)]
-    # A resonance shows only with the effects that drive and damp it.
-    rings = [e for e in effects if e.named(Role.FREQUENCY)]
-    rest = [e for e in effects if e not in rings]
-    alone = {e.name: screen(e, fitter.predictor((e,)), seen) for e in rest}
-    rest.sort(key=lambda e: -alone[e.name].screening_R2)
-    named = [e for e in rest if e not in NAMELESS][:BESIDE]
-    first = rest[: rest.index(named[-1]) + 1] if named else []
-    return alone | {
-        e.name: screen(e, fitter.predictor((*current.effects, e)), seen) for e in (*rings, *first)
-    }
+    finished: list[CandidateFit] = []
+    for fit in ranked:
+        limit = min(least, _least(fitter, finished))
+        limit = limit if math.isfinite(limit) else fit.J
+        leads = BEHIND * limit > fit.J and len(finished) < LEADING
+        rounds = 40 if fit is ranked[0] else 15
+        finished.append(fitter.refine(fit, rounds) if leads else fit)
+    return finished

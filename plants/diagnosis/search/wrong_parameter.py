@@ -3,8 +3,8 @@
 from collections.abc import Sequence
 
 from plants.diagnosis.search.constants import CONSTANTS
+from plants.diagnosis.search.fitted_models import FittedModels
 from plants.diagnosis.search.model_fitter import CandidateFit, ModelFitter
-from plants.diagnosis.search.search import SearchResult
 from plants.effects import Effect
 
 RECKONED = 0.1
@@ -12,7 +12,7 @@ RECKONED = 0.1
 
 
 def find_wrong_parameter(
-    fitter: ModelFitter, found: SearchResult, effects: Sequence[type[Effect]]
+    fitter: ModelFitter, models: FittedModels, effects: Sequence[type[Effect]]
 ) -> CandidateFit | None:
     """The model as given with the one base-model parameter changed that alone is wrong.
 
@@ -20,9 +20,8 @@ def find_wrong_parameter(
     given leaves an error, and changing one number alone explains as much of it as changing all,
     that number is what is wrong, unless another one does as well.
     """
-    base = found.base
-    left = found.given.J
-    if left <= CONSTANTS.nothing or not effects:
+    base = models.base
+    if CONSTANTS.nothing >= models.given.J or not effects:
         return None
     fits = [
         fitter.fit((e,), fitter.predictor((e,)).start, owners=frozenset({e.name})) for e in effects

@@ -1,0 +1,1 @@
+"""The steps of a diagnosis, each a function from the values of those before it to a value."""

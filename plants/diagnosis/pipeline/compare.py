@@ -1,0 +1,234 @@
+"""Step 6: models with effects are fitted, one is believed, and its verdict is tested.
+
+Single effects, and pairs with the best of them, are fitted. The model that is believed takes off
+enough of the error; it is fitted to all records, has to predict data left out, and no other figure
+may contradict a `none`. Effects that are no law of motion are looked for beside: one wrong number
+of the model as given, coarse readings, and waves in the torque over the angle.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+from plants.diagnosis.data.measured_record import MeasuredRecord
+from plants.diagnosis.data.records import FolderContents
+from plants.diagnosis.hold_out import free_run_rms, moved_rms
+from plants.diagnosis.models.base import BaseNumbers
+from plants.diagnosis.models.diagnosed_model import DiagnosedModel
+from plants.diagnosis.pipeline.fit import BaseFit
+from plants.diagnosis.progress import Progress, portion
+from plants.diagnosis.residual.localisation import ResidualLocation
+from plants.diagnosis.residual.torque_waves import TorqueWaves, torque_waves
+from plants.diagnosis.result import SearchStep, Verdict, explained_share
+from plants.diagnosis.search.conclusion import Conclusion, conclude
+from plants.diagnosis.search.constants import CONSTANTS
+from plants.diagnosis.search.fitted_models import FittedModels
+from plants.diagnosis.search.limitations import most_refused
+from plants.diagnosis.search.mains_interference import MainsLine
+from plants.diagnosis.search.model_fitter import CandidateFit, ModelFitter
+from plants.diagnosis.search.more_records import AllRecords, on_all_records
+from plants.diagnosis.search.screening import Screening
+from plants.diagnosis.search.search import search
+from plants.diagnosis.search.validation import ModelStage, stage
+from plants.diagnosis.search.wrong_parameter import find_wrong_parameter
+from plants.effects import Cogging, Effect, MainsInterference, Quantisation
+from plants.effects.plant_scale import si, written_unit
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class EffectComparison:
+    """The model that is believed, and the evidence for it.
+
+    Attributes:
+        fitted: The base fit.
+        screening: Directions of the effects.
+        verdict: The verdict.
+        conclusion: What it rests on.
+        models: All models, fitted to the records without interference.
+        stages: The models from the base to the one believed, each with its error on data left out;
+            the first is of the records with interference, where there is some.
+        steps: Those errors, with the noise of coarse readings as a step of its own.
+        effects: The effects believed, in the order in which they were added.
+        line: The mains interference, or None.
+        waves: The waves over the angle in the torque, or None.
+    """
+
+    fitted: BaseFit
+    screening: Screening
+    verdict: Verdict
+    conclusion: Conclusion
+    models: FittedModels
+    stages: tuple[ModelStage, ...]
+    steps: tuple[SearchStep, ...]
+    effects: tuple[type[Effect], ...]
+    line: MainsLine | None
+    waves: TorqueWaves | None
+
+    @property
+    def fitter(self) -> ModelFitter:
+        """The model with all records, without interference."""
+        return self.stages[-1].fitter
+
+    @property
+    def start(self) -> CandidateFit:
+        """The model that effects were added to: as given where one of its numbers is wrong."""
+        is_number = any(e.base_parameter for e in self.stages[-1].fit.effects)
+        return self.models.given if is_number else self.models.base
+
+
+def compare(
+    usable: FolderContents,
+    fitted: BaseFit,
+    screening: Screening,
+    held_out: Sequence[MeasuredRecord],
+    progress: Progress,
+) -> EffectComparison:
+    """The model that the records support.
+
+    Args:
+        usable: The records, and the issues of those that were refused.
+        fitted: The base fit.
+        screening: Directions of the effects.
+        held_out: Records that no model is fitted to.
+        progress: Called as each part begins.
+    """
+    choices, coarse_step_N = fitted.choices, fitted.noise.coarse_step_N
+    models = search(
+        fitted.fitter, fitted.models, screening, fitted.scale, portion(progress, 0.0, 0.9)
+    )
+    searched = conclude(fitted.fitter, models)
+    progress("confirming on all records", 0.9)
+    every = on_all_records(fitted.plant, fitted.fitter, models, searched, fitted.line)
+    conclusion = conclude(every.fitter, every.models) if every.refitted else searched
+    wrong = None
+    if conclusion.verdict == "none" and every.line is None:
+        wrong = find_wrong_parameter(every.fitter, every.models, choices.calibrations)
+    progress("refitting with parts left out", 0.95)
+    stages = _stages(every, conclusion.stages if wrong is None else (every.models.given, wrong))
+    if wrong is None:
+        conclusion, stages = _cross_validated(conclusion, stages)
+    conclusion = _not_contradicted(conclusion, stages[-1], fitted.where)
+    steps = tuple(one.step for one in stages)
+    if Quantisation in choices.in_noise and coarse_step_N is not None:
+        steps = _with_rounding(steps, coarse_step_N)
+    waves = None
+    if Cogging in choices.in_torque and conclusion.verdict in ("unknown", "none"):
+        waves = _waves(fitted.plant, held_out)
+    effects = [e for e in _in_order(stages) if e is not MainsInterference]
+    effects += [MainsInterference] if every.line is not None else []
+    effects += [Quantisation] if steps[-1].effect == Quantisation.name else []
+    effects += [Cogging] if waves is not None else []
+    verdict: Verdict = conclusion.verdict
+    if verdict == "none" and most_refused(usable.measurements, usable.findings):
+        verdict = "unknown"
+    if effects and verdict in ("none", "unknown"):
+        verdict = "named" if verdict == "none" else "incomplete"
+    return EffectComparison(
+        fitted=fitted,
+        screening=screening,
+        verdict=verdict,
+        conclusion=conclusion,
+        models=every.models,
+        stages=stages,
+        steps=steps,
+        effects=tuple(effects),
+        line=every.line,
+        waves=waves,
+    )
+
+
+def _stages(every: AllRecords, fits: Sequence[CandidateFit]) -> tuple[ModelStage, ...]:
+    """The models from the base on, with their errors on data left out."""
+    stages = []
+    if every.recorded is not None:
+        stages.append(stage(*every.recorded, None))
+    before: frozenset[str] = frozenset()
+    for n, fit in enumerate(fits):
+        added = next(iter(sorted(fit.names - before)), None)
+        if n == 0 and every.line is not None:
+            added = MainsInterference.name
+        stages.append(stage(every.fitter, every.fitter.final(fit), added))
+        before = fit.names
+    return tuple(stages)
+
+
+def _cross_validated(
+    conclusion: Conclusion, stages: tuple[ModelStage, ...]
+) -> tuple[Conclusion, tuple[ModelStage, ...]]:
+    """Unknown where a model does not explain as much of data left out as of all."""
+    last = stages[-1]
+    if not last.fit.effects:
+        return conclusion, stages
+    n = next(n for n, one in enumerate(stages) if one.fitter is last.fitter)
+    share = explained_share(stages[n].step.ratio, last.step.ratio)
+    if share >= CONSTANTS.named_share or last.step.ratio**2 <= CONSTANTS.floor:
+        return conclusion, stages
+    titles = " and ".join(effect.title for effect in last.fit.effects)
+    reason = (
+        f"{titles} would explain it, but on data left out only "
+        f"{100.0 * max(share, 0.0):.0f} % of it."
+    )
+    return conclusion.unknown(reason), stages[: n + 1]
+
+
+def _not_contradicted(
+    conclusion: Conclusion, last: ModelStage, where: ResidualLocation
+) -> Conclusion:
+    """Unknown where short predictions are within the noise, but something else is far off."""
+    if conclusion.verdict != "none":
+        return conclusion
+    model = last.fitter.model
+    # The balance of the whole motion; others are of a cable without sag, of a drive without lag.
+    contradictions = [
+        f"the {block.title} is at {block.ratio:.2g} times its noise"
+        for block in where.blocks
+        if block.name in ("force", "plant")
+        and model.is_linear
+        and block.ratio**2 > CONSTANTS.incomplete
+    ]
+    error, motion = free_run_rms(last.fitter, last.fit), moved_rms(last.fitter)
+    if error > CONSTANTS.free_run * motion:
+        unit = written_unit(model.output, model.model)
+        contradictions.append(
+            f"the error of a free run is {si(error, unit)}, of a motion of {si(motion, unit)}"
+        )
+    if not contradictions:
+        return conclusion
+    return conclusion.unknown(
+        "Short predictions are within the noise floor, which may be too high, but "
+        f"{' and '.join(contradictions)}."
+    )
+
+
+def _with_rounding(steps: tuple[SearchStep, ...], step_N: float) -> tuple[SearchStep, ...]:
+    """Errors against a floor without rounding, and what rounding explains as a last step.
+
+    The same errors where rounding explains too little of them.
+    """
+    power = step_N**2 / 12.0
+    floors = [math.sqrt(max(s.floor**2 - power, 0.01 * s.floor**2)) for s in steps]
+    unrounded = [
+        replace(s, floor=floor, ratio=s.gap / floor)
+        for s, floor in zip(steps, floors, strict=True)
+    ]
+    last = unrounded[-1]
+    gap = math.sqrt(max(last.gap**2 - power, last.floor**2))
+    rounded = SearchStep(Quantisation.name, gap, last.floor, gap / last.floor)
+    explains = explained_share(last.ratio, rounded.ratio) >= CONSTANTS.one_more
+    return (*unrounded, rounded) if last.ratio**2 > CONSTANTS.floor and explains else steps
+
+
+def _waves(plant: DiagnosedModel, held_out: Sequence[MeasuredRecord]) -> TorqueWaves | None:
+    """The waves over the angle in the torque, where they explain enough of it."""
+    numbers = [BaseNumbers.of(plant.model, m) for m in plant.measurements]
+    waves = torque_waves(plant.measurements, numbers, held_out)
+    return waves if waves is not None and waves.share >= CONSTANTS.named_share else None
+
+
+def _in_order(stages: Sequence[ModelStage]) -> list[type[Effect]]:
+    """The effects of the last stage in the order in which they were added."""
+    order = [one.step.effect for one in stages]
+    return sorted(
+        stages[-1].fit.effects,
+        key=lambda e: order.index(e.name) if e.name in order else len(order),
+    )

@@ -1,0 +1,76 @@
+"""Step 4: the model without further effects is fitted, and what it leaves is located.
+
+Where there are more samples than a search can take, the records that differ the most are fitted.
+Mains interference is taken out of the gauge's readings here: it is in what any model leaves, and
+has another phase in each record, so that no effect stands for it.
+"""
+
+from dataclasses import dataclass
+
+from plants.diagnosis.models.base import BaseNumbers
+from plants.diagnosis.models.diagnosed_model import DiagnosedModel
+from plants.diagnosis.pipeline.noise import SensorNoise
+from plants.diagnosis.residual.localisation import ResidualLocation, localise
+from plants.diagnosis.search.effect_choices import EffectChoices
+from plants.diagnosis.search.fitted_models import FittedModels
+from plants.diagnosis.search.initial_guesses import record_scale
+from plants.diagnosis.search.mains_interference import MainsLine, line_in_residual
+from plants.diagnosis.search.model_fitter import ModelFitter
+from plants.diagnosis.search.more_records import differing
+from plants.effects import MainsInterference, RecordScale
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BaseFit:
+    """The model without further effects, fitted.
+
+    Attributes:
+        plant: The model as given, with all records.
+        noise: The noise of the sensors.
+        choices: The effects to choose from.
+        fitter: The model with the records searched, mains interference taken out.
+        models: The model as given and as fitted.
+        where: Location of what the fitted model leaves.
+        scale: What the records show of the machine.
+        line: The mains interference, or None.
+    """
+
+    plant: DiagnosedModel
+    noise: SensorNoise
+    choices: EffectChoices
+    fitter: ModelFitter
+    models: FittedModels
+    where: ResidualLocation
+    scale: RecordScale
+    line: MainsLine | None
+
+
+def fit(plant: DiagnosedModel, noise: SensorNoise, choices: EffectChoices) -> BaseFit:
+    """The base fit to the records that are searched.
+
+    Args:
+        plant: The model as given, with all records.
+        noise: The noise of their sensors.
+        choices: The effects to choose from.
+    """
+    searched = differing(plant.measurements)
+    part = plant if searched == plant.measurements else plant.for_records(searched)
+    fitter = ModelFitter(part, searched, noise.floor)
+    base = fitter.base_fit()
+    line = line_in_residual(fitter, base) if MainsInterference in choices.in_noise else None
+    if line is not None:
+        fitter = ModelFitter(plant.for_records(line.measurements), line.measurements, noise.floor)
+        base = fitter.base_fit()
+    model = fitter.model.calibrated(base.values)
+    numbers = [BaseNumbers.of(model, m) for m in fitter.measurements]
+    where = localise(fitter.measurements, numbers, noise.floor)
+    return BaseFit(
+        plant=plant,
+        noise=noise,
+        choices=choices,
+        fitter=fitter,
+        models=FittedModels(fitter.given(), base),
+        where=where,
+        scale=record_scale(fitter, where, base.values),
+        line=line,
+    )

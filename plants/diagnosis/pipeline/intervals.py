@@ -1,0 +1,55 @@
+"""Step 7: 95 % confidence intervals of the numbers of the model that is believed."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from plants.diagnosis.interval import Interval
+from plants.diagnosis.pipeline.compare import EffectComparison
+from plants.diagnosis.search.intervals import intervals as fitted_intervals
+from plants.effects import Cogging, MainsInterference, Quantisation
+
+STEP_KNOWN = 2e-3
+"""Relative uncertainty of a step found among readings: they are written with few digits, of which
+the step has as many."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StatedIntervals:
+    """Values with their intervals, by the names of a predictor's free numbers.
+
+    Attributes:
+        base: Of the base model.
+        believed: Of the model that is believed, effects in noise and torque included.
+    """
+
+    base: Mapping[str, Interval]
+    believed: Mapping[str, Interval]
+
+
+def intervals(compared: EffectComparison) -> StatedIntervals:
+    """The intervals of the first and of the last model of a comparison."""
+    first, last = compared.stages[0], compared.stages[-1]
+    base = fitted_intervals(first.fitter, first.fit, first.fit)
+    believed = dict(base)
+    if last is not first:
+        believed = dict(fitted_intervals(last.fitter, last.fit, first.fit))
+    return StatedIntervals(base, believed | _beside_the_fit(compared))
+
+
+def _beside_the_fit(compared: EffectComparison) -> dict[str, Interval]:
+    """Those of effects found in the noise and in the torque."""
+    read = abs(compared.fitter.model.reading_unit)  # a phase has the sign, of each record its own
+    found: dict[str, dict[str, Interval]] = {}
+    if compared.line is not None:
+        found[MainsInterference.name] = {
+            "amplitude_N": compared.line.amplitude_N.over(read),
+            "frequency_Hz": compared.line.frequency_Hz,
+            "phase_rad": compared.line.phase_rad,
+        }
+    q = compared.fitted.noise.coarse_step_N
+    if Quantisation in compared.effects and q is not None:
+        step = Interval(q, q * (1.0 - STEP_KNOWN), q * (1.0 + STEP_KNOWN), "N")
+        found[Quantisation.name] = {"step_N": step.over(read)}
+    if compared.waves is not None:
+        found[Cogging.name] = compared.waves.parameters
+    return {f"{slug}.{name}": at for slug, values in found.items() for name, at in values.items()}

@@ -1,0 +1,176 @@
+"""Step 8: the verdict with all its evidence, in words and in the plant's own units."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+from estune.trial import RigDescription
+from plants.diagnosis.data.measured_record import OUTPUTS
+from plants.diagnosis.data.records import FolderContents
+from plants.diagnosis.declared_effects import declared_effects
+from plants.diagnosis.experiments.next_experiment import Evidence, next_experiment
+from plants.diagnosis.hold_out import free_run_rms, held_errors, hold_out
+from plants.diagnosis.interval import Interval
+from plants.diagnosis.models.diagnosed_model import DiagnosedModel
+from plants.diagnosis.pipeline.compare import EffectComparison
+from plants.diagnosis.pipeline.intervals import StatedIntervals
+from plants.diagnosis.report.diagnosis import Diagnosis
+from plants.diagnosis.report.plant_units import in_own_units, located_in_own_units
+from plants.diagnosis.result import (
+    BaseParameter,
+    Limitation,
+    ModelErrors,
+    NamedEffect,
+    NextExperiment,
+    SearchStep,
+    Trace,
+)
+from plants.diagnosis.search.conclusion import candidates, not_excited, verdict_sentence
+from plants.diagnosis.search.limitations import limitations
+from plants.diagnosis.search.model_fitter import CandidateFit
+from plants.diagnosis.search.validation import ModelStage, segments
+from plants.effects import Effect
+from plants.effects.plant_scale import PlantScale, written_unit
+
+
+def report(
+    model: Any,
+    usable: FolderContents,
+    compared: EffectComparison,
+    stated: StatedIntervals,
+    *,
+    held_out: DiagnosedModel | None,
+    rig: RigDescription | None,
+) -> Diagnosis:
+    """The diagnosis.
+
+    Args:
+        model: The model as given.
+        usable: The records, and the issues of all.
+        compared: The model that is believed.
+        stated: Intervals of its numbers.
+        held_out: The model as given for records that no model was fitted to, or None.
+        rig: The rig of the next experiment; None derives it from the records.
+    """
+    fitted, choices = compared.fitted, compared.fitted.choices
+    before, after = compared.stages[0], compared.stages[-1]
+    # In words as of the plant that was fitted: a system of python-control has units only there.
+    plant, steps = after.fitter.model, compared.steps
+    scale = PlantScale.of(plant.model)
+    effects = [_named(e, stated.believed, plant.model) for e in compared.effects]
+    # Base numbers that were fitted without the waves have bent to make up for them.
+    believed = after.fit if compared.waves is None else compared.models.given
+    values = believed.values
+    if compared.waves is not None:
+        values["torque_offset_Nm"] = compared.waves.offset_Nm
+    for effect in (one.effect for one in effects):
+        values |= {f"{effect.name}.{n}": getattr(effect, n) for n in effect.parameters()}
+    limits = limitations(after.fitter.measurements, usable.findings, believed, scale)
+    return Diagnosis(
+        verdict=compared.verdict,
+        sentence=_sentence(compared, effects, limits, written_unit(plant.output, plant.model)),
+        effects=tuple(effects),
+        ambiguous=compared.conclusion.tied if compared.verdict == "ambiguous" else (),
+        candidates=candidates(compared.screening, compared.models, compared.conclusion),
+        unit=scale.unit(plant.output),
+        given=held_errors(before.fitter, before.fitter.given()),
+        before=_errors(steps[0], before),
+        after=_errors(steps[-1], after),
+        floor=steps[0].floor,
+        noise=fitted.noise.floor,
+        where=located_in_own_units(fitted.where, scale),
+        calibrations=_calibrations(before.fit, stated, scale),
+        not_excited={**not_excited(compared.screening), **choices.unavailable},
+        next_experiment=_next(compared, rig),
+        findings=usable.findings,
+        steps=steps,
+        traces=_traces(before, after),
+        splits=segments(after.fitter),
+        model=model,
+        base_model=plant.calibrated(compared.start.values),
+        augmented=plant.calibrated(values, compared.effects),
+        values=values,
+        declared=declared_effects(plant, fitted.noise.floor, compared.start, stated.base),
+        hold_out=None if held_out is None else hold_out(held_out, before.fit, after.fit),
+        limitations=limits,
+        models=compared.conclusion.models,
+        shown_by=choices.shown_by,
+    )
+
+
+def _sentence(
+    compared: EffectComparison,
+    effects: Sequence[NamedEffect],
+    limits: Sequence[Limitation],
+    unit: str,
+) -> str:
+    """Limits of the records, then the verdict; the unit is that of prediction errors."""
+    if compared.waves is not None:
+        verdict = f"{effects[-1].sentence} {compared.waves.sentence}"
+    else:
+        verdict = verdict_sentence(
+            compared.verdict, compared.conclusion, effects, compared.steps, unit
+        )
+    return " ".join([*(f"{limit.sentence}." for limit in limits), verdict])
+
+
+def _named(effect: type[Effect], believed: Mapping[str, Interval], model: Any) -> NamedEffect:
+    """An effect by its fitted values, in the plant's own names and units."""
+    fitted = {n: believed[f"{effect.name}.{n}"] for n in effect.parameters()}
+    own = {name: in_own_units(effect, name, at, model) for name, at in fitted.items()}
+    sentence = effect.sentence({name: at.value for name, at in own.items()}, model)
+    with_values = effect(**{name: at.value for name, at in fitted.items()})
+    return NamedEffect(effect.name, effect.title, own, sentence, with_values)
+
+
+def _errors(step: SearchStep, stage: ModelStage) -> ModelErrors:
+    """Errors of a model: on data left out, and in free run."""
+    return ModelErrors(step.gap, step.ratio, free_run_rms(stage.fitter, stage.fit))
+
+
+def _next(compared: EffectComparison, rig: RigDescription | None) -> NextExperiment | None:
+    """The experiment that would decide between tied models, or show the error best."""
+    plant, models, fitted = compared.fitter.model, compared.models, compared.fitted
+    tied = [models.with_effects.get(frozenset({name})) for name in compared.conclusion.tied]
+    rivals = {
+        fit.effects[0].name: plant.calibrated(fit.values, fit.effects)
+        for fit in tied
+        if fit is not None
+    }
+    measurements = compared.fitter.measurements
+    evidence = Evidence(measurements, fitted.noise.floor, fitted.where, compared.steps[-1].ratio)
+    base = plant.calibrated(compared.start.values)
+    return next_experiment(compared.verdict, base, rivals, evidence, rig)
+
+
+def _calibrations(
+    base: CandidateFit, stated: StatedIntervals, scale: PlantScale
+) -> tuple[BaseParameter, ...]:
+    """The base model's numbers as given, as fitted, and as fitted with the effects."""
+    listed = []
+    for free in base.fitted.predictor.free:
+        if free.owner == "base" and free.name in stated.base:
+            unit = scale.unit(free.unit)
+            alone = replace(stated.base[free.name], unit=unit)
+            beside = replace(stated.believed.get(free.name, alone), unit=unit)
+            listed.append(BaseParameter(scale.name(free.name), unit, free.start, alone, beside))
+    return tuple(listed)
+
+
+def _traces(before: ModelStage, after: ModelStage) -> tuple[Trace, ...]:
+    """Each record from its start, with no reset on the way, before and after."""
+    simulated = [one.fitter.free_run(one.fit) for one in (before, after)]
+    scale = PlantScale.of(before.fitter.model.model)
+    traces = []
+    pairs = zip(before.fitter.measurements, after.fitter.measurements, strict=True)
+    for n, (m, cleaned) in enumerate(pairs):
+        for name in OUTPUTS:
+            measured, without_line = m.channel(name), cleaned.channel(name)
+            first, last = (getattr(run[n], name) for run in simulated)
+            if measured is None or without_line is None or first is None or last is None:
+                continue
+            # Interference that was taken out belongs to what is predicted with it.
+            columns = m.time_s, measured, first[0], last[0] + (measured - without_line)
+            title, unit = scale.channel(name)
+            traces.append(Trace(m.name, name, unit, *columns, title))
+    return tuple(traces)
