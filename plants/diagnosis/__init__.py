@@ -1,7 +1,7 @@
 """Identification of the physical effect that a model lacks, from measured records.
 
-`explain` is a pipeline of eight steps. Each is a function in a file of its name in `pipeline`, from
-the frozen values of the steps before it to one of its own; no step goes back to an earlier one.
+`explain` is a pipeline of eight steps. Each is a function in a file of its name in `pipeline`,
+from the frozen values of the steps before it to one of its own; no step goes back.
 
     read       files or records            -> measurements on even clocks, in SI units
     check      measurements                -> those that can be used, and why others cannot

@@ -108,7 +108,7 @@ def compare(
     if wrong is None:
         conclusion, stages = _cross_validated(conclusion, stages)
     conclusion = _not_contradicted(conclusion, stages[-1], fitted.where)
-    steps = tuple(one.step for one in stages)
+    steps = tuple(each.step for each in stages)
     if Quantisation in choices.in_noise and coarse_step_N is not None:
         steps = _with_rounding(steps, coarse_step_N)
     waves = None
@@ -159,7 +159,7 @@ def _cross_validated(
     last = stages[-1]
     if not last.fit.effects:
         return conclusion, stages
-    n = next(n for n, one in enumerate(stages) if one.fitter is last.fitter)
+    n = next(n for n, each in enumerate(stages) if each.fitter is last.fitter)
     share = explained_share(stages[n].step.ratio, last.step.ratio)
     if share >= CONSTANTS.named_share or last.step.ratio**2 <= CONSTANTS.floor:
         return conclusion, stages
@@ -227,7 +227,7 @@ def _waves(plant: DiagnosedModel, held_out: Sequence[MeasuredRecord]) -> TorqueW
 
 def _in_order(stages: Sequence[ModelStage]) -> list[type[Effect]]:
     """The effects of the last stage in the order in which they were added."""
-    order = [one.step.effect for one in stages]
+    order = [each.step.effect for each in stages]
     return sorted(
         stages[-1].fit.effects,
         key=lambda e: order.index(e.name) if e.name in order else len(order),

@@ -54,8 +54,8 @@ def fit(plant: DiagnosedModel, noise: SensorNoise, choices: EffectChoices) -> Ba
         choices: The effects to choose from.
     """
     searched = differing(plant.measurements)
-    part = plant if searched == plant.measurements else plant.for_records(searched)
-    fitter = ModelFitter(part, searched, noise.floor)
+    searched_plant = plant if searched == plant.measurements else plant.for_records(searched)
+    fitter = ModelFitter(searched_plant, searched, noise.floor)
     base = fitter.base_fit()
     line = line_in_residual(fitter, base) if MainsInterference in choices.in_noise else None
     if line is not None:

@@ -39,9 +39,9 @@ def intervals(compared: EffectComparison) -> StatedIntervals:
 def _beside_the_fit(compared: EffectComparison) -> dict[str, Interval]:
     """Those of effects found in the noise and in the torque."""
     read = abs(compared.fitter.model.reading_unit)  # a phase has the sign, of each record its own
-    found: dict[str, dict[str, Interval]] = {}
+    values_of: dict[str, dict[str, Interval]] = {}
     if compared.line is not None:
-        found[MainsInterference.name] = {
+        values_of[MainsInterference.name] = {
             "amplitude_N": compared.line.amplitude_N.over(read),
             "frequency_Hz": compared.line.frequency_Hz,
             "phase_rad": compared.line.phase_rad,
@@ -49,7 +49,9 @@ def _beside_the_fit(compared: EffectComparison) -> dict[str, Interval]:
     q = compared.fitted.noise.coarse_step_N
     if Quantisation in compared.effects and q is not None:
         step = Interval(q, q * (1.0 - STEP_KNOWN), q * (1.0 + STEP_KNOWN), "N")
-        found[Quantisation.name] = {"step_N": step.over(read)}
+        values_of[Quantisation.name] = {"step_N": step.over(read)}
     if compared.waves is not None:
-        found[Cogging.name] = compared.waves.parameters
-    return {f"{slug}.{name}": at for slug, values in found.items() for name, at in values.items()}
+        values_of[Cogging.name] = compared.waves.parameters
+    return {
+        f"{slug}.{name}": at for slug, values in values_of.items() for name, at in values.items()
+    }

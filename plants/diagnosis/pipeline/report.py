@@ -63,7 +63,7 @@ def report(
     values = believed.values
     if compared.waves is not None:
         values["torque_offset_Nm"] = compared.waves.offset_Nm
-    for effect in (one.effect for one in effects):
+    for effect in (named.effect for named in effects):
         values |= {f"{effect.name}.{n}": getattr(effect, n) for n in effect.parameters()}
     limits = limitations(after.fitter.measurements, usable.findings, believed, scale)
     return Diagnosis(
@@ -117,10 +117,10 @@ def _sentence(
 def _named(effect: type[Effect], believed: Mapping[str, Interval], model: Any) -> NamedEffect:
     """An effect by its fitted values, in the plant's own names and units."""
     fitted = {n: believed[f"{effect.name}.{n}"] for n in effect.parameters()}
-    own = {name: in_own_units(effect, name, at, model) for name, at in fitted.items()}
-    sentence = effect.sentence({name: at.value for name, at in own.items()}, model)
+    parameters = {name: in_own_units(effect, name, at, model) for name, at in fitted.items()}
+    sentence = effect.sentence({name: at.value for name, at in parameters.items()}, model)
     with_values = effect(**{name: at.value for name, at in fitted.items()})
-    return NamedEffect(effect.name, effect.title, own, sentence, with_values)
+    return NamedEffect(effect.name, effect.title, parameters, sentence, with_values)
 
 
 def _errors(step: SearchStep, stage: ModelStage) -> ModelErrors:
@@ -159,7 +159,7 @@ def _calibrations(
 
 def _traces(before: ModelStage, after: ModelStage) -> tuple[Trace, ...]:
     """Each record from its start, with no reset on the way, before and after."""
-    simulated = [one.fitter.free_run(one.fit) for one in (before, after)]
+    simulated = [stage.fitter.free_run(stage.fit) for stage in (before, after)]
     scale = PlantScale.of(before.fitter.model.model)
     traces = []
     pairs = zip(before.fitter.measurements, after.fitter.measurements, strict=True)

@@ -145,10 +145,10 @@ def candidates(
         else:
             share, ratio = explained(before, before._replace(J=fit.J)), math.sqrt(fit.J)
             why = _why(fit, share, conclusion)
-        family, own = (
+        family, effect = (
             p.get(name, 0.0) for p in (conclusion.probability, conclusion.own_probability)
         )
-        listed.append(Candidate(name, share, ratio, screened.screening_R2, why, family, own))
+        listed.append(Candidate(name, share, ratio, screened.screening_R2, why, family, effect))
     listed.sort(key=lambda c: (c.gap if math.isfinite(c.gap) else 1e9, -c.cosine2))
     listed.sort(key=lambda c: believed.index(c.name) if c.name in believed else len(believed))
     return tuple(listed)
@@ -206,6 +206,6 @@ def verdict_sentence(
         return f"These records cannot tell {tied} apart; with {titles} {falls}."
     sentences = " ".join(effect.sentence for effect in effects)
     if verdict == "incomplete":
-        rest = f" What is left looks like {conclusion.rest}." if conclusion.rest else ""
-        return f"{sentences} With {titles} {falls}: something more is missing.{rest}"
+        remainder = f" What is left looks like {conclusion.rest}." if conclusion.rest else ""
+        return f"{sentences} With {titles} {falls}: something more is missing.{remainder}"
     return f"{sentences} With it {falls}."

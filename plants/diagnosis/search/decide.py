@@ -37,9 +37,9 @@ def beats(
     )
 
 
-def explained(base: Model, one: Model) -> float:
+def explained(base: Model, model: Model) -> float:
     """Share of the power above the floor that a model takes off."""
-    return (base.power - one.power) / (base.power - 1.0) if base.power > 1.0 else 0.0
+    return (base.power - model.power) / (base.power - 1.0) if base.power > 1.0 else 0.0
 
 
 def decide(base: Model, models: Sequence[Model], c: Constants = CONSTANTS) -> Decision:
@@ -103,16 +103,16 @@ def _supported(
     return best_of([m for m in models if doubtful not in m.families], c)
 
 
-def _is_likelier(one: Model, best: Model) -> bool:
+def _is_likelier(model: Model, best: Model) -> bool:
     """Whether a model of other families is the likelier of two that explain as much.
 
     One whose size a scale tells without the machine is the less likely, however few its values.
     """
-    if len(one.names) > len(best.names) or one.families & best.families:
+    if len(model.names) > len(best.names) or model.families & best.families:
         return False
-    if one.known_apart != best.known_apart:
+    if model.known_apart != best.known_apart:
         return best.known_apart
-    return one.values < best.values
+    return model.values < best.values
 
 
 def best_of(models: Sequence[Model], c: Constants = CONSTANTS) -> Model | None:
@@ -149,23 +149,23 @@ def probabilities(
     all_ = [base, *models]
     n, slack = c.effective, c.form * (base.power - 1.0)
     L = [n * math.log(m.power + slack) + m.values * math.log(n) for m in all_]
-    weight = [math.exp(-0.5 * (one - min(L))) for one in L]
+    weight = [math.exp(-0.5 * (cost - min(L))) for cost in L]
     return {m.names: w / sum(weight) for m, w in zip(all_, weight, strict=True)}
 
 
 def effect_probabilities(models: Sequence[Model], p: Mapping[Slugs, float]) -> dict[str, float]:
     """Probability that each effect is there, members of a family apart."""
-    found: dict[str, float] = defaultdict(float)
-    for one in models:
-        for name in one.names:
-            found[name] += p[one.names]
-    return found
+    total: dict[str, float] = defaultdict(float)
+    for model in models:
+        for name in model.names:
+            total[name] += p[model.names]
+    return total
 
 
 def family_probabilities(models: Sequence[Model], p: Mapping[Slugs, float]) -> dict[str, float]:
     """Probability that each family is there."""
-    found: dict[str, float] = defaultdict(float)
-    for one in models:
-        for family in one.families:
-            found[family] += p[one.names]
-    return found
+    total: dict[str, float] = defaultdict(float)
+    for model in models:
+        for family in model.families:
+            total[family] += p[model.names]
+    return total

@@ -151,8 +151,8 @@ def fit(
         return point.cost + weight * prior.cost(point.values[moves])
 
     def lowest(trials: Sequence[FloatArray], otherwise: _Point) -> _Point:
-        found = predictor.residuals(np.array(trials), entries)
-        best = min(map(_Point, trials, found), key=cost)
+        residuals = predictor.residuals(np.array(trials), entries)
+        best = min(map(_Point, trials, residuals), key=cost)
         return best if cost(best) < cost(otherwise) else otherwise
 
     for _ in range(rounds):
@@ -297,7 +297,7 @@ class _Slope(NamedTuple):
         scale = self.scale
         x = values[scale.moves]
         fixed = np.zeros(x.size, bool)
-        given = np.zeros(x.size)  # steps of those that are fixed
+        fixed_steps = np.zeros(x.size)  # steps of those that are fixed
         after, curvature, directions = x, self.curvature, self.directions
         for _ in range(3):
             open_ = ~fixed
@@ -305,9 +305,9 @@ class _Slope(NamedTuple):
                 break
             if fixed.any():
                 curvature, directions = np.linalg.eigh(self.normal[np.ix_(open_, open_)])
-            held = given[fixed] * self.size[fixed]
+            held = fixed_steps[fixed] * self.size[fixed]
             pull = self.pull[open_] - self.normal[np.ix_(open_, fixed)] @ held
-            delta = given.copy()
+            delta = fixed_steps.copy()
             delta[open_] = _solution(curvature, directions, pull, damping) / self.size[open_]
             wanted = scale.unbounded(x, delta)
             after = np.clip(wanted, scale.low[scale.moves], scale.high[scale.moves])
@@ -316,7 +316,7 @@ class _Slope(NamedTuple):
                 break
             fixed |= out
             ratio = np.maximum(after, 1e-300) / np.maximum(x, 1e-300)
-            given = np.where(fixed, np.where(scale.log, np.log(ratio), after - x), 0.0)
+            fixed_steps = np.where(fixed, np.where(scale.log, np.log(ratio), after - x), 0.0)
         moved = values.copy()
         moved[scale.moves] = after
         return moved
@@ -325,8 +325,8 @@ class _Slope(NamedTuple):
 def _lengths(squares: FloatArray) -> FloatArray:
     """Lengths of columns; infinite where one is nothing beside the others, so that it stays."""
     dead = squares <= DEAD**2 * max(float(squares.max(initial=0.0)), 1e-300)
-    found: FloatArray = np.where(dead, np.inf, np.sqrt(np.where(dead, 1.0, squares)))
-    return found
+    lengths: FloatArray = np.where(dead, np.inf, np.sqrt(np.where(dead, 1.0, squares)))
+    return lengths
 
 
 def _solution(

@@ -74,8 +74,8 @@ def _per_turn(
             continue
         read = max(read, step_of(m.angle_rad))
         zero = values.get(f"encoder_zero_rad[{n}]")
-        one = ResidualOverAngle(m.angle_rad[inside] - (zero or 0.0), residual[inside])
-        (turnings if zero is None else common).append(one)
+        turning = ResidualOverAngle(m.angle_rad[inside] - (zero or 0.0), residual[inside])
+        (turnings if zero is None else common).append(turning)
     if not common:
         return per_turn(turnings, read)
     joined = ResidualOverAngle(*map(np.concatenate, zip(*common, strict=True)))

@@ -36,17 +36,17 @@ FURTHEST = 2.0
 
 
 def intervals(
-    fitter: ModelFitter, one: CandidateFit, base: CandidateFit
+    fitter: ModelFitter, model: CandidateFit, base: CandidateFit
 ) -> Mapping[str, Interval]:
     """Values and 95 % confidence intervals of all that the records share.
 
     Args:
         fitter: Model and records.
-        one: The model.
+        model: The model.
         base: The model without effects: of what the effects explain, a share is put down to the
             wrong value where their laws are unlike the machine's.
     """
-    fitted, c = one.fitted, CONSTANTS
+    fitted, c = model.fitted, CONSTANTS
     moves = fitter.moves(fitted.predictor)
     residuals, jacobian = fitted.predictor.linearise(
         fitted.values, moves, fitted.entries, fitted.residuals
@@ -60,12 +60,12 @@ def intervals(
         jackknife(columns, residuals, fitter.group[fitted.entries]),
         jackknife(columns, residuals, record),
     )
-    explained, left = (
-        math.sqrt(max(power, 0.0) * residuals.size) for power in (base.J - one.J, one.J - 1.0)
+    explained, unexplained_length = (
+        math.sqrt(max(power, 0.0) * residuals.size) for power in (base.J - model.J, model.J - 1.0)
     )
-    unexplained = left * (c.form_taken_up if one.effects else LACKING)
-    form = {e.name: max(e.form_error, c.form_least) for e in one.effects}
-    found = {}
+    unexplained = unexplained_length * (c.form_taken_up if model.effects else LACKING)
+    form = {e.name: max(e.form_error, c.form_least) for e in model.effects}
+    stated = {}
     for f, value, s, unit, shift in zip(
         free, values.tolist(), spread, prior, greatest_shifts(columns), strict=True
     ):
@@ -81,8 +81,8 @@ def intervals(
             by_law = c.form_least * size
         least = c.base_least * size if f.owner == BASE else 0.0
         by_rest = min(unexplained * shift * unit, most)
-        found[f.name] = _interval(f, value, math.hypot(s, by_law, by_rest, least))
-    return found
+        stated[f.name] = _interval(f, value, math.hypot(s, by_law, by_rest, least))
+    return stated
 
 
 def _interval(free: Free, value: float, error: float) -> Interval:
@@ -103,8 +103,8 @@ def greatest_shifts(columns: FloatArray) -> FloatArray:
         columns: Derivative of the residuals by the values in prior deviations, (values, entries).
     """
     normal = columns @ columns.T + np.eye(len(columns))
-    found: FloatArray = np.sqrt(np.diag(np.linalg.inv(normal)))
-    return found
+    shifts: FloatArray = np.sqrt(np.diag(np.linalg.inv(normal)))
+    return shifts
 
 
 def _deviation(free: Free, value: float) -> float:
@@ -128,9 +128,9 @@ def jackknife(
     groups = np.unique(group)
     total = np.zeros(len(columns))
     for n in groups:
-        mine = columns[:, group == n]
-        rest = normal - mine @ mine.T + np.eye(len(columns))
-        moved = np.linalg.solve(rest, mine @ residuals[group == n])
+        of_group = columns[:, group == n]
+        others = normal - of_group @ of_group.T + np.eye(len(columns))
+        moved = np.linalg.solve(others, of_group @ residuals[group == n])
         total += np.clip(moved, -FURTHEST, FURTHEST) ** 2
     count = groups.size
     spread: FloatArray = np.sqrt(total * (count - 1) / max(count, 1))

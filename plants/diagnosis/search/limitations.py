@@ -37,24 +37,24 @@ def limitations(
     scale: PlantScale,
 ) -> tuple[Limitation, ...]:
     """Limits of the records, the gravest first; `last` is the model that is believed."""
-    found = []
+    limits = []
     refused = len(_refused(findings))
     if refused:
         said = f"{refused} of {refused + len(measurements)} records were refused"
         most = most_refused(measurements, findings)
-        again = f"{said}; correct them and run again"
-        found.append(Limitation("records_refused", said, again, by_data=most))
+        remedy = f"{said}; correct them and run again"
+        limits.append(Limitation("records_refused", said, remedy, by_data=most))
     if scale.has_cable:
-        found += _of_tension(measurements)
-    found += [*_of_base(last, scale), *_of_motion(measurements)]
+        limits += _of_tension(measurements)
+    limits += [*_of_base(last, scale), *_of_motion(measurements)]
     if scale.has_cable and all(m.angle_rad is None for m in measurements):
         said = (
             "no record has an angle: effects of cable and gauge cannot be told from effects of "
             "the drum, nor the drum's inertia but by the stiffness given; record angle_rad"
         )
-        found.append(Limitation("no_encoder", "no encoder", said))
+        limits.append(Limitation("no_encoder", "no encoder", said))
     first = "base_parameter_moved"
-    return tuple(sorted(found, key=lambda one: (not one.by_data, one.kind != first)))
+    return tuple(sorted(limits, key=lambda limit: (not limit.by_data, limit.kind != first)))
 
 
 def _refused(findings: Sequence[DataIssue]) -> set[str]:
@@ -83,7 +83,7 @@ def _of_tension(measurements: Sequence[MeasuredRecord]) -> list[Limitation]:
 
 
 def _of_base(base: CandidateFit, scale: PlantScale) -> list[Limitation]:
-    found = []
+    limits = []
     for f in base.fitted.predictor.free:
         value = base.values[f.name]
         # An offset is about zero: nothing is stated of it that it could contradict.
@@ -94,17 +94,17 @@ def _of_base(base: CandidateFit, scale: PlantScale) -> list[Limitation]:
         if f.scale == "log" and min(value / f.low, f.high / value) < 1.0 + EDGE:
             said = f"{moved}, as far as it may; check the units and signs of the columns"
             label = f"{name} at its bound"
-            found.append(Limitation("base_parameter_at_bound", label, said, by_data=True))
+            limits.append(Limitation("base_parameter_at_bound", label, said, by_data=True))
         elif f.prior is None:
             usual = USUAL_sd if f.scale == "log" else GUESSED_sd
             if abs(math.log(max(factor, EDGE))) > BEYOND * usual:
                 said = f"{moved}; check it, for it may make up for what is missing"
-                found.append(Limitation("base_parameter_moved", f"{name} x{factor:.2g}", said))
+                limits.append(Limitation("base_parameter_moved", f"{name} x{factor:.2g}", said))
         elif (beyond := _distance(f, value)) > BEYOND:
             known = f"{f.prior / (1.0 if f.scale == 'log' else f.start):.0%}"
             said = f"{moved}, {beyond:.1f} standard deviations of {known}; check it first"
-            found.append(Limitation("base_parameter_moved", f"{name} x{factor:.2g}", said))
-    return found
+            limits.append(Limitation("base_parameter_moved", f"{name} x{factor:.2g}", said))
+    return limits
 
 
 def _distance(f: Free, value: float) -> float:
@@ -120,7 +120,7 @@ def _of_motion(measurements: Sequence[MeasuredRecord]) -> list[Limitation]:
     size = float(np.sqrt(np.mean(moved**2)))
     if size == 0.0:
         return []
-    found = []
+    limits = []
     # Of the way, or of the time: a jump at the start of a record goes far.
     going = np.abs(moved) > GOING * np.median(np.abs(moved[moved != 0.0]))
     ways = sorted([float(moved[moved > 0].sum()), -float(moved[moved < 0].sum())])
@@ -130,11 +130,11 @@ def _of_motion(measurements: Sequence[MeasuredRecord]) -> list[Limitation]:
             "all motion is in one direction: dry friction cannot be told from an offset of the "
             "force; record motion both ways"
         )
-        found.append(Limitation("one_direction", "one direction of motion", said))
+        limits.append(Limitation("one_direction", "one direction of motion", said))
     if np.mean(np.abs(moved) < 0.1 * size) < SLOW:
         said = (
             "nothing moves slowly: friction at low speed cannot be told; record slow motion and "
             "standstill"
         )
-        found.append(Limitation("no_slow_motion", "no slow motion", said))
-    return found
+        limits.append(Limitation("no_slow_motion", "no slow motion", said))
+    return limits

@@ -49,8 +49,8 @@ def coarse_step_N(noise: Noise) -> float | None:
     """The step of a gauge that is read in coarse steps, N, or None."""
     beside = noise.rms**2 - noise.lsb**2 / 12.0
     # Below a twentieth of a step, what is beside the rounding cannot be told from none.
-    rest = math.sqrt(max(beside, (noise.lsb / 20.0) ** 2))
-    return noise.lsb if noise.lsb > CONSTANTS.coarse * rest else None
+    unrounded = math.sqrt(max(beside, (noise.lsb / 20.0) ** 2))
+    return noise.lsb if noise.lsb > CONSTANTS.coarse * unrounded else None
 
 
 def line_in_residual(fitter: ModelFitter, model: CandidateFit) -> MainsLine | None:
@@ -115,8 +115,8 @@ def _powers(lines: Sequence[_Line], first_Hz: float, step_Hz: float, number: int
     """Power of all records at frequencies a step apart, shape (number,)."""
     power = np.zeros(number)
     for line in lines:
-        left = line.left_N - line.left_N.mean()
-        wave = left * np.exp(-2j * math.pi * first_Hz * line.time_s)
+        residual = line.left_N - line.left_N.mean()
+        wave = residual * np.exp(-2j * math.pi * first_Hz * line.time_s)
         step = np.exp(-2j * math.pi * step_Hz * line.time_s)
         for n in range(number):
             power[n] += 4.0 * abs(wave.sum()) ** 2 / line.time_s.size

@@ -80,8 +80,8 @@ class CandidateFit:
         listed = zip(self.fitted.predictor.free, self.fitted.values.tolist(), strict=True)
         for f, value in listed:
             at = _edges(f, value)
-            mine = f.owner == effect.name and (f.neutral is not None or f.name in waves)
-            if mine and at and f.neutral not in at:
+            belongs = f.owner == effect.name and (f.neutral is not None or f.name in waves)
+            if belongs and at and f.neutral not in at:
                 return True
         return False
 
@@ -143,7 +143,7 @@ class ModelFitter:
         moves = self.moves(self.base)
         begun = fit(self.base, near.fitted.values, moves, self.entries, informed=False)
         far = self.fit((), begun.values, BASE_ROUNDS)
-        return min((near, far), key=lambda one: one.fitted.penalised)
+        return min((near, far), key=lambda fit_: fit_.fitted.penalised)
 
     def moves(self, predictor: Predictor, owners: frozenset[str] | None = None) -> Numbers:
         """Numbers of the values that move: those of single records, and of some owners or names.
@@ -184,19 +184,19 @@ class ModelFitter:
         moves = np.array([n for n in moves if predictor.free[n].name not in held], np.int64)
         return CandidateFit(effects, fit(predictor, row, moves, self.entries, rounds))
 
-    def refine(self, one: CandidateFit, rounds: int = 15) -> CandidateFit:
+    def refine(self, model: CandidateFit, rounds: int = 15) -> CandidateFit:
         """The same, fitted on with all its values."""
-        moves = self.moves(one.fitted.predictor)
-        if one.fitted.converged and one.fitted.moved.size == moves.size:
-            return one
-        return self.fit(one.effects, one.fitted.values, rounds)
+        moves = self.moves(model.fitted.predictor)
+        if model.fitted.converged and model.fitted.moved.size == moves.size:
+            return model
+        return self.fit(model.effects, model.fitted.values, rounds)
 
-    def final(self, one: CandidateFit) -> CandidateFit:
+    def final(self, model: CandidateFit) -> CandidateFit:
         """The same, fitted until nothing is gained."""
-        fitted = one.fitted
+        fitted = model.fitted
         moved = fitted.moved
         done = fit(fitted.predictor, fitted.values, moved, self.entries, LONGEST, tolerance=FINAL)
-        return CandidateFit(one.effects, done)
+        return CandidateFit(model.effects, done)
 
     def best_starts(self, predictor: Predictor, rows: FloatArray, most: int) -> FloatArray:
         """The rows of values that leave the least."""
@@ -225,40 +225,40 @@ class ModelFitter:
             periods = [n for n, f in enumerate(predictor.free) if f.name in waves]
             per_turn = rows[:, periods[-1]] if periods else np.ones(len(rows))
             length = 2.0 * math.pi / per_turn
-            for own in (of for kind, of in kinds.items() if kind not in known):
-                rows = self._shifted(predictor, rows, own, TURNS[None, :] * length[:, None])
+            for places in (of for kind, of in kinds.items() if kind not in known):
+                rows = self._shifted(predictor, rows, places, TURNS[None, :] * length[:, None])
         if {Port.CABLE, Port.EYELET} & {port for e in effects for port in e.ports()}:
-            for own in kinds.values():
-                rows = self._shifted(predictor, rows, own, None)
+            for places in kinds.values():
+                rows = self._shifted(predictor, rows, places, None)
         return rows
 
     def _shifted(
-        self, predictor: Predictor, rows: FloatArray, own: dict[int, int], by: FloatArray | None
+        self, predictor: Predictor, rows: FloatArray, values: dict[int, int], by: FloatArray | None
     ) -> FloatArray:
         """Rows with one kind of the records' own values shifted, each by the best of some shifts.
 
         Args:
             predictor: The model.
             rows: Values, shape (rows, free).
-            own: Numbers of the values by record.
+            values: Numbers of the values by record.
             by: Shifts of each row, shape (rows, shifts); None is `SHIFTS`, in noise floors.
         """
-        records, places = np.array(list(own)), np.array(list(own.values()))
-        mine = self.entries[np.isin(predictor.index.measurement[self.entries], records)]
-        found, first = np.unique(predictor.index.measurement[mine], return_index=True)
+        records, places = np.array(list(values)), np.array(list(values.values()))
+        entries = self.entries[np.isin(predictor.index.measurement[self.entries], records)]
+        records_there, first = np.unique(predictor.index.measurement[entries], return_index=True)
         unit = np.ones(places.size)
         if by is None:
-            _, slope = predictor.linearise(rows[0], places, mine)
-            steepness = np.sqrt(np.einsum("ij,ij->j", slope, slope) / mine.size)
+            _, slope = predictor.linearise(rows[0], places, entries)
+            steepness = np.sqrt(np.einsum("ij,ij->j", slope, slope) / entries.size)
             if not steepness.all():
                 return rows
             by, unit = np.tile(SHIFTS, (len(rows), 1)), 1.0 / steepness
         many = by.shape[1]
         shifted = np.repeat(rows, many, axis=0)
         shifted[:, places] += by.reshape(-1, 1) * unit
-        squares = _squares(predictor, shifted, mine, first)
+        squares = _squares(predictor, shifted, entries, first)
         best = squares.reshape(len(rows), many, -1).argmin(axis=1)
-        chosen = np.take_along_axis(by, best, axis=1)[:, np.searchsorted(found, records)]
+        chosen = np.take_along_axis(by, best, axis=1)[:, np.searchsorted(records_there, records)]
         rows = rows.copy()
         rows[:, places] += chosen * unit
         return rows
@@ -268,17 +268,17 @@ class ModelFitter:
         most = BLOCKS_OF_FEW if len(self.measurements) <= 2 else BLOCKS
         group, first = np.zeros(index.sigma.size, np.int64), 0
         for n in range(len(self.measurements)):
-            mine = np.flatnonzero(index.measurement == n)
-            windows, place = np.unique(index.window[mine], return_inverse=True)
+            of_record = np.flatnonzero(index.measurement == n)
+            windows, place = np.unique(index.window[of_record], return_inverse=True)
             blocks = max(1, min(most, windows.size // BLOCK_WINDOWS))
-            group[mine] = first + place * blocks // max(windows.size, 1)
+            group[of_record] = first + place * blocks // max(windows.size, 1)
             first += blocks
         return group
 
-    def free_run(self, one: CandidateFit) -> list[Prediction]:
+    def free_run(self, model: CandidateFit) -> list[Prediction]:
         """Each record from its start, with nothing put right on the way."""
-        values = one.values
-        running = Predictor(self.model, one.effects, self.measurements, None, self.floor)
+        values = model.values
+        running = Predictor(self.model, model.effects, self.measurements, None, self.floor)
         known = {f.name for f in running.free}
         row = running.row({name: value for name, value in values.items() if name in known})
         return running.predict(row[None, :])
@@ -288,20 +288,20 @@ class ModelFitter:
         """Scales that sizes of effects are judged by."""
         angle_rad, tension_N = self.floor.angle_rad, self.floor.tension_N
         model = self.model.calibrated({})
-        given = pull_N_rad(model, self.measurements)
+        pulls = pull_N_rad(model, self.measurements)
         if math.isnan(angle_rad):
             # Without an encoder the gauge tells how far the drum has turned.
-            angle_rad = tension_N / float(np.median(given))
+            angle_rad = tension_N / float(np.median(pulls))
         stretched = [
             float(m.tension_N.max()) / pull * model.drum_radius_m
-            for m, pull in zip(self.measurements, given, strict=True)
+            for m, pull in zip(self.measurements, pulls, strict=True)
             if m.tension_N is not None and math.isfinite(pull)
         ]
         read = [float(m.tension_N.max()) for m in self.measurements if m.tension_N is not None]
         turned = [float(np.ptp(m.angle_rad)) for m in self.measurements if m.angle_rad is not None]
         turned = turned or [
             float(np.ptp(m.tension_N)) / pull
-            for m, pull in zip(self.measurements, given, strict=True)
+            for m, pull in zip(self.measurements, pulls, strict=True)
             if m.tension_N is not None and math.isfinite(pull)
         ]
         return self.model.sizes._replace(
@@ -320,9 +320,9 @@ def _squares(
     """Sums of squared residuals from each of some entries to the next, shape (rows, sums)."""
     sums = np.empty((len(rows), first.size))
     for begin in range(0, len(rows), AT_ONCE):
-        part = slice(begin, begin + AT_ONCE)
-        residuals = predictor.residuals(rows[part], entries)
-        np.add.reduceat(np.square(residuals, out=residuals), first, axis=1, out=sums[part])
+        chunk = slice(begin, begin + AT_ONCE)
+        residuals = predictor.residuals(rows[chunk], entries)
+        np.add.reduceat(np.square(residuals, out=residuals), first, axis=1, out=sums[chunk])
     return sums
 
 

@@ -18,7 +18,7 @@ class ScoreContext(NamedTuple):
     """The residual that directions are compared with.
 
     Attributes:
-        one: The fit so far.
+        model: The fit so far.
         residual: The residuals screened, less what base parameters can undo, shape (screened,).
         basis: Orthonormal rows that span what base parameters can undo, shape (rank, screened).
         entries: Numbers of the entries screened.
@@ -27,7 +27,7 @@ class ScoreContext(NamedTuple):
         records: What the records show of the machine.
     """
 
-    one: CandidateFit
+    model: CandidateFit
     residual: FloatArray
     basis: FloatArray
     entries: Numbers
@@ -36,23 +36,23 @@ class ScoreContext(NamedTuple):
     records: RecordScale
 
     @classmethod
-    def of(cls, fitter: ModelFitter, one: CandidateFit, records: RecordScale) -> "ScoreContext":
+    def of(cls, fitter: ModelFitter, model: CandidateFit, records: RecordScale) -> "ScoreContext":
         """The context of a fit."""
-        fitted = one.fitted
+        fitted = model.fitted
         sample = fitted.predictor.index.sample[fitted.entries]
-        some = sample % max(1, sample.size // SCREENED) == 0
-        entries, residual = fitted.entries[some], fitted.residuals[some]
+        screened = sample % max(1, sample.size // SCREENED) == 0
+        entries, residual = fitted.entries[screened], fitted.residuals[screened]
         moves = fitter.moves(fitted.predictor)
         slope = fitted.predictor.linearise(fitted.values, moves, entries, residual)[1].T
         # What is known of base parameters is a residual of its own, which no effect changes.
         values, prior = fitted.values[moves], Prior.of(fitted.predictor, moves)
-        known, apart = prior.equations(values, residual.size * prior_weight(one.J))
+        known, apart = prior.equations(values, residual.size * prior_weight(model.J))
         inner = np.where(prior.log, values, 1.0)
         basis = _orthonormal(np.hstack([slope, np.diag(known / inner)]))
         whole = np.concatenate([residual, apart])
         undone = whole - (basis @ whole) @ basis
         return cls(
-            one=one,
+            model=model,
             residual=undone[: residual.size],
             basis=basis[:, : residual.size],
             entries=entries,
@@ -95,12 +95,12 @@ class NormalEquations(NamedTuple):
     @property
     def rms(self) -> FloatArray:
         """Root mean square of each change, in times the noise floor."""
-        found: FloatArray = np.sqrt(np.maximum(np.diag(self.normal), 0.0) / self.entries)
-        return found
+        rms: FloatArray = np.sqrt(np.maximum(np.diag(self.normal), 0.0) / self.entries)
+        return rms
 
-    def of(self, some: slice) -> "NormalEquations":
+    def of(self, chosen: slice) -> "NormalEquations":
         """Those of some of the changes."""
-        return self._replace(normal=self.normal[some, some], pull=self.pull[some])
+        return self._replace(normal=self.normal[chosen, chosen], pull=self.pull[chosen])
 
     def explained(self, *, only_up: bool) -> tuple[float, FloatArray]:
         """Share of the residual that the changes explain when scaled, and their weights.

@@ -52,7 +52,7 @@ class ScreeningResult:
         effect: The effect.
         predictor: The model with it.
         starts: Rows of values to begin fits with, the most promising first, shape (some, free),
-            for each place it was seen from.
+            for each model that directions were worked out from.
         grids: Values to try of its shapes.
         screening_R2: Share of the residual that the best start's direction explains.
         usual_change: Root mean square change of the residuals at the usual size of the effect,
@@ -66,12 +66,12 @@ class ScreeningResult:
     screening_R2: float
     usual_change: float
 
-    def merged(self, other: "ScreeningResult") -> "ScreeningResult":
+    def merged(self, second: "ScreeningResult") -> "ScreeningResult":
         """The screening, and that from another place."""
         return replace(
             self,
-            screening_R2=max(self.screening_R2, other.screening_R2),
-            starts=self.starts + other.starts,
+            screening_R2=max(self.screening_R2, second.screening_R2),
+            starts=self.starts + second.starts,
         )
 
 
@@ -92,8 +92,8 @@ def screen_effect(
 ) -> ScreeningResult:
     """Screening of an effect, the last of the predictor's, from one or more models without it."""
     first, *others = (_Probe(effect, predictor, context).screened() for context in contexts)
-    for other in others:
-        first = first.merged(other)
+    for result in others:
+        first = first.merged(result)
     return first
 
 
@@ -107,22 +107,22 @@ class _Way(NamedTuple):
 class _Probe:
     """One effect switched on in several ways at the values of the fit without it."""
 
-    def __init__(self, effect: type[Effect], predictor: Predictor, seen: ScoreContext) -> None:
+    def __init__(self, effect: type[Effect], predictor: Predictor, context: ScoreContext) -> None:
         place = {f.name: n for n, f in enumerate(predictor.free)}
-        self.effect, self.predictor, self.seen = effect, predictor, seen
+        self.effect, self.predictor, self.context = effect, predictor, context
         self.declared = effect.parameters()
         self.column = {name: place[f"{effect.name}.{name}"] for name in self.declared}
         self.sizes = effect.named(Role.SIZE, Role.LIMIT)
         self.phases = effect.named(Role.PHASE)
-        values = seen.one.values
+        values = context.model.values
         # A wave over an angle whose zero each record has for itself, and nothing else tells.
-        own = (f.name for f in predictor.free if f.owner.startswith("record "))
+        of_records = (f.name for f in predictor.free if f.owner.startswith("record "))
         waves = bool(effect.named(Role.PHASE))
-        self.loose = waves and any(name not in values for name in own)
+        self.loose = waves and any(name not in values for name in of_records)
         self.off = predictor.row(values)
         for name in self.sizes:
             self.off[self.column[name]] = self.declared[name].neutral
-        self.here = predictor.residuals(self.off[None, :], seen.entries)[0]
+        self.here = predictor.residuals(self.off[None, :], context.entries)[0]
 
     def screened(self) -> ScreeningResult:
         """The best of all the ways."""
@@ -146,8 +146,8 @@ class _Probe:
 
     def _changes(self, rows: FloatArray) -> FloatArray:
         """Changes of the residuals screened by rows of values, shape (rows, screened)."""
-        found = self.predictor.residuals(rows, self.seen.entries) - self.here
-        changes: FloatArray = np.where(np.isfinite(found), found, 0.0)
+        residuals = self.predictor.residuals(rows, self.context.entries) - self.here
+        changes: FloatArray = np.where(np.isfinite(residuals), residuals, 0.0)
         return changes
 
     def _limits(self) -> tuple[list[_Way], float]:
@@ -155,16 +155,16 @@ class _Probe:
         name = self.sizes[0]
         p = self.declared[name]
         levels = np.geomspace(p.low, p.high, LEVELS)
-        change = self.seen.products(self._changes(self._rows(name, levels))).rms
+        change = self.context.products(self._changes(self._rows(name, levels))).rms
         acting = np.flatnonzero(change > ACTING)
         if not acting.size:
             return [_Way(0.0, self.off.copy())], 0.0
         top = min(int(acting[-1]) + 1, LEVELS - 1)
         # From where it does not act to where it changes as much as there is to explain.
-        enough = acting[change[acting] > max(1.0, 2.0 * self.seen.size)]
+        enough = acting[change[acting] > max(1.0, 2.0 * self.context.size)]
         bottom = int(enough[-1]) if enough.size else int(acting[0])
         rows = self._rows(name, np.geomspace(levels[bottom], levels[top], LEVELS))
-        products = self.seen.products(self._changes(rows))
+        products = self.context.products(self._changes(rows))
         ways = []
         for n in np.flatnonzero(products.rms > ACTING).tolist():
             share, weights = products.of(slice(n, n + 1)).explained(only_up=True)
@@ -186,7 +186,7 @@ class _Probe:
         ]
         changes = self._changes(np.array(rows))
         each = len(rows) // len(ways_on)
-        products = None if self.loose else self.seen.products(changes)
+        products = None if self.loose else self.context.products(changes)
         ways = []
         for n, (tried, shape) in enumerate(ways_on):
             block = slice(n * each, (n + 1) * each)
@@ -206,9 +206,9 @@ class _Probe:
         Returns:
             The share, and the weights of both for the amplitude that the records have in common.
         """
-        record = self.predictor.index.measurement[self.seen.entries]
+        record = self.predictor.index.measurement[self.context.entries]
         apart = changes[:, None, :] * (record == np.unique(record)[:, None])
-        products = self.seen.products(apart.reshape(-1, record.size))
+        products = self.context.products(apart.reshape(-1, record.size))
         share, weights = products.explained(only_up=False)
         size2 = np.sum(weights.reshape(2, -1) ** 2, axis=0)
         # As much as a record shows of it.
@@ -220,13 +220,13 @@ class _Probe:
         """Sizes that move the residual by about what it is, and more; how far the usual does."""
         values = {name: self._scaled(name, DECADES) for name in self.sizes}
         rows = np.concatenate([self._rows(name, tried) for name, tried in values.items()])
-        moved = self.seen.products(self._changes(rows)).rms.reshape(-1, DECADES.size)
+        moved = self.context.products(self._changes(rows)).rms.reshape(-1, DECADES.size)
         # A greater size than that which changes the most holds the drum.
         rising = [np.log(np.maximum.accumulate(m[: m.argmax() + 1]) + 1e-12) for m in moved]
         levels = MOVED[:1] if self.effect.named(Role.FREQUENCY) else MOVED
         sizes: list[dict[str, float]] = []
         for share in levels:
-            wanted = math.log(max(0.3, share * self.seen.size))
+            wanted = math.log(max(0.3, share * self.context.size))
             powers = [np.interp(wanted, change, DECADES[: change.size]) for change in rising]
             tried = {
                 name: float(self._scaled(name, power))
@@ -261,9 +261,9 @@ class _Probe:
 
     def _at(self, shape: Mapping[str, float], name: str, size: float, phase: float) -> FloatArray:
         row = self.off.copy()
-        for other, value in shape.items():
-            row[self.column[other]] = value
-        row[[self.column[other] for other in self.phases]] = phase
+        for shape_name, value in shape.items():
+            row[self.column[shape_name]] = value
+        row[[self.column[shape_name] for shape_name in self.phases]] = phase
         row[self.column[name]] = size
         return row
 
@@ -301,14 +301,14 @@ class _Probe:
 
     def _grid(self, name: str) -> list[float]:
         p = self.declared[name]
-        suggested = list(self.effect.guesses(name, self.seen.records))
+        suggested = list(self.effect.guesses(name, self.context.records))
         usual = float(self.predictor.start[self.column[name]])
         if p.role is Role.FREQUENCY:
-            low, high = max(p.low, self.seen.lowest_Hz), min(p.high, self.seen.highest_Hz)
+            low, high = max(p.low, self.context.lowest_Hz), min(p.high, self.context.highest_Hz)
             return [*suggested, *np.geomspace(low, max(high, low), FREQUENCIES).tolist()]
         if suggested:
             return suggested
-        shown = shown_range(p.unit, self.seen.records)
+        shown = shown_range(p.unit, self.context.records)
         if shown is not None:
             low, high = (min(max(edge, p.low), p.high) for edge in shown)
             values = 1 + math.ceil(math.log(max(high / low, 1.0)) / math.log(APART_BY))

@@ -148,10 +148,10 @@ def fit_exchanged(
     """A pair with each effect left out, and exchanged for each other member of its family."""
     singles, exchanged = [], []
     for effect in pair.effects:
-        rest = tuple(e for e in pair.effects if e is not effect)
-        row = fitter.predictor(rest).row(pair.values)
-        singles.append(fitter.fit(rest, row))
-        partner = fitter.fit(rest, row, 0)
+        remaining = tuple(e for e in pair.effects if e is not effect)
+        row = fitter.predictor(remaining).row(pair.values)
+        singles.append(fitter.fit(remaining, row))
+        partner = fitter.fit(remaining, row, 0)
         family = [s for s in members.values() if family_of(s.effect) == family_of(effect)]
         fits = [pair]
         for candidate in sorted(family, key=lambda s: len(s.effect.parameters())):

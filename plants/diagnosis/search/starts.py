@@ -34,19 +34,19 @@ MOST = {0: 2, 1: 4}
 MANY = 8
 
 
-def may_be_nonlinear(one: ScreeningResult) -> bool:
+def may_be_nonlinear(screened: ScreeningResult) -> bool:
     """Whether an effect may act so unlike a small one that no direction shows it."""
-    effect = one.effect
+    effect = screened.effect
     bends = bool({Port.CABLE, Port.EYELET} & set(effect.ports()))
     sticks = effect.resists and effect.states > 0
     limits = bool(effect.named(Role.LIMIT))
-    return (bends or sticks or limits) and one.usual_change >= CONSTANTS.shown
+    return (bends or sticks or limits) and screened.usual_change >= CONSTANTS.shown
 
 
 def fit_added(
     fitter: ModelFitter,
     current: CandidateFit,
-    one: ScreeningResult,
+    screened: ScreeningResult,
     simpler: CandidateFit | None = None,
     least: float = math.inf,
 ) -> CandidateFit:
@@ -55,17 +55,19 @@ def fit_added(
     Args:
         fitter: Model and records.
         current: The current model.
-        one: The effect's screening.
+        screened: The effect's screening.
         simpler: The model with a simpler law that does a part of what the effect does.
         least: What another model leaves: far above it a fit is not gone on with.
     """
-    effects = fitter.ordered((*current.effects, one.effect))
+    effects = fitter.ordered((*current.effects, screened.effect))
     predictor = fitter.predictor(effects)
     # What leaves less to begin with may lead nowhere: each place has starts of its own.
-    pools = [[predictor.row(v) for v in _suggested(current, one, rows)] for rows in one.starts]
+    pools = [
+        [predictor.row(v) for v in _suggested(current, screened, rows)] for rows in screened.starts
+    ]
     if simpler is not None:
-        pools.append([predictor.row(v) for v in _beside(fitter, one, simpler, current)])
-    shapes = [f"{one.effect.name}.{n}" for n in one.effect.named(*SHAPES)]
+        pools.append([predictor.row(v) for v in _beside(fitter, screened, simpler, current)])
+    shapes = [f"{screened.effect.name}.{n}" for n in screened.effect.named(*SHAPES)]
     most = max(1, MOST.get(len(shapes), MANY) // len(pools))
     starts = []
     for pool in pools:
@@ -94,17 +96,17 @@ def halved(
 
 
 def _suggested(
-    current: CandidateFit, one: ScreeningResult, starts: FloatArray
+    current: CandidateFit, screened: ScreeningResult, starts: FloatArray
 ) -> list[dict[str, float]]:
     """Values of some starts that the screening found."""
-    found = []
+    suggestions = []
     for row in starts:
-        values = one.predictor.values(row)
+        values = screened.predictor.values(row)
         if current.effects:  # its screening was at the base model
-            own = f"{one.effect.name}."
-            values = current.values | {n: v for n, v in values.items() if n.startswith(own)}
-        found.append(values)
-    return found
+            prefix = f"{screened.effect.name}."
+            values = current.values | {n: v for n, v in values.items() if n.startswith(prefix)}
+        suggestions.append(values)
+    return suggestions
 
 
 def coarse_fit(fitter: ModelFitter, effect: type[Effect]) -> CandidateFit:
@@ -124,19 +126,21 @@ def coarse_fit(fitter: ModelFitter, effect: type[Effect]) -> CandidateFit:
 
 
 def _beside(
-    fitter: ModelFitter, one: ScreeningResult, simpler: CandidateFit, current: CandidateFit
+    fitter: ModelFitter, screened: ScreeningResult, simpler: CandidateFit, current: CandidateFit
 ) -> list[dict[str, float]]:
     """Values near a simpler law's fit: over the grid of shapes, its size split in several ways.
 
     Each from the calibrations of that fit, and from those of the model as given.
     """
-    effect, name = one.effect, one.effect.name
-    given = effect.inherits
+    effect, name = screened.effect, screened.effect.name
+    inherited = effect.inherits
     source = simpler_of(effect)
-    own = {f"{name}.{to}": simpler.values[f"{source}.{of}"] for to, of in given.items()}
-    sizes = [n for n in effect.named(Role.SIZE, Role.LIMIT) if n not in given]
-    grids = {n: v for n, v in one.grids.items() if n not in given}
-    main = next((to for to in given if to in effect.named(Role.SIZE, Role.LIMIT)), None)
+    inherited_values = {
+        f"{name}.{to}": simpler.values[f"{source}.{of}"] for to, of in inherited.items()
+    }
+    sizes = [n for n in effect.named(Role.SIZE, Role.LIMIT) if n not in inherited]
+    grids = {n: v for n, v in screened.grids.items() if n not in inherited}
+    main = next((to for to in inherited if to in effect.named(Role.SIZE, Role.LIMIT)), None)
     origins: list[Mapping[str, float]] = [simpler.values]
     if not current.effects:
         begun = fitter.base
@@ -144,17 +148,17 @@ def _beside(
         start = begun.values(begun.start)
         kept = {n: v for n, v in simpler.values.items() if n in records or n not in start}
         origins.append(start | kept)
-    found = []
+    suggestions = []
     for origin in origins:
         for values in itertools.product(*grids.values()):
             shape = {f"{name}.{n}": v for n, v in zip(grids, values, strict=True)}
             if main is None:
                 usual = {f"{name}.{n}": float(getattr(effect(), n)) for n in sizes}
-                found.append({**origin, **own, **shape, **usual})
+                suggestions.append({**origin, **inherited_values, **shape, **usual})
                 continue
-            whole = own[f"{name}.{main}"]
+            whole = inherited_values[f"{name}.{main}"]
             for share in SPLITS if sizes else (0.0,):
                 split = {f"{name}.{n}": share * whole for n in sizes}
-                left = {f"{name}.{main}": whole * (1.0 - share if sizes else 1.0)}
-                found.append({**origin, **own, **shape, **split, **left})
-    return found
+                remaining = {f"{name}.{main}": whole * (1.0 - share if sizes else 1.0)}
+                suggestions.append({**origin, **inherited_values, **shape, **split, **remaining})
+    return suggestions

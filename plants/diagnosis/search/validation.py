@@ -53,10 +53,10 @@ def held_out(fitter: ModelFitter, model: CandidateFit) -> FloatArray:
     """
     predictor, entries = model.fitted.predictor, fitter.entries
     shared = np.setdiff1d(model.fitted.moved, fitter.moves(predictor, frozenset()))
-    part = thirds(fitter)[entries]
+    third = thirds(fitter)[entries]
     residuals = np.zeros(entries.size)
     for n in range(THIRDS):
-        left_out, others = part == n, part != n
+        left_out, others = third == n, third != n
         if not left_out.any() or not others.any():
             left_out = others = np.ones(entries.size, np.bool_)
         values = fit(predictor, model.fitted.values, shared, entries[others], REFITTED).values
@@ -71,21 +71,21 @@ def thirds(fitter: ModelFitter) -> Numbers:
     every excitation, however the data are cut into files.
     """
     index = fitter.base.index
-    part = np.zeros(index.measurement.size, np.int64)
+    third = np.zeros(index.measurement.size, np.int64)
     for n in range(len(fitter.measurements)):
         of_record = np.flatnonzero(index.measurement == n)
         windows, place = np.unique(index.window[of_record], return_inverse=True)
-        part[of_record] = (n + place * THIRDS // max(windows.size, 1)) % THIRDS
-    return part
+        third[of_record] = (n + place * THIRDS // max(windows.size, 1)) % THIRDS
+    return third
 
 
 def segments(fitter: ModelFitter) -> tuple[DataSegment, ...]:
     """Stretches of each record, each of which is predicted by a fit to the others."""
-    index, part = fitter.base.index, thirds(fitter)
+    index, third_of = fitter.base.index, thirds(fitter)
     stretches = []
     for n, m in enumerate(fitter.measurements):
         for third in range(THIRDS):
-            times = index.time_s[(index.measurement == n) & (part == third)]
+            times = index.time_s[(index.measurement == n) & (third_of == third)]
             if times.size:
                 ends = float(times.min()), float(times.max())
                 stretches.append(DataSegment(m.name, *ends, "report", third))

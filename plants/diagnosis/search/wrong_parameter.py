@@ -28,8 +28,8 @@ def find_wrong_parameter(
     ]
     best = min(fits, key=lambda f: f.J)
     effect, most = best.effects[0], CONSTANTS.floor * max(base.J, 1.0)
-    own = {n: best.values[f"{effect.name}.{n}"] for n in effect.parameters()}
-    if most < best.J or not effect.matters(own, fitter.scale):
+    values = {n: best.values[f"{effect.name}.{n}"] for n in effect.parameters()}
+    if most < best.J or not effect.matters(values, fitter.scale):
         return None
     numbers = [f for f in fitter.base.free if f.owner == "base"]
     if effect.base_parameter not in [f.name for f in numbers]:
@@ -40,6 +40,6 @@ def find_wrong_parameter(
     # What it is per length of cable is a part of it.
     per_length = f"{unit} per m"
     others = [f.name for f in numbers if f.name != effect.base_parameter and f.unit != per_length]
-    rest = (fitter.fit((), fitter.base.start, owners=frozenset({n})).J for n in others)
+    others_alone = (fitter.fit((), fitter.base.start, owners=frozenset({n})).J for n in others)
     most = CONSTANTS.floor * best.J
-    return best if all(left > most for left in rest) else None
+    return best if all(most < J for J in others_alone) else None
