@@ -60,11 +60,6 @@ def parameter_deviations(fit: LoopFit) -> FloatArray:
     return INFLATION * _factor(fit.covariance)
 
 
-def drawn_models(fit: LoopFit, count: int = DRAWS, seed: int = 0) -> tuple[LoopModel, ...]:
-    """Models drawn from the inflated covariance of a fit."""
-    return _drawn(fit, parameter_deviations(fit), count, seed)
-
-
 def _drawn(fit: LoopFit, factor: FloatArray, count: int, seed: int) -> tuple[LoopModel, ...]:
     theta = fit.model.parameters
     normal = np.random.default_rng(seed).standard_normal((count, theta.size))
