@@ -29,6 +29,7 @@ COMMANDS = {
         "remedy",
         "prove",
         "explain",
+        "explain-page",
         "records",
         "run-experiment",
         "improve-model",

@@ -16,6 +16,12 @@ COMMANDS = (
         130,
     ),
     (
+        "explain-page",
+        "plants.commands.explain_page:explain_page",
+        "Explain records in the browser: columns, model, verdict.",
+        131,
+    ),
+    (
         "records",
         "plants.commands.records:records",
         "Show how recorded data are understood, and convert them.",

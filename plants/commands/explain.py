@@ -36,6 +36,7 @@ def explain(
     unit: Values = (),
     scale: Values = (),
     save_map: Path | None = None,
+    quiet: Flag = False,
 ) -> int:
     """Identify the effect missing from a model, from records.
 
@@ -54,6 +55,7 @@ def explain(
         unit: Their units, such as angle=mm,tension=lbf.
         scale: Factors to the unit, such as current=35.15.
         save_map: Write the map as a TOML file, for --map.
+        quiet: Show no progress.
 
     Exits with 9 where the records do not show enough for the verdict to stand alone, as motion
     in one direction only, and with 10 where data have faults to be corrected first.
@@ -69,7 +71,7 @@ def explain(
     own = tuple(map(find, effects))
     columns = column_map(map_, unit, scale, save_map)
     given = plants.load_model(model)
-    with showing_phases(quiet=json) as progress:
+    with showing_phases(quiet=quiet) as progress:
         diagnosis = plants.explain(
             given,
             data,

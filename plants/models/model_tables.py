@@ -60,6 +60,17 @@ def read_share(value: Any) -> float:
     return share
 
 
+def form_of(reader: Reader) -> str:
+    """What a reader takes, for a form: number, numbers, text, flag, or toml for any value."""
+    forms: dict[Reader, str] = {
+        read_number: "number",
+        _numbers: "numbers",
+        _text: "text",
+        _flag: "flag",
+    }
+    return forms.get(reader, "toml")
+
+
 def toml_lines(values: Mapping[str, Any]) -> Iterator[str]:
     """One `key = value` line each, in the order given."""
     for name, value in values.items():

@@ -5,6 +5,7 @@ from collections.abc import Mapping
 from dataclasses import fields, is_dataclass
 from typing import Any
 
+from plants.diagnosis.report import summary
 from plants.diagnosis.result import (
     Candidate,
     DiagnosisResult,
@@ -20,6 +21,7 @@ def to_json(d: DiagnosisResult) -> dict[str, Any]:
     unit = d.unit
     errors = {"given": d.given, "before": d.before, "after": d.after}
     values = {
+        "heading": summary.heading(d),
         "verdict": d.verdict,
         "sentence": d.sentence,
         "effects": [_fields(effect, "effect") for effect in d.effects],
