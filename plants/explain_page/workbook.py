@@ -122,6 +122,12 @@ class Workbook:
         drum = drum_of(load_model(self.model)) if self.model else NO_DRUM
         shown: dict[str, Any] = {"data": str(self.data), "channels": _channels(self.data)}
         shown |= {"columns": list(TABLE_COLUMNS), "units": list(UNITS)}
+        shown["map"] = {
+            name: one.model_dump(
+                by_alias=True, include={"from_", "unit", "scale"}, exclude_defaults=True
+            )
+            for name, one in self.columns.column.items()
+        }
         try:
             contents = read_measurements(self.data, self.columns, drum)
         except EstuneError as error:

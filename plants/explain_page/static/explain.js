@@ -80,8 +80,8 @@ function drawMapping() {
   const options = (list) => [new Option("as named", ""), ...list.map((one) => new Option(one, one))];
   const now = Object.fromEntries(records.sources.map((one) => [one.column, one]));
   const field = (name, part, node) => Object.assign(node, { name: `${name} ${part}` });
-  const kept = $("mapping").querySelector("form"), before = kept.elements;
-  const value = (name, part) => before[`${name} ${part}`]?.value ?? "";
+  const kept = $("mapping").querySelector("form");
+  const value = (name, part) => records.map[name]?.[part] ?? "";
   const rows = records.columns.map((name) => {
     const from = field(name, "from", make("select", {}, ...options(records.channels.map((one) => one.name))));
     const unit = field(name, "unit", make("select", {}, ...options(records.units)));
