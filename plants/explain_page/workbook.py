@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from estune.cli.values import command_line, numbers_from
 from estune.errors import EstuneError, InvalidInput
@@ -31,13 +31,6 @@ SHOWN, LISTED = 12, 40
 """Records that are drawn, and files whose channels are listed."""
 POINTS_MAX = 800
 """Points of a curve."""
-
-
-class Stored(NamedTuple):
-    """A file that was given to the page."""
-
-    name: str
-    size: int
 
 
 @dataclass(eq=False)
