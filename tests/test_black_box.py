@@ -7,6 +7,7 @@ from contextlib import contextmanager
 import numpy as np
 import pytest
 
+from estune.cli.rig_metrics import rig_metrics
 from estune.core.gains import Gains
 from estune.errors import RigError
 from estune.hardware import HardwareRig
@@ -161,7 +162,8 @@ def test_stop_of_a_served_rig_is_a_record_of_its_motion(tmp_path, monkeypatch):
     with (
         HardwareRig(config) as rig,
         black_box(rig, tmp_path / "rig.toml", BlackBoxTable()) as box,
-        zenoh.serve(rig, ledger=tmp_path / "ledger", heard=box.hear) as server,
+        rig_metrics(rig, box, 0) as metrics,
+        zenoh.serve(rig, ledger=tmp_path / "ledger", heard=metrics.hear) as server,
         zenoh.connect(server.endpoint) as remote,
     ):
         step, live = remote.describe().step, remote.describe().gains
@@ -172,6 +174,14 @@ def test_stop_of_a_served_rig_is_a_record_of_its_motion(tmp_path, monkeypatch):
         ends = time.monotonic() + 20.0
         while not box.stops and time.monotonic() < ends:
             time.sleep(0.05)
+        samples = {
+            (s.name, s.labels.get("verb")): s.value for f in metrics.collect() for s in f.samples
+        }
+        assert samples["estune_rig_commands_total", "submit"] == 2.0
+        assert samples["estune_rig_stops_total", None] == 1.0
+        assert samples["estune_rig_samples_total", None] > records[0].time_s.size
+        assert metrics.fault() == ""
+    assert "closed" in metrics.fault()
     (stop,) = stops(tmp_path / "rig-blackbox")
     assert reason(stop) == records[1].reason
     tension = records[1].tension_N

@@ -34,7 +34,7 @@ COMMANDS = {
         "run-experiment",
         "improve-model",
     ),
-    *("discover", "doctor", "estop", "clear", "daemon", "daemon-control"),
+    *("discover", "doctor", "estop", "clear", "daemon", "daemon-control", "faults"),
 }
 REEL = "plants:reference_reel"
 HERE = Path(__file__).parent.parent
@@ -127,7 +127,7 @@ def test_help_lists_commands_in_groups_and_those_of_packages_by_their_place(tmp_
     assert {"tune", "theirs"} < {*groups["Start"]}
     assert {"explain", "improve-model", "ours"} < {*groups["Models"]}
     assert {"estop", "discover"} < {*groups["Rigs"]}
-    assert groups["Service"] == ["daemon", "daemon-control"]
+    assert groups["Service"] == ["daemon", "daemon-control", "faults"]
 
 
 def test_every_command_has_help_for_every_option(capsys):

@@ -10,6 +10,7 @@ import pytest
 from estune.cli import run
 from estune.daemon.config import DaemonConfig, config_from, read_config
 from estune.daemon.events import EventKind
+from estune.daemon.faults import FaultCode
 from estune.daemon.metrics import METRICS
 from estune.errors import InvalidInput
 from estune.run.toml_tables import CostTable, SearchTable, StepTable
@@ -172,5 +173,9 @@ def test_docs_have_a_valid_example_and_list_keys_events_and_metrics():
             ), key
     for kind in EventKind:
         assert f"`{kind}`" in text
+    for fault in FaultCode:
+        assert re.search(
+            rf"^\| `{fault}` \| .* \| {re.escape(fault.sentence)} \|$", text, re.MULTILINE
+        )
     for metric in METRICS:
         assert f"`{metric.name}`" in text

@@ -1,5 +1,6 @@
-"""Daemons with rigs over Zenoh: faults, other daemons, overload, kills and restarts."""
+"""Daemons with rigs over Zenoh: faults, overload, kills and restarts."""
 
+import json
 import signal
 import time
 import tomllib
@@ -9,21 +10,20 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from estune.cli.faults import faults
 from estune.core.gains import Gains
 from estune.daemon.config import config_from
 from estune.daemon.rig_access import (
     VOID_TRIALS_MAX,
-    HeldByOtherDaemon,
     VoidTrialCounter,
     open_rig,
 )
 from estune.daemon.store import RUNS, DaemonStore
 from estune.daemon.supervisor import RigSupervisor
 from estune.daemon.tuning_runs import TuningRuns
-from estune.errors import InvalidInput, JournalError, ProtocolError, RigError
+from estune.errors import InvalidInput, JournalError, RigError
 from estune.remote import zenoh
 from estune.remote.zenoh.network import Network
-from estune.remote.zenoh.request_handler import RequestHandler
 from estune.run import disk_space, loop
 from estune.run.journal import Journal
 from estune.run.planning import plan_from_json
@@ -44,7 +44,13 @@ from tests.support_rigs import COLUMNS, ScriptedRig, response
 FOREIGN = Gains(0.123, 4.5, 0.006, 0.03)
 
 
-def test_emergency_stop_pauses_until_resume(tmp_path):
+def _faults(source, capsys) -> list[tuple[str, str]]:
+    capsys.readouterr()
+    faults(str(source), json=True)
+    return [(row["rig"], row["fault"]) for row in json.loads(capsys.readouterr().out)]
+
+
+def test_emergency_stop_pauses_until_resume(tmp_path, capsys):
     with rig_served(duration_s=0.02) as (rig, where):
         with daemon(tmp_path, rig_table("drum", where)) as it:
             it.until(lambda s: s.trials > 5)
@@ -52,6 +58,14 @@ def test_emergency_stop_pauses_until_resume(tmp_path):
                 other.estop("smoke")
                 status = it.until_mode("paused")
                 assert "smoke" in status.paused
+                for source in (it.service.endpoint, tmp_path / "estune-state"):
+                    assert ("drum", "emergency-stop") in _faults(source, capsys)
+                with pytest.raises(InvalidInput):
+                    it.command("accept")
+                counts = it.service._supervised["drum"].counts
+                assert counts.commands_refused == 1
+                assert counts.faults["emergency-stop"] == 1
+                assert counts.trials["done"] > 5
                 other.clear()
             requests_before = len(rig.requests)
             time.sleep(0.5)
@@ -152,97 +166,6 @@ def test_faulty_record_is_refused_and_the_trial_repeated(fault, tmp_path):
         void = [entry for entry in book.entries() if entry.outcome.is_void]
     assert [(entry.number, entry.attempt) for entry in void] == [(5, 0)]
     assert words in void[0].reason
-
-
-def test_second_daemon_is_refused_with_the_holders_name(tmp_path):
-    with rig_served() as (_, where), daemon(tmp_path / "a", rig_table("drum", where)) as it:
-        it.until_mode("holding")
-        with (
-            pytest.raises(RigError, match="written by another process"),
-            daemon(tmp_path / "a", rig_table("drum", where)),
-        ):
-            pass
-        with daemon(tmp_path / "b", rig_table("drum", where)) as other:
-            other.thread.join(WITHIN_S)
-            assert len(other.failed) == 1
-            assert "held by estune daemon" in str(other.failed[0])
-        assert it.client.status("drum").mode == "holding"
-
-
-def _held(status) -> bool:
-    return status.mode == "waiting" and "held by estune daemon" in status.trouble
-
-
-def test_shared_rig_is_taken_over_with_its_gains_and_its_original_ones(tmp_path):
-    with rig_served() as (rig, where):
-        table = rig_table("drum", where, accept="auto")
-        with daemon(tmp_path / "one", table, top="shared = true") as one:
-            accepted = one.until_mode("watching").gains["accepted"]
-            with daemon(tmp_path / "two", table, top="shared = true") as two:
-                two.until(_held)
-                one.service.stop()
-                one.thread.join(WITHIN_S)
-                taken = two.until(lambda s: "accepted" in s.gains)
-                assert taken.gains["original"] == ORIGINAL
-                first = next(
-                    row for row in two.client.history("drum").gains if row["name"] != "original"
-                )
-                assert (first["P"], "left it these" in first["why"]) == (accepted.P, True)
-                theirs = two.until_mode("watching").gains["accepted"]
-                with daemon(tmp_path / "one", table, top="shared = true") as again:
-                    again.until(_held)
-                    two.service.stop()
-                    two.thread.join(WITHIN_S)
-                    taken = again.until(lambda status: "had the rig before" in status.why)
-                    assert taken.gains["accepted"] == theirs == rig.describe().gains
-        assert one.failed == two.failed == []
-
-
-@pytest.mark.parametrize("keeps", [True, False], ids=["kept", "not kept"])
-def test_daemon_that_never_met_the_other_reverts_to_the_true_original_gains(
-    keeps, tmp_path, monkeypatch
-):
-    if not keeps:  # a rig that does not know the field
-
-        def decode(verb, payload, known=RequestHandler._decode):
-            if b'"original"' in payload:
-                raise ProtocolError("SetGains message: original: Unexpected keyword argument")
-            return known(verb, payload)
-
-        monkeypatch.setattr(RequestHandler, "_decode", staticmethod(decode))
-    with rig_served() as (rig, where):
-        table = rig_table("drum", where, accept="auto")
-        with daemon(tmp_path / "one", table, top="shared = true") as one:
-            accepted = one.until_mode("watching").gains["accepted"]
-        with daemon(tmp_path / "two", table, top="shared = true") as two:
-            two.until(lambda status: bool(status.gains))
-            two.command("revert")
-            two.until(lambda status: status.live == "original")
-        assert rig.describe().gains == (ORIGINAL if keeps else accepted)
-
-
-def test_rigs_beyond_rigs_max_wait_for_a_place(tmp_path):
-    with rig_served("a") as (_, a), rig_served("b") as (_, b):
-        tables = [rig_table(name, where) for name, where in (("a", a), ("b", b))]
-        with daemon(tmp_path, *tables, top="rigs_max = 1") as it:
-            modes = {"waiting", "holding"}
-            it.until(lambda _: {s.mode for s in it.client.statuses()} == modes, "a")
-            (waiting,) = (s for s in it.client.statuses() if s.mode == "waiting")
-            assert "rigs_max" in waiting.sentence
-
-
-def test_lease_of_this_daemon_is_taken_again_and_one_of_another_is_not(tmp_path):
-    config = config_from(tomllib.loads(rig_table("drum", "tcp/127.0.0.1:1")), "test", tmp_path)
-    with rig_served() as (_, where), zenoh.connect(where, holder="estune daemon a") as first:
-        settings = config.rig[0].model_copy(update={"target": where})
-        first.acquire()
-        for holder, refused in (("estune daemon a", RigError), ("b", HeldByOtherDaemon)):
-            counter, network = VoidTrialCounter(), Network()
-            access = open_rig(settings, holder, counter, network)
-            with pytest.raises(refused) as raised:
-                access.acquire()
-            assert isinstance(raised.value, HeldByOtherDaemon) == (refused is HeldByOtherDaemon)
-            access.close()
 
 
 def test_leases_lost_in_an_overload_need_no_operator(tmp_path):

@@ -10,16 +10,26 @@ import time
 from dataclasses import replace
 
 import pytest
+from prometheus_client import generate_latest
 
 import estune
 from estune.daemon.config import HookTable
 from estune.daemon.events import Event, EventKind
-from estune.daemon.metrics import DaemonHealth, MetricsServer, render, write_metrics
+from estune.daemon.faults import FaultCode
+from estune.daemon.metrics import (
+    DaemonHealth,
+    MetricsServer,
+    RigFigures,
+    daemon_registry,
+    write_metrics,
+)
 from estune.daemon.notifications import QUEUE_MAX, Hooks
+from estune.daemon.rig_counts import RigCounts
 from estune.remote.messages.daemon import (
     DaemonStatus,
 )
 from estune.support.log_lines import JsonLines, PlainLines
+from estune.trial import Outcome
 from tests.support_daemon import ORIGINAL, WITHIN_S, daemon, rig_served, rig_table
 
 
@@ -64,10 +74,25 @@ def parse_metrics(text: str) -> dict[tuple[str, frozenset], float]:
     return samples
 
 
-def test_metrics_are_prometheus_text_of_the_status():
-    samples = parse_metrics(
-        render([status(), status(rig='o"d\\d', mode="paused", live="")]).decode()
-    )
+WELL = DaemonHealth((), ready=True, hook_failures=0)
+
+
+def registry(*statuses, counts=None):
+    rigs = [RigFigures(s, counts or RigCounts()) for s in statuses or (status(),)]
+    return daemon_registry(lambda: rigs, lambda: WELL)
+
+
+def rendered(*statuses, counts=None) -> dict:
+    return parse_metrics(generate_latest(registry(*statuses, counts=counts)).decode())
+
+
+def test_metrics_are_prometheus_text_of_the_status_and_the_counts():
+    counts = RigCounts(leases_lost=2, commands_refused=3)
+    for outcome in (Outcome.DONE, Outcome.DONE, Outcome.GUARD):
+        counts.note_trial(outcome, 1.5)
+    counts.faults[FaultCode.RIG_LOST.value] += 4
+    paused = status(rig='o"d\\d', mode="paused", live="")
+    samples = rendered(status(), paused, counts=counts)
 
     def figure(name, rig="drum", **labels):
         return samples[name, frozenset({"rig": rig, **labels}.items())]
@@ -77,6 +102,11 @@ def test_metrics_are_prometheus_text_of_the_status():
     assert figure("estune_gains_live", set="accepted") == 1.0
     assert figure("estune_gain", set="original", gain="P") == ORIGINAL.P
     assert figure("estune_drift_ratio") == -0.5
+    assert figure("estune_trials_total", outcome="done") == 2.0
+    assert figure("estune_trial_seconds_total") == 4.5
+    assert figure("estune_leases_lost_total") == 2.0
+    assert figure("estune_commands_refused_total") == 3.0
+    assert figure("estune_faults_total", fault="rig-lost") == 4.0
     assert ("estune_cost_ratio", frozenset({("rig", "drum")})) not in samples
     odd = r"o\"d\\d"
     assert all(figure("estune_gains_live", odd, set=s) == 0.0 for s in ("original", "candidate"))
@@ -84,7 +114,7 @@ def test_metrics_are_prometheus_text_of_the_status():
 
 def test_metrics_file_is_whole_at_every_read(tmp_path):
     file, sizes, over = tmp_path / "estune.prom", set(), threading.Event()
-    write_metrics(file, [status()])
+    write_metrics(file, registry())
 
     def read():
         while not over.is_set():
@@ -93,16 +123,18 @@ def test_metrics_file_is_whole_at_every_read(tmp_path):
     reader = threading.Thread(target=read)
     reader.start()
     for _ in range(200):
-        write_metrics(file, [status()])
+        write_metrics(file, registry())
     over.set()
     reader.join()
-    assert sizes == {len(parse_metrics(render([status()]).decode()))}
+    assert sizes == {len(rendered())}
     assert [path.name for path in tmp_path.iterdir()] == ["estune.prom"]
 
 
 def test_health_and_readiness_are_told_with_the_reason():
     health = [DaemonHealth((), ready=False, hook_failures=0)]
-    server = MetricsServer(0, lambda: [status()], lambda: health[0])
+    asked = {"/health": lambda: health[0].fault, "/ready": lambda: health[0].obstacle}
+    figures = [RigFigures(status(), RigCounts())]
+    server = MetricsServer(0, daemon_registry(lambda: figures, lambda: health[0]), asked)
 
     def get(path):
         connection = http.client.HTTPConnection("127.0.0.1", server.port)

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from estune.daemon.notifications import Notifier
-from estune.daemon.supervisor import RigSupervisor
+from estune.daemon.progress_watch import ProgressWatch
 from tests.support_daemon import WITHIN_S, daemon, rig_served, rig_table
 
 ROOT = Path(__file__).parents[1]
@@ -65,8 +65,8 @@ def test_stuck_supervisor_stops_feeding_the_watchdog(tmp_path, manager, monkeypa
             manager.until("WATCHDOG", "1")
             supervisor = it.service._supervisors[0]
             assert not supervisor.is_stuck
-            monkeypatch.setattr(RigSupervisor, "_mark_progress", lambda *_: None)
-            supervisor._idle_until_s -= 1e4
+            monkeypatch.setattr(ProgressWatch, "mark", lambda *_: None)
+            supervisor._progress._idle_until_s -= 1e4
             assert supervisor.is_stuck
             time.sleep(0.6)  # what was on its way
             while select.select([manager.socket], [], [], 0.0)[0]:

@@ -54,6 +54,7 @@ COMMANDS = (
     ("clear", "rigs:clear", "Reset the emergency stop of a rig.", 190),
     ("daemon", "daemon:daemon", "Tune and supervise rigs for days, as a service.", 200),
     ("daemon-control", "daemon:daemon_control", "Query or command a daemon.", 210),
+    ("faults", "faults:faults", "Show what has failed, with a remedy for each.", 215),
     ("docs", "docs:docs", "Open the documentation in the browser.", 220),
 )
 """Name, function in `estune.cli`, help, and place in the list of commands."""

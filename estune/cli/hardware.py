@@ -28,6 +28,7 @@ def serve_hardware(
     allow_remote: Flag = False,
     security: Path | None = None,
     log_format: LogFormat = "text",
+    http_port: int | None = None,
     example: Flag = False,
 ) -> None:
     """Serve a reel on hardware, or an emulated one, as a rig on the network, until Ctrl-C.
@@ -40,6 +41,7 @@ def serve_hardware(
             it.
         security: Credentials file: the users that may reach and command the rig.
         log_format: JSON lines or text, on standard error; auto is text on a terminal.
+        http_port: Port of 127.0.0.1 that serves /metrics, /health and /ready.
         example: Print a complete rig file, of an emulated reel, and exit.
     """
     if example:
@@ -47,7 +49,8 @@ def serve_hardware(
         return
     if file is None:
         raise InvalidInput("give the rig's file; for one to begin from, use --example")
-    from estune.daemon.notifications import Notifier  # noqa: PLC0415  slow to import
+    from estune.cli.rig_metrics import rig_metrics  # noqa: PLC0415  slow to import
+    from estune.daemon.notifications import Notifier  # noqa: PLC0415  as above
     from estune.hardware import HardwareRig, read_config  # noqa: PLC0415  slow to import
     from estune.hardware.black_box import black_box  # noqa: PLC0415  as above
     from estune.hardware.real_time import prioritised  # noqa: PLC0415  as above
@@ -61,6 +64,7 @@ def serve_hardware(
         rig(config) as hardware,
         suppress(KeyboardInterrupt),
         black_box(hardware, file, config.black_box) as box,
+        rig_metrics(hardware, box, http_port) as metrics,
         # The threads that take a stop from the network are started from here on.
         prioritised(config.real_time.server_priority) as refused,
         zenoh.serve(
@@ -68,7 +72,7 @@ def serve_hardware(
             ledger=ledger or file.with_suffix(".ledger"),
             allow_remote=allow_remote,
             security=security_from(security),
-            heard=box.hear if box else lambda *_: None,
+            heard=metrics.hear,
         ) as server,
     ):
         for note in filter(None, (*hardware.notes, refused)):

@@ -171,6 +171,11 @@ class RigTable(TomlTable):
     tuning: TuningTable = TuningTable()
     watch: WatchTable = WatchTable()
 
+    def retry_s(self, failures: int) -> float:
+        """Wait after so many consecutive failures."""
+        # The exponent is bounded: a rig may be away for years.
+        return min(self.retry_max_s, self.retry_first_s * 2.0 ** min(failures - 1, 30))
+
     @model_validator(mode="after")
     def _fits(self) -> Self:
         wrong = []

@@ -1,7 +1,8 @@
 """Metrics for Prometheus: in a file for the node exporter's collector, or over loopback HTTP."""
 
 import threading
-from collections.abc import Callable, Iterable, Iterator
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 from socketserver import ThreadingMixIn
 from typing import Any, NamedTuple
@@ -12,6 +13,7 @@ from prometheus_client.core import Metric as Family
 from prometheus_client.registry import Collector
 
 from estune.core.gains import GAIN_NAMES
+from estune.daemon.rig_counts import RigCounts
 from estune.daemon.supervisor_state import GainSet, SupervisorMode
 from estune.errors import RigError
 from estune.remote.messages.daemon import DaemonStatus
@@ -26,12 +28,19 @@ class MetricSample(NamedTuple):
     value: float
 
 
+class RigFigures(NamedTuple):
+    """What the metrics of one rig are made from."""
+
+    status: DaemonStatus
+    counts: RigCounts
+
+
 class Metric(NamedTuple):
     """A metric: its name, help, samples of a rig, and type."""
 
     name: str
     help: str
-    samples: Callable[[DaemonStatus], Iterable[MetricSample]]
+    samples: Callable[[RigFigures], Iterable[MetricSample]]
     kind: str = "gauge"
 
 
@@ -45,8 +54,13 @@ def _states(label: str, names: Iterable[str], actual: str) -> Iterator[MetricSam
         yield MetricSample({label: name}, float(name == actual))
 
 
-def _gains(status: DaemonStatus) -> Iterator[MetricSample]:
-    for name, gains in sorted(status.gains.items()):
+def _by(label: str, counts: Counter[str]) -> Iterator[MetricSample]:
+    for name, count in sorted(counts.items()):
+        yield MetricSample({label: name}, float(count))
+
+
+def _gains(rig: RigFigures) -> Iterator[MetricSample]:
+    for name, gains in sorted(rig.status.gains.items()):
         for gain in GAIN_NAMES:
             yield MetricSample({"set": name, "gain": gain}, getattr(gains, gain))
 
@@ -55,80 +69,105 @@ METRICS = (
     Metric(
         "estune_mode",
         "1 for the current mode, 0 for the others.",
-        lambda s: _states("mode", SupervisorMode, s.mode),
+        lambda r: _states("mode", SupervisorMode, r.status.mode),
     ),
     Metric(
         "estune_gains_live",
         "1 for the gain set that the rig has confirmed to be live; none while it is away.",
-        lambda s: _states("set", GainSet, s.live),
+        lambda r: _states("set", GainSet, r.status.live),
     ),
     Metric("estune_gain", "Controller gains of each set, in their own units.", _gains),
-    Metric("estune_paused", "1 while the supervision is paused.", lambda s: _one(bool(s.paused))),
+    Metric(
+        "estune_paused",
+        "1 while the supervision is paused.",
+        lambda r: _one(bool(r.status.paused)),
+    ),
     Metric(
         "estune_failing",
         "1 while the rig is not reached or something fails.",
-        lambda s: _one(bool(s.trouble)),
+        lambda r: _one(bool(r.status.trouble)),
     ),
     Metric(
         "estune_run_trials",
         "Trials of the tuning run under way or the last one.",
-        lambda s: _one(s.trials),
+        lambda r: _one(r.status.trials),
     ),
     Metric(
         "estune_cost_ratio",
         "Cost of the last trial; 1 is as good as first order.",
-        lambda s: _one(s.cost),
+        lambda r: _one(r.status.cost),
     ),
     Metric(
         "estune_baseline_cost_ratio",
         "Baseline cost of the control chart.",
-        lambda s: _one(s.baseline_cost),
+        lambda r: _one(r.status.baseline_cost),
     ),
     Metric(
         "estune_drift_ratio",
         "Deviation of the smoothed cost from its baseline, as a fraction of the alarm limit.",
-        lambda s: _one(s.drift),
+        lambda r: _one(r.status.drift),
     ),
-    Metric("estune_check_trials_total", "Check trials.", lambda s: _one(s.checks), "counter"),
+    Metric(
+        "estune_check_trials_total", "Check trials.", lambda r: _one(r.status.checks), "counter"
+    ),
+    Metric(
+        "estune_trials_total",
+        "Trials by outcome since the daemon was started.",
+        lambda r: _by("outcome", r.counts.trials),
+        "counter",
+    ),
+    Metric(
+        "estune_trial_seconds_total",
+        "Time of these trials together, from the request to the record.",
+        lambda r: _one(r.counts.trial_s),
+        "counter",
+    ),
+    Metric(
+        "estune_leases_lost_total",
+        "Leases that ended during a trial.",
+        lambda r: _one(r.counts.leases_lost),
+        "counter",
+    ),
+    Metric(
+        "estune_commands_refused_total",
+        "Commands of operators that the mode did not allow.",
+        lambda r: _one(r.counts.commands_refused),
+        "counter",
+    ),
+    Metric(
+        "estune_faults_total",
+        "Faults by code.",
+        lambda r: _by("fault", r.counts.faults),
+        "counter",
+    ),
 )
 
 
 class _Rigs(Collector):
     """The metrics of several rigs as they are when they are asked for."""
 
-    def __init__(self, statuses: Callable[[], Iterable[DaemonStatus]]) -> None:
-        self._statuses = statuses
+    def __init__(self, rigs: Callable[[], Iterable[RigFigures]]) -> None:
+        self._rigs = rigs
 
     def collect(self) -> Iterator[Family]:
         """The metrics that have a sample."""
-        statuses = tuple(self._statuses())
+        rigs = tuple(self._rigs())
         for metric in METRICS:
             family = Family(metric.name.removesuffix("_total"), metric.help, metric.kind)
-            for status in statuses:
-                for labels, value in metric.samples(status):
-                    family.add_sample(metric.name, {"rig": status.rig, **labels}, value)
+            for rig in rigs:
+                for labels, value in metric.samples(rig):
+                    family.add_sample(metric.name, {"rig": rig.status.rig, **labels}, value)
             if family.samples:
                 yield family
 
 
-def _registry(statuses: Callable[[], Iterable[DaemonStatus]]) -> CollectorRegistry:
-    registry = CollectorRegistry(auto_describe=False)
-    registry.register(_Rigs(statuses))
-    return registry
-
-
-def render(statuses: Iterable[DaemonStatus]) -> bytes:
-    """The metrics of several rigs in Prometheus' text format."""
-    return generate_latest(_registry(lambda: statuses))
-
-
-def write_metrics(path: Path, statuses: Iterable[DaemonStatus]) -> None:
+def write_metrics(path: Path, registry: CollectorRegistry) -> None:
     """Replaces a file by the metrics; readers always see a whole file.
 
     Raises:
         OSError: it cannot be written.
     """
-    replace_file(path, render(statuses))
+    replace_file(path, generate_latest(registry))
 
 
 class ThreadingServer(ThreadingMixIn, WSGIServer):
@@ -157,6 +196,23 @@ class DaemonHealth(NamedTuple):
     ready: bool
     hook_failures: int
 
+    @property
+    def fault(self) -> str:
+        """Why it is not well, as the watchdog of systemd has it; empty if it is."""
+        return f"no progress with: {', '.join(self.stuck)}" if self.stuck else ""
+
+    @property
+    def obstacle(self) -> str:
+        """Why it takes no commands; empty if it does."""
+        return "" if self.ready else "the supervisions have not begun"
+
+
+def build_info(metric: str) -> Family:
+    """The metric of this name that tells the version."""
+    info = Family(metric, "1, with the version as a label.", "gauge")
+    info.add_sample(metric, {"version": __version__}, 1.0)
+    return info
+
 
 class _Daemon(Collector):
     """The metrics of the daemon itself."""
@@ -167,9 +223,7 @@ class _Daemon(Collector):
     def collect(self) -> Iterator[Family]:
         """Version, stuck supervisions, failures of hooks."""
         health = self._health()
-        info = Family("estune_build_info", "1, with the version as a label.", "gauge")
-        info.add_sample("estune_build_info", {"version": __version__}, 1.0)
-        yield info
+        yield build_info("estune_build_info")
         stuck = Family("estune_supervisions_stuck", "Supervisions without progress.", "gauge")
         stuck.add_sample("estune_supervisions_stuck", {}, float(len(health.stuck)))
         yield stuck
@@ -178,42 +232,46 @@ class _Daemon(Collector):
         yield hooks
 
 
+def daemon_registry(
+    rigs: Callable[[], Iterable[RigFigures]], health: Callable[[], DaemonHealth]
+) -> CollectorRegistry:
+    """The metrics of a daemon and of its rigs, as they are when they are asked for."""
+    registry = CollectorRegistry(auto_describe=False)
+    registry.register(_Rigs(rigs))
+    registry.register(_Daemon(health))
+    return registry
+
+
 class MetricsServer:
     """Answers GET /metrics, /health and /ready on a port of this machine's loopback interface.
 
-    `/health` is 200 unless a supervision makes no progress, as the watchdog of systemd has it;
-    `/ready` is 200 once commands are taken. Otherwise both are 503, with the reason.
+    `/health` and `/ready` are 200, or 503 with the reason.
     """
 
     def __init__(
-        self,
-        port: int,
-        statuses: Callable[[], Iterable[DaemonStatus]],
-        health: Callable[[], DaemonHealth],
+        self, port: int, registry: CollectorRegistry, faults: Mapping[str, Callable[[], str]]
     ) -> None:
         """Listens; port 0 takes a free one.
+
+        Args:
+            port: The port.
+            registry: The metrics.
+            faults: Of `/health` and `/ready`, why it is not; empty where it is.
 
         Raises:
             RigError: the port is taken.
         """
-        registry = _registry(statuses)
-        registry.register(_Daemon(health))
         metrics = make_wsgi_app(registry)
 
         def answer(environ: dict[str, Any], start: Callable[..., Any]) -> Iterable[bytes]:
-            found = health()
-            stuck = f"no progress with: {', '.join(found.stuck)}\n" if found.stuck else ""
-            match environ.get("PATH_INFO"):
-                case "/health":
-                    fault = stuck
-                case "/ready":
-                    fault = "" if found.ready else "the supervisions have not begun\n"
-                case _:
-                    pages: Iterable[bytes] = metrics(environ, start)
-                    return pages
+            asked = faults.get(environ.get("PATH_INFO", ""))
+            if asked is None:
+                pages: Iterable[bytes] = metrics(environ, start)
+                return pages
+            fault = asked()
             status = "503 Service Unavailable" if fault else "200 OK"
             start(status, [("Content-Type", "text/plain; charset=utf-8")])
-            return [(fault or "ok\n").encode()]
+            return [f"{fault or 'ok'}\n".encode()]
 
         try:
             self._server = make_server(

@@ -13,6 +13,8 @@ from datetime import UTC, datetime
 from estune.core.gains import Gains
 from estune.daemon.config import RigTable
 from estune.daemon.events import EventKind
+from estune.daemon.faults import FaultCode
+from estune.daemon.rig_counts import RigCounts
 from estune.daemon.supervised_rig import SupervisedRig
 from estune.daemon.supervisor_state import GainSet
 from estune.errors import EstuneError, PlantError, RigError
@@ -76,13 +78,16 @@ class RigAccess:
         holder: str,
         opened: ExitStack,
         void_trials: VoidTrialCounter,
+        *,
         turn: Callable[[], AbstractContextManager[None]],
+        counts: RigCounts,
     ) -> None:
         """Use `open_rig`."""
         self._rig = rig
         self._holder = holder
         self._void_trials = void_trials
         self._turn = turn
+        self._counts = counts
         self.description = rig.describe()
         self.abort, self.estop, self.clear = rig.abort, rig.estop, rig.clear
         self.close = opened.close
@@ -157,7 +162,9 @@ class RigAccess:
         before = self._leases_lost()
         try:
             with self._turn():
+                begun_s = time.monotonic()
                 record = run_trial(self._rig, request, self.description)
+                self._counts.note_trial(record.outcome, time.monotonic() - begun_s)
         except PlantError as error:
             if isinstance(self._rig, RemoteRig):
                 raise
@@ -166,7 +173,9 @@ class RigAccess:
         if fault:
             reason = f"the record of trial {request.trial_id} is refused: {fault}"
             record = self._void(request, reason)
-        if not (record.outcome is Outcome.CANCELLED and self._leases_lost() > before):
+        lost = self._leases_lost() - before
+        self._counts.leases_lost += lost
+        if not (record.outcome is Outcome.CANCELLED and lost):
             self._void_trials.count(record)  # an overload, which ends by itself, needs no operator
         return record
 
@@ -205,6 +214,7 @@ def open_rig(
     network: Network,
     *,
     turn: Callable[[], AbstractContextManager[None]] = nullcontext,
+    counts: RigCounts | None = None,
 ) -> RigAccess:
     """Connects to a rig.
 
@@ -214,6 +224,7 @@ def open_rig(
         void_trials: Counter that outlives the connection.
         network: Sessions shared by all rigs of the daemon.
         turn: The block of one trial; it waits until the trial may run.
+        counts: What is counted of the rig for the metrics.
 
     Raises:
         RigError: the rig does not answer.
@@ -230,12 +241,13 @@ def open_rig(
             rig: Rig = remote
         else:
             rig = opened.enter_context(open_target(settings.target, settings.name))
-        return RigAccess(rig, holder, opened.pop_all(), void_trials, turn)
+        counts = counts or RigCounts()
+        return RigAccess(rig, holder, opened.pop_all(), void_trials, turn=turn, counts=counts)
 
 
 def apply_nominal_gains(
     rig: SupervisedRig, access: RigAccess, home: GainSet, *, shared: bool
-) -> str:
+) -> tuple[str, FaultCode] | None:
     """Makes the nominal gains live; stores the rig's original gains the first time.
 
     Args:
@@ -246,18 +258,18 @@ def apply_nominal_gains(
             gains that one of them has left are taken over as accepted ones.
 
     Returns:
-        Why not, where an operator is needed; else empty.
+        Why not, and the fault, where an operator is needed.
     """
     description, store = access.acquire(), rig.store
-    if fault := _identity_mismatch(rig, description):
-        return fault
+    if mismatch := _identity_mismatch(rig, description):
+        return mismatch, FaultCode.OTHER_RIG
     left = access.original if shared else None
     if not store.gains():
         _back_up(rig, description, left)
     if description.gains not in store.all_gain_sets() and not store.fact("overrule"):
         fellow = store.fact("fellow") or (left and "another daemon")
         if not fellow:
-            return _foreign_gains(description)
+            return _foreign_gains(description), FaultCode.FOREIGN_GAINS
         rig.inherit(description.gains, f"{fellow} had the rig before, and left it these")
         home = rig.state.home
     with store.transaction():
@@ -268,7 +280,7 @@ def apply_nominal_gains(
         access.apply(gains, store.gains()[GainSet.ORIGINAL] if shared else None)
         sentence = f"{home} gains are live: {rig.state.why}"
         rig.log_event(EventKind.GAINS, sentence, gains=str(gains))
-    return ""
+    return None
 
 
 def restore_nominal_gains(

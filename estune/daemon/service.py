@@ -13,7 +13,13 @@ from estune.daemon.admission import Admission
 from estune.daemon.config import DaemonConfig, ServiceTable
 from estune.daemon.events import Event
 from estune.daemon.live_page import serve_page
-from estune.daemon.metrics import DaemonHealth, MetricsServer, write_metrics
+from estune.daemon.metrics import (
+    DaemonHealth,
+    MetricsServer,
+    RigFigures,
+    daemon_registry,
+    write_metrics,
+)
 from estune.daemon.notifications import Hooks, Notifier, log_event
 from estune.daemon.rig_access import HOLDER_PREFIX
 from estune.daemon.shared_resources import SharedResources
@@ -91,8 +97,13 @@ class DaemonService:
             self._supervisors = tuple(
                 RigSupervisor(rig, self._supervised[rig.name], shared) for rig in config.rig
             )
+            self._metrics = daemon_registry(self._figures, self.health)
             if config.metrics.http_port is not None:
-                metrics = MetricsServer(config.metrics.http_port, self.statuses, self.health)
+                faults = {
+                    "/health": lambda: self.health().fault,
+                    "/ready": lambda: self.health().obstacle,
+                }
+                metrics = MetricsServer(config.metrics.http_port, self._metrics, faults)
                 self.metrics_port = metrics.port
                 opened.callback(metrics.close)
             self.page_address = ""
@@ -105,6 +116,9 @@ class DaemonService:
     def statuses(self) -> list[DaemonStatus]:
         """Status of each rig."""
         return [rig.status() for rig in self._supervised.values()]
+
+    def _figures(self) -> list[RigFigures]:
+        return [RigFigures(rig.status(), rig.counts) for rig in self._supervised.values()]
 
     def health(self) -> DaemonHealth:
         """State of the daemon itself."""
@@ -158,7 +172,7 @@ class DaemonService:
         if metrics.file is not None and now_s - self._written_at_s >= metrics.every_s:
             self._written_at_s = now_s
             try:
-                write_metrics(metrics.file, statuses)
+                write_metrics(metrics.file, self._metrics)
             except OSError as error:
                 _log.warning("metrics %s not written: %s", metrics.file, error.strerror)
         self._feed_watchdog(now_s)

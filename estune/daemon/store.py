@@ -125,6 +125,17 @@ class DaemonStore:
                 raise RigError(f"the state of rig {rig} is in use: {error}") from error
             raise
 
+    @classmethod
+    def read(cls, folder: Path) -> Self:
+        """The store in a rig's folder, to be read only; its daemon may be running.
+
+        Raises:
+            JournalError: there is none, or it cannot be read.
+        """
+        file = SqliteFile.open_reader(folder / FILE_NAME, _KIND)
+        rows = file.rows("SELECT value FROM fact WHERE key='rig'")
+        return cls(json.loads(rows[0][0]) if rows else folder.name, file)
+
     @property
     def changes(self) -> int:
         """Number that differs once anything was written."""

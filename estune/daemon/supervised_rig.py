@@ -16,6 +16,8 @@ from estune.core.gains import Gains
 from estune.daemon.check_trials import CheckTrials
 from estune.daemon.config import RigTable
 from estune.daemon.events import Event, EventKind
+from estune.daemon.faults import FAULT, FaultCode
+from estune.daemon.rig_counts import RigCounts
 from estune.daemon.store import CommandResult, DaemonStore, now
 from estune.daemon.supervisor_state import (
     GainSet,
@@ -82,6 +84,7 @@ class SupervisedRig:
         refused: Why this rig is left alone: another daemon has it; empty otherwise.
         waits_for: What is waited for, where the mode does not say it; empty otherwise.
         abort_trial: Ends the trial under way, if any, without waiting.
+        counts: What is counted of the rig for the metrics.
     """
 
     def __init__(
@@ -99,6 +102,7 @@ class SupervisedRig:
         self.refused = ""
         self.waits_for = ""
         self.abort_trial: Callable[[], None] = lambda: None
+        self.counts = RigCounts()
         self._instance = instance
         self._listener = listener
         self._since = now()
@@ -233,6 +237,10 @@ class SupervisedRig:
             is_repeated = event in _REPEATED and reason in (state.trouble, state.paused)
             self._change(event, reason, None if is_repeated else kind, sentence, write, **facts)
 
+    def note_cost(self, cost: float) -> None:
+        """Takes the cost of the last trial, if it had one."""
+        self.cost = cost if math.isfinite(cost) else None
+
     def log_event(self, kind: EventKind, sentence: str, **facts: object) -> None:
         """Stores and publishes an event that does not change the state."""
         with self._lock:
@@ -240,6 +248,11 @@ class SupervisedRig:
                 event = self.store.add_event(kind, sentence, dict(facts))
             except JournalError as error:
                 event = self._unwritten(error, kind, sentence, facts)
+        self._tell(event)
+
+    def _tell(self, event: Event) -> None:
+        if fault := event.facts.get(FAULT):
+            self.counts.faults[str(fault)] += 1
         self._listener(event)
 
     def apply_decision(self, decision: RunDecision, *, accept: bool) -> None:
@@ -279,7 +292,8 @@ class SupervisedRig:
     def revert_to_original(self, reason: str) -> None:
         """Replaces unsafe nominal gains by the original ones, and pauses."""
         write = self._drop_all_but_original
-        self.apply_event(SupervisorEvent.UNSAFE, reason, EventKind.UNSAFE, write)
+        event, fault = SupervisorEvent.UNSAFE, FaultCode.UNSAFE_GAINS
+        self.apply_event(event, reason, EventKind.UNSAFE, write, fault=fault)
 
     def handle_drift(self, cost: float, signal: ChartSignal) -> None:
         """Tunes again after a drift of the cost, unless the last tuning ended only recently."""
@@ -288,13 +302,15 @@ class SupervisedRig:
             self.revert_to_original(reason)
         elif self.checks.is_cooldown_over:
             sentence = f"{signal.sentence}; tuning again"
-            self.apply_event(SupervisorEvent.DRIFTED, sentence, EventKind.DRIFTED)
+            event, fault = SupervisorEvent.DRIFTED, FaultCode.DRIFT
+            self.apply_event(event, sentence, EventKind.DRIFTED, fault=fault)
 
     def _take(self, event: SupervisorEvent, command: Command, reason: str) -> CommandResult:
         verb = event.value
         try:
             after = next_state(self._state, event, reason)
         except InvalidInput as error:
+            self.counts.commands_refused += 1
             refused = CommandResult(done=False, sentence=str(error))
             self.store.add_command(command.command_id, verb, command.who, refused)
             return refused
@@ -360,7 +376,7 @@ class SupervisedRig:
         if after.mode is not before.mode or after.home is not before.home:
             self.changed.set()
         if logged is not None:
-            self._listener(logged)
+            self._tell(logged)
 
     def _unwritten(
         self, error: JournalError, kind: EventKind, sentence: str, facts: dict[str, object]

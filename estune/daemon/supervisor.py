@@ -1,31 +1,37 @@
 """Supervisor of one rig, in a thread of its own: does what the state machine's mode requires."""
 
 import logging
-import math
 import random
 import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from functools import partial
+from typing import Any
 
 from estune.core.control_chart import ChartSignal
 from estune.daemon import rig_access
 from estune.daemon.config import RigTable
 from estune.daemon.events import EventKind
+from estune.daemon.faults import FAULT, FaultCode
+from estune.daemon.progress_watch import ProgressWatch
 from estune.daemon.rig_access import HeldByOtherDaemon, RigAccess, TooManyVoidTrials
 from estune.daemon.shared_resources import SharedResources
 from estune.daemon.supervised_rig import Preempted, SupervisedRig
 from estune.daemon.supervisor_state import SupervisorEvent, SupervisorMode
 from estune.daemon.tuning_runs import RunDecision
-from estune.errors import EstuneError, Interrupted, InvalidInput, RigError, UnsafeStart
+from estune.errors import (
+    EstuneError,
+    Interrupted,
+    InvalidInput,
+    JournalError,
+    RigError,
+    UnsafeStart,
+)
 from estune.run import archived_run, loop
 from estune.run.disk_space import DiskForecast
 from estune.run.loop import Progress, TuningRun
 from estune.run.session import Phase
-
-STUCK_AFTER_S = 120.0
-"""Time without progress, beside the longest trial, after which a supervisor is stuck."""
 
 _POLL_S = 0.5
 _JITTER = 0.5
@@ -53,7 +59,7 @@ class RigSupervisor:
         self._in_trial = False
         self._disk: DiskForecast | None = None
         self._stopping_since_s: float | None = None
-        self._idle_until_s = time.monotonic()
+        self._progress = ProgressWatch()
         name = f"supervisor {self.name}"
         self._thread = threading.Thread(target=self._run, name=name, daemon=True)
         rig.abort_trial = self._abort_trial
@@ -72,10 +78,8 @@ class RigSupervisor:
         """Whether it has made no progress for longer than any step may take."""
         access = self._access
         longest_s = access.description.limits.duration_max_s if access is not None else 0.0
-        allowed_s = STUCK_AFTER_S + 2.0 * min(longest_s, STUCK_AFTER_S)  # some rigs have no limit
         begun = self._thread.ident is not None
-        alive = begun and self._thread.is_alive()
-        return alive and time.monotonic() - self._idle_until_s > allowed_s
+        return begun and self._thread.is_alive() and self._progress.is_stuck(longest_s)
 
     def _run(self) -> None:
         rig = self._rig
@@ -83,7 +87,7 @@ class RigSupervisor:
             goal = rig.state.goal
             rig.log_event(EventKind.STARTED, f"supervision of rig {self.name} begins: {goal}")
             while rig.mode is not SupervisorMode.STOPPED and not rig.refused:
-                self._mark_progress()
+                self._progress.mark()
                 rig.changed.clear()
                 with suppress(Preempted):
                     self._run_step()
@@ -99,21 +103,24 @@ class RigSupervisor:
         except HeldByOtherDaemon as error:
             self._leave_to(str(error))
         except (Interrupted, TooManyVoidTrials) as error:
-            self._pause_for_operator(str(error))
+            cut_off = isinstance(error, Interrupted)
+            fault = FaultCode.TRIAL_CUT_OFF if cut_off else FaultCode.VOID_TRIALS
+            self._pause_for_operator(str(error), fault)
         except UnsafeStart as error:
             self._rig.revert_to_original(str(error))
         except RigError as error:
             self._handle_rig_error(error)
         except InvalidInput as error:
             if self._access is None:
-                self._fail(str(error))
+                self._fail(str(error), FaultCode.SETTINGS)
             else:  # the file does not suit the rig: trying again does not help
-                self._pause_for_operator(str(error))
+                self._pause_for_operator(str(error), FaultCode.SETTINGS)
         except EstuneError as error:
-            self._fail(str(error))
+            of_disk = isinstance(error, JournalError)
+            self._fail(str(error), FaultCode.STORAGE if of_disk else FaultCode.DAEMON_ERROR)
         except Exception as error:  # noqa: BLE001  a fault here must not end the supervision
             _log.exception("rig %s", self.name, extra={"rig": self.name})
-            self._fail(f"{type(error).__name__}: {error}")
+            self._fail(f"{type(error).__name__}: {error}", FaultCode.DAEMON_ERROR)
 
     def _act(self, mode: SupervisorMode) -> None:
         match mode:
@@ -142,12 +149,12 @@ class RigSupervisor:
         else:
             self._rig.refused = f"held by {holder}; stop one of the two daemons"
             sentence = f"rig {self.name} is left alone: it is {self._rig.refused}"
-            self._rig.log_event(EventKind.FAILED, sentence)
+            self._rig.log_event(EventKind.FAILED, sentence, fault=FaultCode.RIG_HELD)
 
-    def _fail(self, why: str) -> None:
+    def _fail(self, why: str, fault: FaultCode) -> None:
         self._disconnect()
         self._consecutive_failures += 1
-        self._rig.apply_event(SupervisorEvent.FAILED, why, EventKind.FAILED)
+        self._rig.apply_event(SupervisorEvent.FAILED, why, EventKind.FAILED, fault=fault)
 
     def _handle_rig_error(self, error: RigError) -> None:
         """The rig is lost or held by others; after an emergency stop an operator is needed."""
@@ -155,15 +162,17 @@ class RigSupervisor:
         if estop_reason and self._rig.mode is not SupervisorMode.STOPPING:
             self._pause_for_operator(
                 f"rig {self.name} is in its safe state after an emergency stop ({estop_reason}); "
-                "check the rig, clear the stop, then resume"
+                "check the rig, clear the stop, then resume",
+                FaultCode.EMERGENCY_STOP,
             )
         else:
             self._disconnect()
             self._consecutive_failures += 1
-            self._rig.apply_event(SupervisorEvent.LOST, str(error), EventKind.LOST)
+            lost, fault = SupervisorEvent.LOST, FaultCode.RIG_LOST
+            self._rig.apply_event(lost, str(error), EventKind.LOST, fault=fault)
 
-    def _pause_for_operator(self, why: str) -> None:
-        self._rig.apply_event(SupervisorEvent.TROUBLE, why, EventKind.TROUBLE)
+    def _pause_for_operator(self, why: str, fault: FaultCode) -> None:
+        self._rig.apply_event(SupervisorEvent.TROUBLE, why, EventKind.TROUBLE, fault=fault)
         self._rig.mark_ready(None)
 
     def _wait_for_rig(self) -> None:
@@ -173,9 +182,7 @@ class RigSupervisor:
         """
         if self._rig.state.failures:
             failures = max(self._rig.state.failures, self._consecutive_failures)
-            first_s, max_s = self._settings.retry_first_s, self._settings.retry_max_s
-            # The exponent is bounded: a rig may be away for years.
-            wait_s = min(max_s, first_s * 2.0 ** min(failures - 1, 30))
+            wait_s = self._settings.retry_s(failures)
             if self._rest(wait_s * random.uniform(1.0 - _JITTER, 1.0)):  # noqa: S311  no secret
                 return
         full = self._shared.admission.take_place(self.name)
@@ -200,6 +207,7 @@ class RigSupervisor:
             self._access = rig_access.open_rig(
                 *(self._settings, shared.holder, self._void_trials, shared.network),
                 turn=partial(shared.admission.trial, self._wait),
+                counts=self._rig.counts,
             )
         return self._access
 
@@ -207,13 +215,13 @@ class RigSupervisor:
         access, home = self._access or self._connect(), self._rig.state.home
         with self._shared.admission.connecting(self._settings.answer_within_s):
             shared = self._shared.are_rigs_shared
-            fault = rig_access.apply_nominal_gains(self._rig, access, home, shared=shared)
+            obstacle = rig_access.apply_nominal_gains(self._rig, access, home, shared=shared)
         if self._shared.fleet is not None:
             self._shared.fleet.announce(self.name)
         home = self._rig.state.home  # also where another daemon left other gains
-        if fault:
+        if obstacle is not None:
             access.release()
-            self._pause_for_operator(fault)
+            self._pause_for_operator(*obstacle)
             return
         if self._rig.state.paused:
             access.release()
@@ -254,12 +262,12 @@ class RigSupervisor:
 
     def _on_trial(self, progress: Progress) -> None:
         """After each trial, which is committed by now."""
-        self._mark_progress()
+        self._progress.mark()
         self._consecutive_failures = 0
         mode = self._rig.mode
         self._rig.session = progress.session
         self._warn_of_the_disk(progress.session.trials_left)
-        self._rig.cost = _finite(progress.entry.cost)
+        self._rig.note_cost(progress.entry.cost)
         is_past_search = progress.session.phase in (Phase.CHOOSE, Phase.CONFIRM)
         if is_past_search and mode is SupervisorMode.TUNING:
             sentence = f"confirming {progress.session.plan.run}; {progress.session.search_end}"
@@ -271,7 +279,7 @@ class RigSupervisor:
         """Logs once in a run that its disk will be full within a day."""
         if self._disk is not None and (warning := self._disk.warning(trials_left)):
             self._disk = None
-            self._rig.log_event(EventKind.DISK, warning)
+            self._rig.log_event(EventKind.DISK, warning, fault=FaultCode.DISK_LOW)
 
     def _watch(self) -> None:
         """Waits for the next check trial, runs it, and evaluates the control chart."""
@@ -288,7 +296,7 @@ class RigSupervisor:
         with self._shared.admission.computing, self._trials():
             check = rig.checks.run(access, access.description, home, gains)
         self._consecutive_failures = 0
-        rig.cost = _finite(check.cost)
+        rig.note_cost(check.cost)
         if check.signal is None:
             return
         sentence = f"check trial {check.record.trial_id}: {check.signal.sentence}"
@@ -338,7 +346,9 @@ class RigSupervisor:
                 )
         self.confirmed = not fault
         ended = f"ended; the rig has confirmed its gains: {home}" if home else "ended"
-        rig.apply_event(SupervisorEvent.ENDED, fault, EventKind.STOPPED, sentence=fault or ended)
+        facts: dict[str, Any] = {FAULT: FaultCode.NOT_RESTORED} if fault else {}
+        event, kind = SupervisorEvent.ENDED, EventKind.STOPPED
+        rig.apply_event(event, fault, kind, sentence=fault or ended, **facts)
 
     def _connected(self) -> RigAccess:
         if self._access is None:
@@ -358,7 +368,7 @@ class RigSupervisor:
 
     def _wait(self, reason: str) -> None:
         """While a trial waits for its turn."""
-        self._mark_progress()
+        self._progress.mark()
         self._rig.waits_for = reason
         if reason and self._rig.mode not in _TRIAL_MODES:
             self._rig.waits_for = ""
@@ -384,14 +394,7 @@ class RigSupervisor:
 
     def _rest(self, seconds: float) -> bool:
         """Waits; whether the state changed before the time was over."""
-        self._mark_progress(seconds)
+        self._progress.mark(seconds)
         changed = self._rig.changed.wait(seconds)
-        self._mark_progress()
+        self._progress.mark()
         return changed
-
-    def _mark_progress(self, idle_s: float = 0.0) -> None:
-        self._idle_until_s = time.monotonic() + idle_s
-
-
-def _finite(cost: float) -> float | None:
-    return cost if math.isfinite(cost) else None
