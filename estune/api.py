@@ -15,6 +15,7 @@ from estune.errors import EstuneError, InvalidInput, JournalError, RigError
 from estune.loop_model.optimum import RobustnessLimits
 from estune.run import archived_run, loop, progress
 from estune.run.journal import RECORDS_LEAST, Journal
+from estune.run.labels import write_numbers
 from estune.run.loop import ApprovalCallback, ProgressListener, Stopped, TuningRun
 from estune.run.plan import Search
 from estune.run.planning import (
@@ -267,7 +268,11 @@ def _run(
         progress.watching(watch, tuning_, asking=ask is not None) as listeners,
     ):
         loop.run(tuning_, rig, listeners, ask)
-    return result.from_tuning(tuning_)
+    made = result.from_tuning(tuning_)
+    if made.folder is not None:
+        with contextlib.suppress(InvalidInput):  # a list without them is no reason to fail
+            write_numbers(made.folder, made.listed_numbers)
+    return made
 
 
 @contextlib.contextmanager

@@ -1,6 +1,7 @@
 """`estune list`, `estune show` and `estune export`: runs on disk."""
 
 import math
+from collections.abc import Callable
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -12,13 +13,29 @@ from estune.core.gains import GAIN_NAMES
 from estune.errors import EstuneError, InvalidInput, JournalError
 from estune.run.ending import RunEnding
 from estune.run.journal import FILE_NAME, Journal, being_written
+from estune.run.labels import read_labels, read_numbers
 from estune.run.progress import counting
+from estune.support.quantity_text import time_text
 
 if TYPE_CHECKING:
     from estune.recordings.record_files import RecordFormat
     from estune.run.results.result import TuneResult
 
 REPORT_NAME = "report.html"
+_COLUMNS: dict[str, Callable[[dict[str, Any]], str]] = {
+    "run": lambda row: str(row["run"]),
+    "begun": lambda row: output.local_time(row["created_at"]) if row["created_at"] else "-",
+    "rig": lambda row: _cell(row["rig"]),
+    "trials": lambda row: _cell(row["trials"]),
+    "state": lambda row: str(row["state"]),
+    "rise": lambda row: "-" if row["rise_time_s"] is None else time_text(row["rise_time_s"]),
+    "overshoot": lambda row: "-" if row["overshoot"] is None else f"{row['overshoot']:.1%}",
+    "Ms": lambda row: "-" if row["Ms"] is None else f"{row['Ms']:.2f}",
+    "start cost": lambda row: _cell(row["start_cost"]),
+    "cost": lambda row: _cell(row["cost"]),
+    "tags": lambda row: ", ".join(row["tags"]),
+}
+"""Columns of the list of runs."""
 
 
 def list_runs(folder: Path = Path(api.RUNS), *, json: Flag = False) -> None:
@@ -35,11 +52,7 @@ def list_runs(folder: Path = Path(api.RUNS), *, json: Flag = False) -> None:
     elif not rows:
         print(f"no runs in {folder}; make one with: estune tune TARGET")
     else:
-        columns = ("run", "created_at", "rig", "trials", "state", "start_cost", "cost")
-        heads = ("run", "begun", "rig", "trials", "state", "start cost", "cost")
-        for row in rows:
-            row["created_at"] = row["created_at"] and output.local_time(row["created_at"])
-        output.show_table(heads, ([_cell(row[name]) for name in columns] for row in rows))
+        output.show_table(_COLUMNS, ([show(row) for show in _COLUMNS.values()] for row in rows))
 
 
 def show(
@@ -169,13 +182,14 @@ def find_run(run: str, folder: Path) -> Path:
 def _summary(path: Path) -> dict[str, Any]:
     """Row of a run in the list; its state is the reason, if the run cannot be read."""
     row: dict[str, Any] = dict.fromkeys(("created_at", "rig", "trials", "start_cost", "cost"))
+    row |= read_numbers(path)._asdict() | read_labels(path)._asdict()
     try:
         with Journal.open(path) as journal:
             created, status = journal.fact("created_at"), journal.fact("status")
         result = api.load(path)
     except EstuneError as error:
         return {"run": path.name, **row, "state": f"unreadable: {error}"}
-    return {
+    return row | {
         "run": path.name,
         "created_at": created,
         "rig": result.rig.name,

@@ -5,6 +5,7 @@ from typing import Any
 
 from estune.errors import EstuneError
 from estune.run.journal import FILE_NAME, Journal, being_written
+from estune.run.labels import LABELS, NUMBERS, read_labels, read_numbers
 from estune.run.session import Phase
 from estune.trial import Outcome
 
@@ -23,7 +24,7 @@ class ListedRun:
         self._read: tuple[tuple[int, ...], dict[str, Any]] = (), {}
 
     def row(self) -> dict[str, Any]:
-        """Rig, time of the begin, state, trials, cost at the start and the best."""
+        """Rig, time of the begin, state, trials, costs, response, tags and note."""
         stamp = self._stamp()
         if stamp != self._read[0]:
             self._read = stamp, self._row()
@@ -35,7 +36,8 @@ class ListedRun:
     def _stamp(self) -> tuple[int, ...]:
         """Times at which the journal's files were written."""
         file = self._folder / FILE_NAME
-        files = (file, file.with_name(f"{FILE_NAME}-wal"))
+        others = (f"{FILE_NAME}-wal", LABELS, NUMBERS)
+        files = (file, *map(file.with_name, others))
         return tuple(one.stat().st_mtime_ns for one in files if one.exists())
 
     def _row(self) -> dict[str, Any]:
@@ -55,4 +57,6 @@ class ListedRun:
             "trials": len(entries),
             "start_cost": sum(baseline) / len(baseline) if baseline else None,
             "cost": min((e.cost for e in done), default=None),
+            **read_numbers(self._folder)._asdict(),
+            **read_labels(self._folder)._asdict(),
         }

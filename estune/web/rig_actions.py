@@ -4,8 +4,6 @@ An action is that of any client: it asks the rig for its lease, and is refused w
 it. A tuning is the command `estune tune` in a process of its own.
 """
 
-import json
-import os
 import signal
 import subprocess
 import sys
@@ -26,13 +24,12 @@ from estune.support.quantity_text import time_text
 from estune.trial import Outcome, RigDescription, TrialRecord, TrialRequest
 from estune.trial.scoring import cost_of, metrics_of
 from estune.web.board import Board
+from estune.web.run_actions import note_action
 from estune.web.run_reader import curve
 
 Arguments = Mapping[str, Any]
 FORM = (("Search", SEARCH), ("Limits", LIMITS), ("Step", STEP), ("Cost", COST))
 """Settings of a tuning, by the group of the form."""
-NOTES = "actions.jsonl"
-"""File in the folder of runs to which each action adds a line."""
 NAMES = {"preset": "--cost"}
 """Settings whose option is not their name."""
 _END_WITHIN_S = 10.0
@@ -192,13 +189,7 @@ class RigActions:
 
     def _note(self, name: str, who: str, sentence: str) -> str:
         """Adds an action to the file of notes and to the page."""
-        at = datetime.now().astimezone().isoformat(timespec="milliseconds")
-        note = {"at": at, "who": who, "rig": self.rig, "action": name, "sentence": sentence}
-        self.folder.mkdir(parents=True, exist_ok=True)
-        with (self.folder / NOTES).open("a", encoding="utf-8") as file:
-            file.write(json.dumps(note) + "\n")
-            file.flush()
-            os.fsync(file.fileno())
+        at = note_action(self.folder, self.rig, name, who, sentence)
         self._noted += 1
         self.board.extend("events", [(self._noted, at, name, f"{who}: {sentence}")])
         return sentence

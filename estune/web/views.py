@@ -28,6 +28,7 @@ from estune.web.listed_run import ListedRun
 from estune.web.reader import Reader
 from estune.web.rig_actions import RigActions
 from estune.web.rig_reader import RigReader
+from estune.web.run_actions import run_actions
 from estune.web.run_reader import RunReader
 from estune.web.tuning_source import TuningSource
 
@@ -108,10 +109,10 @@ def run_view(folder: Path, security: Security = OPEN) -> View:
     """A run, with the rig at the endpoint it was made on."""
     board = Board()
     readers: list[Reader] = [RunReader(board, folder)]
-    commands: dict[str, Execute] = {}
     actions = None
     with Journal.open(folder) as journal:
         target, rig = journal.fact("target"), journal.fact("rig")["name"]
+    commands: dict[str, Execute] = run_actions(folder, rig)
     if is_endpoint(target):
         connect_rig = _connecting(target, rig, security)
         run, is_wanted = folder.name, partial(_is_running, board)
@@ -119,7 +120,7 @@ def run_view(folder: Path, security: Security = OPEN) -> View:
         readers.append(reader)
         actions = _actions(board, target, rig, security, folder.parent)
         kept = {name: actions.commands()[name] for name in ("resume", "stop")}
-        commands = {"estop": _stopping(reader), **kept}
+        commands |= {"estop": _stopping(reader), **kept}
     return View(
         folder.name,
         "run",
@@ -143,6 +144,8 @@ def folder_views(folder: Path, security: Security = OPEN) -> Views:
             if path not in kept:
                 with suppress(JournalError):  # half-copied, or just being begun: tried again
                     kept[path] = run_view(path, security)
+        for path in kept.keys() - set(newest):  # deleted meanwhile
+            kept.pop(path).close()
         return [kept.get(path) or _unreadable(path) for path in newest]
 
     return views

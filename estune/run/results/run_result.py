@@ -15,10 +15,12 @@ from scipy.optimize import OptimizeResult
 from estune.core.comparison import Change, repeatability
 from estune.core.controller_form import ControllerForm
 from estune.core.gains import GAIN_NAMES, Gains
+from estune.core.metrics import NO_METRICS
 from estune.errors import JournalError
 from estune.loop_model.claim import Claim, unexplained
 from estune.run.ending import RunEnding
 from estune.run.journal import Journal, JournalEntry
+from estune.run.labels import ListedNumbers
 from estune.run.limit_verdict import LimitVerdict, measured_overshoot
 from estune.run.plan import Plan
 from estune.run.results import result_warnings
@@ -196,6 +198,17 @@ class RunResult(OptimizeResult):  # type: ignore[misc]  # scipy ships no type in
         listed = ", ".join(f"{count} {what}" for count, what in parts if count)
         total = len(self.entries)
         return f"{total} trial{'' if total == 1 else 's'}{f' ({listed})' if listed else ''}"
+
+    @property
+    def listed_numbers(self) -> ListedNumbers:
+        """Rise time, overshoot and Ms of the gains to use, for a list of runs."""
+        metrics, margins = (self.tuned or self.start).metrics, self.claim.margins
+        known = metrics or NO_METRICS
+        rise_s, overshoot = (
+            x if math.isfinite(x) else None for x in (known.rise_time_s, known.overshoot)
+        )
+        Ms = None if margins is None else margins.sensitivity.value
+        return ListedNumbers(rise_s, overshoot, Ms)
 
     def heading(self) -> str:
         """The run in one line, its ending first."""

@@ -1,6 +1,7 @@
 // The page: follows one view by server-sent events, and draws what has changed.
 
 import { openForm } from "./form.js";
+import { LabelForm } from "./labels.js";
 import { RunTable } from "./runs.js";
 import { Sections } from "./sections.js";
 import { TuningSection } from "./tuning.js";
@@ -17,6 +18,8 @@ if (key) {
 let stream = null, view = "", shown = null;
 let beat = { at: performance.now(), ages: {} };
 const tuning = new TuningSection(), runs = new RunTable();
+const labels = new LabelForm((given) => command("label", given));
+runs.onLaidOver = (names) => shown.layOver(names);
 export const sections = () => shown; // of the view on the page
 let allowed = [], kind = "";
 
@@ -29,6 +32,7 @@ function open(name) {
   view = name;
   shown?.close();
   shown = new Sections();
+  shown.layOver([...runs.laidOver].filter((one) => one !== name));
   tuning.show(name);
   beat = { at: performance.now(), ages: {} };
   stream = new EventSource(`api/events?view=${encodeURIComponent(name)}`);
@@ -173,6 +177,7 @@ async function command(name, given) {
     text($("answer"), `${name}: ${answer.sentence}; waiting for the rig to confirm`);
     pending = name;
   } else text($("answer"), `${name}: ${answer.sentence}`); // the server has asked the rig
+  if (answer.done && ["label", "delete"].includes(name)) list();
 }
 
 function confirm(values) {
@@ -191,14 +196,16 @@ function showCommands() {
     button.textContent = label(name);
     button.dataset.command = name;
     button.addEventListener("click", () => {
-      if (kind !== "daemon" && name === "tune") openForm((settings) => command("tune", { settings }));
+      if (name === "delete") {
+        if (window.confirm(`Delete run ${view} with all of its trials? This cannot be undone.`)) command(name, { confirmed: view });
+      } else if (kind !== "daemon" && name === "tune") openForm((settings) => command("tune", { settings }));
       else command(name, name === "resume" && kind === "run" ? { run: view } : undefined);
     });
     return button;
   }));
   tuning.act = kind !== "daemon" && allowed.includes("try") ? command : null;
 }
-const BUTTONS = { tune: "Start a tuning\u2026", stop: "Stop the tuning", resume: "Resume this run", reset: "Reset the emergency stop" };
+const BUTTONS = { tune: "Start a tuning\u2026", stop: "Stop the tuning", resume: "Resume this run", reset: "Reset the emergency stop", delete: "Delete this run\u2026" };
 $("estop").addEventListener("click", () => command("estop"));
 
 async function list() {
@@ -212,7 +219,7 @@ async function list() {
   const names = answer.views.map((one) => one.name);
   runs.show(answer.views, view);
   if (stream && (stream.readyState === EventSource.CLOSED || silent_s > AGAIN_S)) open(view);
-  shown?.offer(names.filter((name) => name !== view));
+  labels.show(answer.views.find((one) => one.name === view), allowed);
   const wanted = new URLSearchParams(location.search).get("view");
   if (!view && names.length) {
     open(names.includes(wanted) ? wanted : names[0]);

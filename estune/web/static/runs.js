@@ -2,10 +2,14 @@
 
 const $ = (id) => document.getElementById(id);
 const cost = (x) => (x == null ? "" : Number(x.toPrecision(4)).toString());
+const time = (s) => (s == null ? "" : s < 1 ? `${cost(1e3 * s)} ms` : `${cost(s)} s`);
+export const LAID_OVER_MAX = 5;
 const COLUMNS = [
   ["name", "name", (x) => x], ["rig", "rig", (x) => x ?? ""], ["state", "state", (x) => x],
   ["begun", "begun", (x) => (x ? new Date(x).toLocaleString() : "")], ["trials", "trials", (x) => x ?? ""],
-  ["start_cost", "cost before", cost], ["cost", "best cost", cost],
+  ["rise_time_s", "rise", time],
+  ["overshoot", "overshoot", (x) => (x == null ? "" : `${(100 * x).toFixed(1)} %`)], ["Ms", "Ms", (x) => (x == null ? "" : x.toFixed(2))],
+  ["start_cost", "cost before", cost], ["cost", "best cost", cost], ["tags", "tags", (x) => (x ?? []).join(", ")], ["note", "note", (x) => x ?? ""],
 ];
 
 export class RunTable {
@@ -13,6 +17,7 @@ export class RunTable {
     this.rows = [];
     this.by = "begun";
     this.falling = true;
+    this.laidOver = new Set();
     $("filter").addEventListener("input", () => this.draw());
     $("views").querySelector("thead tr").replaceChildren(...COLUMNS.map(([key, label]) => {
       const th = document.createElement("th"), button = document.createElement("button");
@@ -26,7 +31,7 @@ export class RunTable {
       });
       th.append(button);
       return th;
-    }));
+    }), Object.assign(document.createElement("th"), { scope: "col", textContent: "lay over" }));
   }
 
   // New rows, of which one is shown on the page.
@@ -47,7 +52,7 @@ export class RunTable {
       return sign * (typeof a === "number" ? a - b : String(a).localeCompare(String(b)));
     };
     const shown = this.rows.filter((row) => words.every((word) => text(row).includes(word))).sort(order);
-    $("views").querySelectorAll("th").forEach((th, n) => th.setAttribute("aria-sort", COLUMNS[n][0] !== this.by ? "none" : this.falling ? "descending" : "ascending"));
+    $("views").querySelectorAll("th:has(button)").forEach((th, n) => th.setAttribute("aria-sort", COLUMNS[n][0] !== this.by ? "none" : this.falling ? "descending" : "ascending"));
     $("views").querySelector("tbody").replaceChildren(...shown.map((row) => {
       const tr = document.createElement("tr");
       COLUMNS.forEach(([key, , form], n) => {
@@ -57,6 +62,16 @@ export class RunTable {
         if (row.name === this.current) link.setAttribute("aria-current", "page");
         cell.append(link);
       });
+      const box = Object.assign(document.createElement("input"), { type: "checkbox", checked: this.laidOver.has(row.name) });
+      box.setAttribute("aria-label", `Lay ${row.name} over the shown run`);
+      box.disabled = row.name === this.current || (!box.checked && this.laidOver.size >= LAID_OVER_MAX);
+      box.addEventListener("change", () => {
+        this.laidOver[box.checked ? "add" : "delete"](row.name);
+        this.draw();
+        $("views").querySelector(`[aria-label="${CSS.escape(box.getAttribute("aria-label"))}"]`)?.focus();
+        this.onLaidOver([...this.laidOver]);
+      });
+      tr.insertCell().append(box);
       return tr;
     }));
   }

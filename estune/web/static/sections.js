@@ -9,8 +9,7 @@ const last = (rows) => rows[rows.length - 1];
 export class Sections {
   constructor() {
     this.charts = {};
-    $("compare").querySelector("select").replaceChildren();
-    this.other = null;
+    this.others = []; // runs laid over this one: {name, curve}
     this.clear();
   }
 
@@ -69,16 +68,16 @@ export class Sections {
     const now = v.live
       ? { t: samples.map((r) => r[0]), r: samples.map((r) => r[1]), y: samples.map((r) => r[2]), u: samples.map((r) => r[3] * per) }
       : v["curve.tuned"] ? undefined : v["curve.latest"]; // which is as good as the tuned one
-    const shown = [...curves.map(([name]) => v[name]), this.other, now].map((one) => one ?? {});
+    const shown = [...curves.map(([name]) => v[name]), ...this.others.map((one) => one.curve), now].map((one) => one ?? {});
     const setpoint = now?.t?.length ? now : v["curve.start"] ?? {};
     const step = about.step_at_s ?? 0;
     const [unit, unit_s] = timeUnit(last((v["curve.start"] ?? now ?? {}).t ?? [0]));
-    const shifted = (one) => one.t?.map((t) => (t - step) / unit_s);
+    const shifted = (one) => one.t?.map((t) => (t - (one.step ?? step)) / unit_s);
     const series = [
       { label: "setpoint", colour: "grey", dash: [6, 4], width: 1 },
       { label: "initial gains", colour: "orange", dash: [8, 3] },
       { label: curves[1][1], colour: "green", width: 1.8 },
-      { label: "other run", colour: "purple", dash: [2, 3] },
+      ...this.others.map(({ name }, n) => ({ label: name, colour: n % 2 ? "red" : "purple", dash: [[2, 3], [6, 3], [9, 3, 2, 3]][n >> 1] })),
       { label: v.live ? "live" : "latest trial", colour: "blue", width: 1.4 },
     ];
     const x = `time from the step, ${unit}`;
@@ -217,29 +216,33 @@ export class Sections {
     }));
   }
 
-  // Offers the other views to be laid over this one.
-  offer(names) {
-    const label = $("compare"), select = label.querySelector("select");
-    label.hidden = !names.length;
-    const shown = ["nothing", ...names];
-    if (select.dataset.shown === shown.join("\n")) return;
-    select.dataset.shown = shown.join("\n");
-    select.replaceChildren(...shown.map((name) => new Option(name, name)));
-    select.onchange = () => this.compare(select.selectedIndex ? select.value : "");
+  // Lays the responses of other runs over this one, one after the other: a browser opens few streams.
+  async layOver(names) {
+    this.wanted = names;
+    const kept = this.others.filter(({ name }) => names.includes(name));
+    for (const name of names)
+      if (!kept.some((one) => one.name === name)) kept.push({ name, curve: await curveOf(name) });
+    if (this.wanted !== names) return; // others were chosen meanwhile
+    this.others = kept;
+    this.changed.add("other");
+    this.draw();
   }
+}
 
-  compare(name) {
-    this.other = null;
-    const redraw = () => { this.changed.add("other"); this.draw(); };
-    if (!name) return redraw();
+const CURVE_WITHIN_MS = 10000;
+
+// The response of the best gains of a run; nothing for one without.
+function curveOf(name) {
+  return new Promise((resolve) => {
     const stream = new EventSource(`api/events?view=${encodeURIComponent(name)}`);
+    const end = (curve) => { stream.close(); clearTimeout(timer); resolve(curve); };
+    const timer = setTimeout(end, CURVE_WITHIN_MS);
+    let step;
     stream.onmessage = (event) => {
-      const { values } = JSON.parse(event.data);
-      const curve = values["curve.tuned"] ?? values["curve.best"];
-      if (!curve) return;
-      stream.close();
-      this.other = curve;
-      redraw();
+      const { values } = JSON.parse(event.data), curve = values["curve.tuned"] ?? values["curve.best"];
+      step = values.run?.step_at_s ?? step;
+      if (curve) end({ ...curve, step });
     };
-  }
+    stream.onerror = () => end();
+  });
 }
