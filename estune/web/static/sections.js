@@ -63,12 +63,13 @@ export class Sections {
     const isEmpty = !this.tables.samples.length && !["start", "best", "latest", "tuned"].some((name) => v[`curve.${name}`]);
     $("trial").hidden = isEmpty;
     if (isEmpty) return;
+    const others = this.others.filter(({ curve }) => !curve || curve.measurement === about.measurement);
     const curves = [["curve.start", "initial gains"], [v["curve.tuned"] ? "curve.tuned" : "curve.best", v["curve.tuned"] ? "tuned gains" : "best so far"]];
     const samples = this.tables.samples, per = about.per_ampere;
     const now = v.live
       ? { t: samples.map((r) => r[0]), r: samples.map((r) => r[1]), y: samples.map((r) => r[2]), u: samples.map((r) => r[3] * per) }
       : v["curve.tuned"] ? undefined : v["curve.latest"]; // which is as good as the tuned one
-    const shown = [...curves.map(([name]) => v[name]), ...this.others.map((one) => one.curve), now].map((one) => one ?? {});
+    const shown = [...curves.map(([name]) => v[name]), ...others.map((one) => one.curve), now].map((one) => one ?? {});
     const setpoint = now?.t?.length ? now : v["curve.start"] ?? {};
     const step = about.step_at_s ?? 0;
     const [unit, unit_s] = timeUnit(last((v["curve.start"] ?? now ?? {}).t ?? [0]));
@@ -77,7 +78,7 @@ export class Sections {
       { label: "setpoint", colour: "grey", dash: [6, 4], width: 1 },
       { label: "initial gains", colour: "orange", dash: [8, 3] },
       { label: curves[1][1], colour: "green", width: 1.8 },
-      ...this.others.map(({ name }, n) => ({ label: name, colour: n % 2 ? "red" : "purple", dash: [[2, 3], [6, 3], [9, 3, 2, 3]][n >> 1] })),
+      ...others.map(({ name }, n) => ({ label: name, colour: n % 2 ? "red" : "purple", dash: [[2, 3], [6, 3], [9, 3, 2, 3]][n >> 1] })),
       { label: v.live ? "live" : "latest trial", colour: "blue", width: 1.4 },
     ];
     const x = `time from the step, ${unit}`;
@@ -99,7 +100,8 @@ export class Sections {
       label: `${about.command} over time` });
     command.show(joined(shown.map((one) => [shifted(one), one.u])), limits(about.command_limits), { x: ends, y: this.held.u });
     const number = v.live?.trial_id ?? (v["curve.latest"] ? `trial ${v["curve.latest"].number}` : "");
-    $("trial-text").textContent = number;
+    const apart = this.others.filter((one) => !others.includes(one)).map(({ name }) => name).join(", ");
+    $("trial-text").textContent = apart ? `${number}; not drawn, for they measure something else: ${apart}` : number;
   }
 
   drawSearch() {
@@ -237,11 +239,11 @@ function curveOf(name) {
     const stream = new EventSource(`api/events?view=${encodeURIComponent(name)}`);
     const end = (curve) => { stream.close(); clearTimeout(timer); resolve(curve); };
     const timer = setTimeout(end, CURVE_WITHIN_MS);
-    let step;
+    let about = {};
     stream.onmessage = (event) => {
       const { values } = JSON.parse(event.data), curve = values["curve.tuned"] ?? values["curve.best"];
-      step = values.run?.step_at_s ?? step;
-      if (curve) end({ ...curve, step });
+      if (values.run) about = { step: values.run.step_at_s, measurement: values.run.measurement };
+      if (curve) end({ ...curve, ...about });
     };
     stream.onerror = () => end();
   });
