@@ -34,14 +34,14 @@ def declared_effects(
         base: Its fit.
         fitted: Its values with their intervals.
     """
-    found = []
+    listed = []
     for n, effect in enumerate(plant.effects):
-        rest = (*plant.effects[:n], *plant.effects[n + 1 :], plant.calibration)
-        without = diagnosed(replace(plant.model, effects=rest), plant.measurements)
+        others = (*plant.effects[:n], *plant.effects[n + 1 :], plant.calibration)
+        without = diagnosed(replace(plant.model, effects=others), plant.measurements)
         fitter = ModelFitter(without, plant.measurements, noise)
-        left = fitter.fit((), fitter.base.start, ROUNDS).J
-        found.append(_declared(type(effect), left, base.J, fitted, plant))
-    return tuple(found)
+        J_without = fitter.fit((), fitter.base.start, ROUNDS).J
+        listed.append(_declared(type(effect), J_without, base.J, fitted, plant))
+    return tuple(listed)
 
 
 def _declared(
@@ -51,10 +51,10 @@ def _declared(
     fitted: Mapping[str, Interval],
     plant: DiagnosedModel,
 ) -> DeclaredEffect:
-    left, rest = math.sqrt(without), math.sqrt(with_it)
-    explained = explained_share(left, rest)
+    ratio_without, ratio_with = math.sqrt(without), math.sqrt(with_it)
+    explained = explained_share(ratio_without, ratio_with)
     supported = without > CONSTANTS.floor and explained >= CONSTANTS.one_more
-    ratios = f"{left:.3g} times the noise floor without it, {rest:.3g} with"
+    ratios = f"{ratio_without:.3g} times the noise floor without it, {ratio_with:.3g} with"
     verdict = "is supported by" if supported else "is not supported by"
     parameters = {
         name: in_own_units(effect, name, fitted[f"{effect.name}.{name}"], plant.model)

@@ -381,7 +381,7 @@ class DiagnosisResult:
     @property
     def exit_code(self) -> int:
         """Exit code of `estune explain`: `LIMITED`, `FAULTY`, or 0."""
-        if any(one.by_data for one in self.limitations):
+        if any(limit.by_data for limit in self.limitations):
             return FAULTY
         return LIMITED if self.limitations else 0
 

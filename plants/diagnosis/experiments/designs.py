@@ -279,7 +279,7 @@ def initial_experiments(rig: RigDescription) -> tuple[Experiment, ...]:
         return made
     back = replace(step, preload_N=step.preload_N + step.step_N, step_N=-step.step_N)
     steps = ("step", "the rig's own step", step), ("step-back", "the rig's own step back", back)
-    return (*made, *(Experiment(*one) for one in steps))
+    return (*made, *(Experiment(*experiment) for experiment in steps))
 
 
 def candidate_experiments(rig: RigDescription) -> tuple[Experiment, ...]:
@@ -289,7 +289,9 @@ def candidate_experiments(rig: RigDescription) -> tuple[Experiment, ...]:
 
 def _made(rig: RigDescription, designs: Sequence[Design]) -> tuple[Experiment, ...]:
     scale = RigScale(rig)
-    return tuple(one for one in map(scale.experiment, designs) if one is not None)
+    return tuple(
+        experiment for experiment in map(scale.experiment, designs) if experiment is not None
+    )
 
 
 def _line(frequency_Hz: float, period_s: float) -> int:

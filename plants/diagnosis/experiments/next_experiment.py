@@ -96,11 +96,11 @@ def rig_of(model: Any, measurements: Sequence[MeasuredRecord]) -> RigDescription
         described: RigDescription = model.describe("rig", ANY_GAINS)
     except EstuneError:
         return None
-    seen = [m.setpoint_N for m in measurements if m.setpoint_N is not None]
-    if not seen:
+    setpoints = [m.setpoint_N for m in measurements if m.setpoint_N is not None]
+    if not setpoints:
         return None
-    low = max(described.limits.tension_min_N, min(float(s.min()) for s in seen))
-    high = min(described.limits.tension_max_N, max(float(s.max()) for s in seen))
+    low = max(described.limits.tension_min_N, min(float(s.min()) for s in setpoints))
+    high = min(described.limits.tension_max_N, max(float(s.max()) for s in setpoints))
     if not low < high:
         return None
     middle = 0.5 * (low + high)
@@ -122,24 +122,28 @@ def _deciding(
     rig: RigDescription,
 ) -> NextExperiment | None:
     """The experiment in which the least distinct pair of models differs most."""
-    planned = [_placeholder(one, evidence.measurements, rig) for one in experiments]
+    planned = [_placeholder(each, evidence.measurements, rig) for each in experiments]
     simulated = {
         slug: _predicted(model, planned, evidence.noise) for slug, model in rivals.items()
     }
     # Even the model that simulated a record has a residual: windows begin at a smoothed reading.
     # That much is no difference between models.
-    own = {slug: _unfitted(model, simulated[slug], evidence) for slug, model in rivals.items()}
+    unfitted_own = {
+        slug: _unfitted(model, simulated[slug], evidence) for slug, model in rivals.items()
+    }
     separation = np.full(len(planned), math.inf)
-    for one, other in itertools.permutations(rivals, 2):
-        unfitted = _unfitted(rivals[one], simulated[other], evidence) - own[other]
+    for slug, true_slug in itertools.permutations(rivals, 2):
+        unfitted = (
+            _unfitted(rivals[slug], simulated[true_slug], evidence) - unfitted_own[true_slug]
+        )
         separation = np.minimum(separation, np.maximum(unfitted, 0.0))
     most = float(separation.max())
     why = (
         f"distinguishes {' and '.join(rivals)}: they differ by {math.sqrt(most):.2g} sigmas, rms, "
         "with all other parameters free"
     )
-    found = _best(experiments, separation, SEPARATION_MIN, why)
-    return found and replace(found, separation=most)
+    best = _best(experiments, separation, SEPARATION_MIN, why)
+    return best and replace(best, separation=most)
 
 
 def _exploring(
@@ -147,7 +151,7 @@ def _exploring(
 ) -> NextExperiment | None:
     """The experiment that drives the base model furthest where its residual is."""
     block = evidence.where.blocks[0] if evidence.where.blocks else None
-    planned = [_placeholder(one, evidence.measurements, rig) for one in experiments]
+    planned = [_placeholder(experiment, evidence.measurements, rig) for experiment in experiments]
     predicted = _predicted(base, planned, evidence.noise)
     regime = block.regime.name if block is not None and block.regime is not None else ""
     furthest = np.array([_excited(regime, m) for m in predicted])
@@ -165,9 +169,9 @@ def _best(
     n = int(np.argmax(score))
     if not score[n] > least:
         return None
-    one, sentence = experiments[n], f"{experiments[n].title} {why}"
+    experiment, sentence = experiments[n], f"{experiments[n].title} {why}"
     tried = dict(zip((e.name for e in experiments), score.tolist(), strict=True))
-    trial = TrialFile(one.name, one.profile, why=sentence)
+    trial = TrialFile(experiment.name, experiment.profile, why=sentence)
     return NextExperiment(trial, sentence, None, tried)
 
 
@@ -207,11 +211,11 @@ def _predicted(
     plant = diagnosed(model, planned)
     predictor = Predictor(plant, (), planned, horizon_s=None, floor=noise)
     records = []
-    for m, found in zip(planned, predictor.predict(predictor.start[None]), strict=True):
+    for m, prediction in zip(planned, predictor.predict(predictor.start[None]), strict=True):
         columns = {
             name: column[0]
             for name in OUTPUTS
-            if m.channel(name) is not None and (column := getattr(found, name)) is not None
+            if m.channel(name) is not None and (column := getattr(prediction, name)) is not None
         }
         records.append(replace(m, **columns))
     return records
@@ -225,26 +229,30 @@ def _unfitted(model: Any, records: Sequence[MeasuredRecord], evidence: Evidence)
     index = predictor.index
     unfitted = np.zeros(len(records))
     for n, record in enumerate(records):
-        mine = index.measurement == n
+        of_record = index.measurement == n
         form = np.zeros(len(CHANNELS))  # expected model-form error of each channel
-        for number in np.unique(index.channel[mine]):
+        for number in np.unique(index.channel[of_record]):
             name = CHANNELS[number]
             form[number] = _form_share(name, evidence) * float(
                 np.std(np.asarray(record.channel(name)))
             )
-        weight = 1.0 / np.sqrt(1.0 + (form[index.channel[mine]] / index.sigma[mine]) ** 2)
-        own, r = slopes[mine] * weight[:, None], residuals[mine] * weight
-        scale = np.sqrt((own**2).sum(axis=0))
-        own = own[:, scale > 0.0] / scale[scale > 0.0]
-        r = r - own @ (np.linalg.pinv(own.T @ own, rcond=1e-9, hermitian=True) @ (own.T @ r))
+        weight = 1.0 / np.sqrt(
+            1.0 + (form[index.channel[of_record]] / index.sigma[of_record]) ** 2
+        )
+        slope, r = slopes[of_record] * weight[:, None], residuals[of_record] * weight
+        scale = np.sqrt((slope**2).sum(axis=0))
+        slope = slope[:, scale > 0.0] / scale[scale > 0.0]
+        r = r - slope @ (
+            np.linalg.pinv(slope.T @ slope, rcond=1e-9, hermitian=True) @ (slope.T @ r)
+        )
         unfitted[n] = float(r @ r) / max(r.size, 1)
     return unfitted
 
 
 def _form_share(name: str, evidence: Evidence) -> float:
     """Share of a channel's signal that the models do not explain in the records."""
-    seen = [c for m in evidence.measurements if (c := m.channel(name)) is not None]
-    rms = math.sqrt(sum(float(c.var()) * c.size for c in seen) / sum(c.size for c in seen))
+    columns = [c for m in evidence.measurements if (c := m.channel(name)) is not None]
+    rms = math.sqrt(sum(float(c.var()) * c.size for c in columns) / sum(c.size for c in columns))
     unexplained = math.sqrt(max(evidence.ratio_after**2 - 1.0, 0.0))
     return unexplained * evidence.noise.effective(name, rms) / rms if rms > 0.0 else 0.0
 

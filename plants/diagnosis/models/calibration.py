@@ -83,9 +83,9 @@ class SaggingCalibration(Calibration):
         """The constants a, Q in N^3, what is added to l, and the slack in N."""
         del p
         unit = reel.stiffness_N_m * reel.gravity_m_s2**2 * reel.cable_length_m**3 / 24.0
-        own, added = reel.cable_density_kg_m, vars(reel).get("added_density_kg_m", 0.0)
-        Q = unit * (own + added) ** 2 + TINY_N3
-        a, preload = 1.0 - 2.0 * unit * own**2 / reel.preload_N**3, reel.preload_N
+        own_kg_m, added_kg_m = reel.cable_density_kg_m, vars(reel).get("added_density_kg_m", 0.0)
+        Q = unit * (own_kg_m + added_kg_m) ** 2 + TINY_N3
+        a, preload = 1.0 - 2.0 * unit * own_kg_m**2 / reel.preload_N**3, reel.preload_N
         slack = {}
         if "slack_m" in vars(reel):
             # What is taut has the stiffness without sag, k/a.
@@ -106,10 +106,10 @@ class SaggingCalibration(Calibration):
         start = ca.fmax(2.0 * state[0] - state[1], 0.125 * state[0])
         tension, slope = _straightened(p, start)
         beyond = (p.a * (start - slack) - s) * tension**2 - p.Q
-        found = start - beyond * tension / (p.a * tension**3 + 2.0 * p.Q * slope)
+        stretch = start - beyond * tension / (p.a * tension**3 + 2.0 * p.Q * slope)
         # The root lies above s/a, and stays above zero in however fast a fall.
-        found = ca.fmax(ca.fmax(found, s / p.a + slack), ca.fmin(0.125 * start, p.root))
-        return ca.vertcat(found, state[0]), _straightened(p, found)[0]
+        stretch = ca.fmax(ca.fmax(stretch, s / p.a + slack), ca.fmin(0.125 * start, p.root))
+        return ca.vertcat(stretch, state[0]), _straightened(p, stretch)[0]
 
     @staticmethod
     def rest(p: Values, state: Signal, signal: Signal, site: Site) -> Response:

@@ -210,8 +210,8 @@ class DiagnosedModel(ABC):
                 single records are ignored.
             effects: The effects the fit added, in the predictor's order.
         """
-        own = {name: values[name] for name in self.model.own_numbers if name in values}
-        return replace(self.model, effects=self.built(values, effects), **own)
+        numbers = {name: values[name] for name in self.model.own_numbers if name in values}
+        return replace(self.model, effects=self.built(values, effects), **numbers)
 
     @property
     def is_linear(self) -> bool:
@@ -232,16 +232,16 @@ class DiagnosedModel(ABC):
 
     def slots(self, added: Sequence[type[Effect]]) -> list[Slot]:
         """All free parameters: of the base model, the records and the effects."""
-        place, seen = len(self.effects) + len(added), dict[str, int]()
-        found = [s._replace(column=s.column.replace(CALIBRATION, str(place))) for s in self.base]
+        place, count = len(self.effects) + len(added), dict[str, int]()
+        slots = [s._replace(column=s.column.replace(CALIBRATION, str(place))) for s in self.base]
         for n, (cls, effect) in enumerate(self._listed(added)):
-            seen[cls.name] = seen.get(cls.name, 0) + 1
-            slug = cls.name if seen[cls.name] == 1 else f"{cls.name}#{seen[cls.name]}"
+            count[cls.name] = count.get(cls.name, 0) + 1
+            slug = cls.name if count[cls.name] == 1 else f"{cls.name}#{count[cls.name]}"
             for name, p in cls.parameters().items():
-                given = None if effect is None else float(getattr(effect, name))
-                free = self._of_effect(cls, slug, name, p, given)
-                found.append(Slot(free, f"{n}.{name}"))
-        return found
+                value = None if effect is None else float(getattr(effect, name))
+                free = self._of_effect(cls, slug, name, p, value)
+                slots.append(Slot(free, f"{n}.{name}"))
+        return slots
 
     def command_N(self, measurement: MeasuredRecord) -> FloatArray:
         """The recorded command as effort, N, shape (samples,)."""
@@ -256,14 +256,14 @@ class DiagnosedModel(ABC):
         self, added: Sequence[type[Effect]], measurement: MeasuredRecord
     ) -> dict[str, float]:
         """All parameters of the structure for one record but the samples of dead time."""
-        found = dict(self.numbers(measurement))
-        found["delay_samples"] = 0.0
+        values = dict(self.numbers(measurement))
+        values["delay_samples"] = 0.0
         effects = self._listed(added)
         effects.append((type(self.calibration), self.calibration))
         for n, (cls, effect) in enumerate(effects):
             for name in cls.parameters():
-                found[f"{n}.{name}"] = float(getattr(effect or cls(), name))
-        return found
+                values[f"{n}.{name}"] = float(getattr(effect or cls(), name))
+        return values
 
     def built(
         self, values: Mapping[str, float], added: Sequence[type[Effect]]
@@ -282,8 +282,8 @@ class DiagnosedModel(ABC):
             for n, (cls, _) in enumerate(listed)
         )
         kept = vars(self.calibration).items()
-        own = {name: by_column.get(f"{len(listed)}.{name}", value) for name, value in kept}
-        calibration = type(self.calibration)(**own)
+        fields = {name: by_column.get(f"{len(listed)}.{name}", value) for name, value in kept}
+        calibration = type(self.calibration)(**fields)
         return effects if calibration == Calibration.neutral() else (*effects, calibration)
 
     def _current_sensor(self) -> list[Slot]:
@@ -365,13 +365,13 @@ def diagnosed(model: Any, measurements: Sequence[MeasuredRecord]) -> DiagnosedMo
     if not measurements:
         raise InvalidInput("there are no records to compare the model with")
     kind = _kind(model)
-    found = kind(model, measurements)
-    wanted = set(found.outputs)
+    plant = kind(model, measurements)
+    wanted = set(plant.outputs)
     if not any(wanted & set(m.outputs) for m in measurements):
         raise InvalidInput(
-            f"the model predicts {' and '.join(found.outputs)}, and no record has such a column"
+            f"the model predicts {' and '.join(plant.outputs)}, and no record has such a column"
         )
-    return found
+    return plant
 
 
 def _kind(model: Any) -> type[DiagnosedModel]:
@@ -385,5 +385,5 @@ def _kind(model: Any) -> type[DiagnosedModel]:
             "`diagnosed_by`, or a system of python-control"
         )
     module, _, attribute = reference.partition(":")
-    found: type[DiagnosedModel] = getattr(importlib.import_module(module), attribute)
-    return found
+    kind: type[DiagnosedModel] = getattr(importlib.import_module(module), attribute)
+    return kind

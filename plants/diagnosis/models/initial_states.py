@@ -78,7 +78,7 @@ class _Sampled:
         n, size = self._held.shape[0] - 1, self._output.size
         span = min(2 * either + 1, size)
         first = np.clip(at - either, 0, size - span)
-        states, left, spread = np.empty((at.size, n)), 0.0, np.zeros(n)
+        states, squares, spread = np.empty((at.size, n)), 0.0, np.zeros(n)
         for place in np.unique(at - first).tolist():
             chosen = np.flatnonzero(at - first == place)
             windows = first[chosen, None] + np.arange(span)
@@ -88,12 +88,12 @@ class _Sampled:
             wanted = self._output[windows]
             if self._input is not None:
                 wanted = wanted - self._input[windows] @ self._forced(place, span).T
-            found = wanted @ pseudo.T
-            left += float(np.sum((wanted - found @ design.T) ** 2))
-            states[chosen] = found[:, :n]
+            solution = wanted @ pseudo.T
+            squares += float(np.sum((wanted - solution @ design.T) ** 2))
+            states[chosen] = solution[:, :n]
             spread = np.sqrt(np.sum((self._to_placed @ pseudo[:n]) ** 2, axis=1))
         freedom = at.size * max(span - n - 1, 1)
-        return InitialStates(states @ self._to_placed.T, math.sqrt(left / freedom), spread)
+        return InitialStates(states @ self._to_placed.T, math.sqrt(squares / freedom), spread)
 
     def _rows(self, first: int, last: int) -> FloatArray:
         """Output at samples after an instant by the state there, (samples, n + 1)."""

@@ -147,10 +147,10 @@ class DiagnosedLinear(DiagnosedPlant):
         stepped = np.zeros((n + 1, n + 1))
         stepped[:n, :n], stepped[:n, n] = np.reshape(np.array(model.A), (n, n)), model.B
         step = 0.1 * self.sizes.torque_rms_Nm * self.model.torque_unit
-        seen = 12.0 * SHOWS * noise_floor(self.measurements).tension_N
+        visible = 12.0 * SHOWS * noise_floor(self.measurements).tension_N
         times = np.geomspace(shortest_s, max(longest_s, shortest_s), TIMES)
         travels = step * np.abs(expm(times[:, None, None] * stepped)[:, :n, n] @ np.array(model.C))
-        return float(times[min(int(np.searchsorted(travels, seen)), TIMES - 1)])
+        return float(times[min(int(np.searchsorted(travels, visible)), TIMES - 1)])
 
     def calibrated(
         self, values: Mapping[str, float], effects: Sequence[type[Effect]] = ()

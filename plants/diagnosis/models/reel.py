@@ -115,9 +115,12 @@ class DiagnosedReel(DiagnosedModel):
     def preload(self, measurement: MeasuredRecord) -> float:
         """The record's preload, or else its mean tension."""
         tension = measurement.tension_N
-        for found in (measurement.preload_N, None if tension is None else float(tension.mean())):
-            if found is not None and math.isfinite(found) and found > 0.0:
-                return found
+        for tension_N in (
+            measurement.preload_N,
+            None if tension is None else float(tension.mean()),
+        ):
+            if tension_N is not None and math.isfinite(tension_N) and tension_N > 0.0:
+                return tension_N
         return self.model.tension_N
 
     def unavailable(self, effect: type[Effect]) -> str | None:
@@ -166,7 +169,7 @@ class DiagnosedReel(DiagnosedModel):
         lengths = [self.length(m) for m in self.measurements]
         differ = max(lengths) - min(lengths) > LENGTHS_DIFFER * np.mean(lengths)
         friction = max(r.viscous_friction_Nms, self._unit_friction)
-        found = [
+        parameters = [
             positive("drum_inertia_kg_m2", "kg m2", r.drum_inertia_kg_m2),
             from_zero(
                 "viscous_friction_Nms", "N m s/rad", r.viscous_friction_Nms, 20.0 * friction
@@ -176,16 +179,18 @@ class DiagnosedReel(DiagnosedModel):
             most = 20.0 * max(r.viscous_friction_per_length_Ns, friction / max(lengths))
             start = r.viscous_friction_per_length_Ns
             unit = "N m s/rad per m"
-            found.append(from_zero("viscous_friction_per_length_Ns", unit, start, most))
-            found.append(positive("cable_EA_N", "N", r.cable_EA_N))
+            parameters.append(from_zero("viscous_friction_per_length_Ns", unit, start, most))
+            parameters.append(positive("cable_EA_N", "N", r.cable_EA_N))
         # Of one length, the softer of cable and structure stands for both; without gauge or
         # encoder only ratios to the stiffness show.
         soft = not differ and np.mean(lengths) / r.cable_EA_N > 1.0 / r.structure_stiffness_N_m
         if self.has_gauge and self.has_encoder and soft:
-            found.append(positive("cable_EA_N", "N", r.cable_EA_N))
+            parameters.append(positive("cable_EA_N", "N", r.cable_EA_N))
         elif self.has_gauge and self.has_encoder:
-            found.append(positive("structure_stiffness_N_m", "N/m", r.structure_stiffness_N_m))
-        slots = [Slot(free, free.name) for free in found]
+            parameters.append(
+                positive("structure_stiffness_N_m", "N/m", r.structure_stiffness_N_m)
+            )
+        slots = [Slot(free, free.name) for free in parameters]
         if not self.has_gauge:  # only ratios to the torque's gain show
             return slots
         reach = max(self.sizes.torque_max_Nm / r.drum_radius_m, r.tension_max_N)
@@ -198,17 +203,17 @@ class DiagnosedReel(DiagnosedModel):
 
         Elsewhere it looks like an offset of the gauge and the encoder.
         """
-        found = super().slots(added)
+        slots = super().slots(added)
         laws = (type(self.calibration), *(type(effect) for effect in self.effects), *added)
         identifiable = self.is_often_slack or any(law.by_tension for law in laws)
         if not self.has_gauge or not identifiable:
-            return found
-        given = self.calibration.torque_offset_Nm
+            return slots
+        offset_Nm = self.calibration.torque_offset_Nm
         free = either_way(
-            "torque_offset_Nm", "N m", given, max(self.sizes.torque_max_Nm, abs(given))
+            "torque_offset_Nm", "N m", offset_Nm, max(self.sizes.torque_max_Nm, abs(offset_Nm))
         )
         column = f"{len(self.effects) + len(added)}.{free.name}"
-        return [*found, Slot(free, column)]
+        return [*slots, Slot(free, column)]
 
     @property
     def _unit_friction(self) -> float:

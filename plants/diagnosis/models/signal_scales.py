@@ -74,13 +74,13 @@ def _least(parts: Sequence[FloatArray]) -> float:
     return float(np.quantile(moving, SLOWEST)) if moving.size else 0.0
 
 
-def _rms(parts: Sequence[FloatArray]) -> float:
-    count = sum(part.size for part in parts)
-    return math.sqrt(sum(float(part @ part) for part in parts) / count) if count else 0.0
+def _rms(signals: Sequence[FloatArray]) -> float:
+    count = sum(signal.size for signal in signals)
+    return math.sqrt(sum(float(signal @ signal) for signal in signals) / count) if count else 0.0
 
 
-def _max(parts: Sequence[FloatArray]) -> float:
-    return max((float(np.abs(part).max(initial=0.0)) for part in parts), default=0.0)
+def _max(signals: Sequence[FloatArray]) -> float:
+    return max((float(np.abs(signal).max(initial=0.0)) for signal in signals), default=0.0)
 
 
 def units(

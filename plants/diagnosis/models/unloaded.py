@@ -93,17 +93,17 @@ class DiagnosedDrum(DiagnosedModel):
 
         An incremental encoder starts at any angle: the wave has another phase in each record.
         """
-        found = super().slots(added)
-        own = (type(effect) for effect in self.effects)
+        slots = super().slots(added)
+        declared = (type(effect) for effect in self.effects)
         angles = [(n, m.angle_rad) for n, m in enumerate(self.measurements)]
         turning = [(n, angle) for n, angle in angles if angle is not None]
-        if len(turning) < 2 or not any(effect.named(Role.PHASE) for effect in (*own, *added)):
-            return found
+        if len(turning) < 2 or not any(effect.named(Role.PHASE) for effect in (*declared, *added)):
+            return slots
         for n, angle in turning:
             middle, name = float(angle.mean()), f"encoder_zero_rad[{n}]"
             free = either_way(name, "rad", middle, 2.0 * math.pi, f"record {n}")
-            found.append(Slot(free, "angle_zero", record=n))
-        return found
+            slots.append(Slot(free, "angle_zero", record=n))
+        return slots
 
     def local(self, measurement: MeasuredRecord) -> Local:
         """Angle and velocity under a constant torque."""

@@ -143,8 +143,8 @@ def with_window_sigma(
     kinds = len(of.measurements) * len(CHANNELS)
     count = np.maximum(np.bincount(number, minlength=kinds), 1)
     centred = of.measured - (np.bincount(number, of.measured, kinds) / count)[number]
-    left = blocks.residual_after(centred / index.sigma, basis) * index.sigma
-    spread = np.sqrt(np.bincount(number, left * left, kinds) / count)
+    unexplained = blocks.residual_after(centred / index.sigma, basis) * index.sigma
+    spread = np.sqrt(np.bincount(number, unexplained * unexplained, kinds) / count)
     largest = np.zeros(kinds)
     np.maximum.at(largest, number, np.abs(of.measured))
     least = {"angle_rad": _unrepeated_rms(of, blocks, basis, CHANNELS.index("angle_rad"))}
@@ -161,21 +161,21 @@ def _unrepeated_rms(
     of: PredictionData, blocks: WindowProjection, basis: FloatArray, channel: int
 ) -> float:
     """Rms of a channel that repeated commands do not reproduce in windows; 0 without repeats."""
-    index, again = of.index, unrepeated(of.measurements)
+    index, repeats = of.index, unrepeated(of.measurements)
     # Of a current, which does not follow the initial state, nothing has to be known.
     deviation = np.where(index.channel == CHANNELS.index("current_A"), 0.0, np.nan)
-    for n, columns in enumerate(again):
+    for n, columns in enumerate(repeats):
         for name, column in columns.items():
             at = (index.measurement == n) & (index.channel == CHANNELS.index(name))
             deviation[at] = column[index.sample[at]]
     whole = np.bincount(index.window, ~np.isfinite(deviation))[index.window] == 0
     deviation[~whole] = 0.0
-    left = blocks.residual_after(deviation / index.sigma, basis) * index.sigma
+    unexplained = blocks.residual_after(deviation / index.sigma, basis) * index.sigma
     chosen = whole & (index.channel == channel)
     if not chosen.any():
         return 0.0
     windows = np.unique(index.window[chosen])
-    square = np.bincount(index.window[chosen], left[chosen] ** 2)[windows]
+    square = np.bincount(index.window[chosen], unexplained[chosen] ** 2)[windows]
     square /= np.bincount(index.window[chosen])[windows]
     # A few impacts are no noise floor.
     return float(np.sqrt(np.minimum(square, OUTLIER * np.median(square)).mean()))
@@ -203,16 +203,16 @@ def _start(
     if horizon_s is not None:
         window = max(round(horizon_s * m.sampling_Hz), 2)
         edges = np.arange(max(m.samples // window, 1), dtype=np.int64) * window
-    found = estimate_states(
+    states = estimate_states(
         *(model.local(m), np.nan_to_num(output), m.sampling_Hz),
         *(_rms(noise, model.placed_by), edges),
     )
     reading = _reading(model, m, noise)
-    if horizon_s is None and _rests(model, m, found.placed[0], found.deviation, noise):
+    if horizon_s is None and _rests(model, m, states.placed[0], states.deviation, noise):
         at_rest = np.append(output[:1], np.zeros(placed - 1))[None]
         stands_anywhere = model.output == "rad" and "tension_N" not in model.outputs
         return _Start(reading, edges, at_rest if stands_anywhere else np.empty((0, placed)))
-    return _Start(reading, edges, found.placed)
+    return _Start(reading, edges, states.placed)
 
 
 def _rests(
@@ -253,8 +253,8 @@ def _reading(model: DiagnosedModel, m: MeasuredRecord, noise: NoiseFloor) -> flo
 
 
 def _rms(noise: NoiseFloor, channel: str | None) -> float:
-    found = noise.channels.get(channel or "")
-    return 0.0 if found is None else found.rms
+    channel_noise = noise.channels.get(channel or "")
+    return 0.0 if channel_noise is None else channel_noise.rms
 
 
 def _entries(
@@ -267,7 +267,7 @@ def _entries(
 
     Residual entries go by record, by window, then by channel.
     """
-    parts, ends, first, window = [], [0], 0, 0
+    windows_entries, ends, first, window = [], [0], 0, 0
     for record, (m, start) in enumerate(zip(measurements, starts, strict=True)):
         columns = _columns(m, model, noise)
         ok = np.ones(m.samples, bool) if m.flags is None else (m.flags & (GUARD | LATE)) == 0
@@ -275,14 +275,18 @@ def _entries(
             ends.append(ends[-1])
             for channel, (column, sigma) in columns.items():
                 kept = begin + np.flatnonzero(ok[begin:end] & np.isfinite(column[begin:end]))
-                part = np.empty((7, kept.size))
-                part[:3] = column[kept], len(CHANNELS) * first + channel * m.samples + kept, kept
-                part[3:] = np.array([[record], [channel], [window], [sigma]])
-                parts.append(part)
+                entries = np.empty((7, kept.size))
+                entries[:3] = (
+                    column[kept],
+                    len(CHANNELS) * first + channel * m.samples + kept,
+                    kept,
+                )
+                entries[3:] = np.array([[record], [channel], [window], [sigma]])
+                windows_entries.append(entries)
                 ends[-1] += kept.size
             window += 1
         first += m.samples
-    measured, source, sample, *labels, sigma = np.concatenate(parts, axis=1)
+    measured, source, sample, *labels, sigma = np.concatenate(windows_entries, axis=1)
     record, channel, number = (label.astype(np.int32) for label in labels)
     place = sample.astype(np.int32)
     times = np.concatenate([m.time_s for m in measurements])
@@ -295,15 +299,15 @@ def _columns(
     m: MeasuredRecord, model: DiagnosedModel, noise: NoiseFloor
 ) -> dict[int, tuple[FloatArray, float]]:
     """The measured channels that the model predicts, with sigma_eff."""
-    found = {}
+    columns = {}
     for number, name in enumerate(CHANNELS):
         column = m.channel(name) if name in model.outputs else None
         if name == "current_A":
             column = _without_lag(m, model.newtons_per_ampere)
         if column is not None:
             spread, largest = float(np.nanstd(column)), float(np.nanmax(np.abs(column)))
-            found[number] = column, _sigma(noise, name, spread, largest)
-    return found
+            columns[number] = column, _sigma(noise, name, spread, largest)
+    return columns
 
 
 def _sigma(
@@ -327,25 +331,25 @@ def _without_lag(m: MeasuredRecord, newtons_per_ampere: float) -> FloatArray | N
     most = min(round(LAG_MAX_s * m.sampling_Hz), m.samples // 4)
     kept = m.samples - most
     before = np.concatenate([command[:1], command[:-1]])
-    given = np.stack([command, before - command, np.ones(m.samples)], axis=1)
-    fits = [_shares(given[:kept], current[lag : lag + kept]) for lag in range(most + 1)]
+    columns = np.stack([command, before - command, np.ones(m.samples)], axis=1)
+    fits = [_shares(columns[:kept], current[lag : lag + kept]) for lag in range(most + 1)]
     # A slow command leaves the lag open: then the least that fits as well. A lag too short by a
     # sample fits as well through the previous command, which is then the larger share.
-    left = np.array([rest for _, rest in fits])
-    well = left <= LAG_TOLERANCE * left.min()
-    near = np.array([2.0 * abs(part) <= abs(gain) for (gain, part, *_), _ in fits])
+    squares = np.array([square for _, square in fits])
+    well = squares <= LAG_TOLERANCE * squares.min()
+    near = np.array([2.0 * abs(previous) <= abs(gain) for (gain, previous, *_), _ in fits])
     lag = int(np.argmax(well & near)) if (well & near).any() else int(np.argmax(well))
     moved = np.full(current.size, np.nan)
     moved[: current.size - lag] = current[lag:]
     # The fraction of a sample in the lag shows as a share of the previous command.
-    _, whole = _shares(given[:kept, [0, 2]], current[lag : lag + kept])
-    if whole > LAG_TOLERANCE * left[lag]:
-        moved -= fits[lag][0][1] * given[:, 1]
+    _, whole = _shares(columns[:kept, [0, 2]], current[lag : lag + kept])
+    if whole > LAG_TOLERANCE * squares[lag]:
+        moved -= fits[lag][0][1] * columns[:, 1]
     return moved
 
 
-def _shares(given: FloatArray, current: FloatArray) -> tuple[FloatArray, float]:
+def _shares(columns: FloatArray, current: FloatArray) -> tuple[FloatArray, float]:
     """The least-squares shares of the columns in the current, and the sum of squares left."""
-    shares = np.asarray(np.linalg.lstsq(given, current, rcond=None)[0], np.float64)
-    rest = current - given @ shares
-    return shares, float(np.sum(rest**2))
+    shares = np.asarray(np.linalg.lstsq(columns, current, rcond=None)[0], np.float64)
+    residual = current - columns @ shares
+    return shares, float(np.sum(residual**2))

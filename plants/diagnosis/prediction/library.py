@@ -120,6 +120,6 @@ def _functions(plant: Equations) -> tuple[Any, ...]:
         "substep": ([*held, n], [plant.substep(*held, n)]),
     }
     return tuple(
-        ca.Function(f"estune_{name}", inputs, [ca.densify(ca.SX(one)) for one in outputs])
+        ca.Function(f"estune_{name}", inputs, [ca.densify(ca.SX(output)) for output in outputs])
         for name, (inputs, outputs) in written.items()
     )

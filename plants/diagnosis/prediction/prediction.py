@@ -121,11 +121,11 @@ class Predictor:
         parts = np.split(outputs, len(CHANNELS) * last, axis=1)
         return [self._shown(m, p) for m, p in zip(self._data.measurements, parts, strict=True)]
 
-    def _shown(self, m: MeasuredRecord, part: FloatArray) -> Prediction:
+    def _shown(self, m: MeasuredRecord, outputs: FloatArray) -> Prediction:
         """The channels of one record that the model predicts, or that were measured."""
         measured = m.measured_current_A(self._model.newtons_per_ampere) is not None
         known = {*self._model.outputs, *(("current_A",) if measured else ())}
-        channels = np.split(part, len(CHANNELS), axis=1)
+        channels = np.split(outputs, len(CHANNELS), axis=1)
         columns = (c if n in known else None for n, c in zip(CHANNELS, channels, strict=True))
         return Prediction._make(columns)
 
@@ -144,9 +144,9 @@ class Predictor:
         """
         every = np.arange(self.index.sigma.size)
         chosen = every if entries is None else np.ascontiguousarray(entries, np.int64)
-        found = np.empty((len(rows), chosen.size))
-        self._runner.run(rows, basis=self._basis, residuals=found, chosen=chosen)
-        return found
+        residuals = np.empty((len(rows), chosen.size))
+        self._runner.run(rows, basis=self._basis, residuals=residuals, chosen=chosen)
+        return residuals
 
     def linearise(
         self,
@@ -176,9 +176,9 @@ class Predictor:
         rows = np.repeat(np.asarray(values, np.float64)[None], 1 + len(groups), axis=0)
         for row, places in zip(rows[1:], groups.values(), strict=True):
             row[chosen[places]] += steps[places]
-        found = self.residuals(rows if known is None else rows[1:], entries)
-        residuals, changes = (found[0], found[1:]) if known is None else (known, found)
-        jacobian = np.zeros((chosen.size, found.shape[1]))
+        batch = self.residuals(rows if known is None else rows[1:], entries)
+        residuals, changes = (batch[0], batch[1:]) if known is None else (known, batch)
+        jacobian = np.zeros((chosen.size, batch.shape[1]))
         changes -= residuals
         own_entries = self._own_entries(entries)
         for change, places in zip(changes, groups.values(), strict=True):
@@ -187,8 +187,8 @@ class Predictor:
                 if record is None:
                     np.divide(change, steps[place], out=jacobian[place])
                 else:
-                    own = own_entries[record]
-                    jacobian[place, own] = change[own] / steps[place]
+                    entries_of = own_entries[record]
+                    jacobian[place, entries_of] = change[entries_of] / steps[place]
         return residuals, jacobian.T
 
     def values(self, row: FloatArray) -> dict[str, float]:
@@ -318,8 +318,8 @@ def _windowed(
     whole = prepare_data(model, measurements, horizon_s, floor, placed)
     if horizon_s is None:
         return whole, _basis(model, whole)
-    found = with_window_sigma(whole, floor, _basis(model, whole))
-    return found, _basis(model, found)
+    windowed = with_window_sigma(whole, floor, _basis(model, whole))
+    return windowed, _basis(model, windowed)
 
 
 def _basis(model: DiagnosedModel, of: PredictionData) -> FloatArray:
@@ -330,15 +330,18 @@ def _basis(model: DiagnosedModel, of: PredictionData) -> FloatArray:
     bare = library(model.structure((type(model.calibration),)))
     slots = _present_slots(model.base, model, of)
     slots = [s._replace(column=s.column.replace(CALIBRATION, "0")) for s in slots]
-    own = {"delay_samples": 0.0, **{f"0.{n}": v for n, v in vars(model.calibration).items()}}
-    known = [{**model.numbers(m), **own, **_sensors(model)} for m in of.measurements]
+    calibration = {
+        "delay_samples": 0.0,
+        **{f"0.{n}": v for n, v in vars(model.calibration).items()},
+    }
+    known = [{**model.numbers(m), **calibration, **_sensors(model)} for m in of.measurements]
     kick = np.zeros((1 + bare.placed, bare.placed))
     kick[1:] = np.diag(_state_steps(of, bare.placed))
     rows = np.tile([slot.free.start for slot in slots], (len(kick), 1))
     every = np.arange(of.index.sigma.size)
-    found = np.empty((len(kick), every.size))
-    _Runner(bare, of, known, slots).run(rows, kick=kick, residuals=found, chosen=every)
-    return WindowProjection(of.block_end).orthonormal(found[1:] - found[0])
+    responses = np.empty((len(kick), every.size))
+    _Runner(bare, of, known, slots).run(rows, kick=kick, residuals=responses, chosen=every)
+    return WindowProjection(of.block_end).orthonormal(responses[1:] - responses[0])
 
 
 def _sensors(model: DiagnosedModel) -> dict[str, float]:

@@ -30,11 +30,11 @@ class WindowProjection:
         basis = np.zeros_like(directions)
         for n, direction in enumerate(directions):
             size = np.sqrt(self.dot(direction, direction))
-            left = np.divide(direction, size, out=np.zeros_like(direction), where=size > 0.0)
+            remainder = np.divide(direction, size, out=np.zeros_like(direction), where=size > 0.0)
             for _ in range(2):
-                left = self.residual_after(left, basis[:n])
-            rest = np.sqrt(self.dot(left, left))
-            np.divide(left, rest, out=basis[n], where=rest > DEPENDENT)
+                remainder = self.residual_after(remainder, basis[:n])
+            length = np.sqrt(self.dot(remainder, remainder))
+            np.divide(remainder, length, out=basis[n], where=length > DEPENDENT)
         return basis
 
     def residual_after(self, signal: FloatArray, basis: FloatArray) -> FloatArray:

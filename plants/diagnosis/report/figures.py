@@ -72,12 +72,12 @@ def draw_gap(ax: Axes, d: DiagnosisResult) -> Axes:
 
 def draw_trace(ax: Axes, trace: Trace) -> Axes:
     """One channel of one record, measured and in free run before and after."""
-    part = excerpt(trace)
-    time = trace.time_s[part]
-    ax.plot(time, trace.measured[part], label="measured", **MEASURED)
-    ax.plot(time, trace.before[part], label="base model", **BEFORE)
+    shown = excerpt(trace)
+    time = trace.time_s[shown]
+    ax.plot(time, trace.measured[shown], label="measured", **MEASURED)
+    ax.plot(time, trace.before[shown], label="base model", **BEFORE)
     if changed(trace):
-        ax.plot(time, trace.after[part], label="with the effects", **AFTER)
+        ax.plot(time, trace.after[shown], label="with the effects", **AFTER)
     ax.set_xlim(time[0], time[-1])
     finish(ax, f"{trace.title}, {trace.unit}", "time, s")
     legend(ax)
@@ -91,8 +91,8 @@ def draw_error(ax: Axes, trace: Trace) -> Axes:
     for predicted, colour, label in looks:
         time, low, high = _envelope(trace.time_s, trace.measured - predicted)
         ax.fill_between(time, low, high, color=colour, alpha=0.75, linewidth=0.5, label=label)
-    part = excerpt(trace)
-    ends = trace.time_s[part][0], trace.time_s[part][-1]
+    shown = excerpt(trace)
+    ends = trace.time_s[shown][0], trace.time_s[shown][-1]
     ax.axvspan(*ends, color=LIGHT, alpha=0.6, linewidth=0, zorder=0)
     ax.set_xlim(trace.time_s[0], trace.time_s[-1])
     finish(ax, f"error, {trace.unit}", "time, s")
@@ -124,9 +124,9 @@ def draw_spectrum(ax: Axes, d: DiagnosisResult) -> Axes:
 def draw_ranking(ax: Axes, d: DiagnosisResult) -> Axes:
     """Prediction error left by each effect that was fitted, in times the noise floor."""
     fitted = [c for c in d.candidates if math.isfinite(c.gap)][:BARS_MAX]
-    found = {e.name for e in d.effects} | set(d.ambiguous)
+    ranked = {e.name for e in d.effects} | set(d.ambiguous)
     at = np.arange(len(fitted))[::-1]
-    colours = [BLUE if c.name in found else "#b8c4cc" for c in fitted]
+    colours = [BLUE if c.name in ranked else "#b8c4cc" for c in fitted]
     ax.barh(at, [c.gap for c in fitted], height=0.62, color=colours, zorder=2)
     for y, c in zip(at, fitted, strict=True):
         ax.annotate(
@@ -144,13 +144,13 @@ def draw_ranking(ax: Axes, d: DiagnosisResult) -> Axes:
 
 def draw_splits(ax: Axes, d: DiagnosisResult) -> Axes:
     """Which third of the data each stretch of the records is left out with."""
-    records = list(dict.fromkeys(part.record for part in d.splits))
+    records = list(dict.fromkeys(segment.record for segment in d.splits))
     for third, colour in enumerate(THIRD_COLOURS):
-        parts = [part for part in d.splits if part.third == third]
+        parts = [segment for segment in d.splits if segment.third == third]
         ax.barh(
-            [len(records) - 1 - records.index(part.record) for part in parts],
-            [part.end_s - part.start_s for part in parts],
-            left=[part.start_s for part in parts],
+            [len(records) - 1 - records.index(segment.record) for segment in parts],
+            [segment.end_s - segment.start_s for segment in parts],
+            left=[segment.start_s for segment in parts],
             height=0.7,
             color=colour,
             zorder=2,

@@ -50,9 +50,9 @@ def to_json(d: DiagnosisResult) -> dict[str, Any]:
     return {name: finite_json(value) for name, value in values.items()}
 
 
-def _fields(one: Any, without: str = "") -> dict[str, Any]:
+def _fields(value: Any, without: str = "") -> dict[str, Any]:
     """The fields of a dataclass, without one of them."""
-    return {f.name: getattr(one, f.name) for f in fields(one) if f.name != without}
+    return {f.name: getattr(value, f.name) for f in fields(value) if f.name != without}
 
 
 def _candidate(c: Candidate, d: DiagnosisResult) -> dict[str, Any]:
@@ -62,10 +62,10 @@ def _candidate(c: Candidate, d: DiagnosisResult) -> dict[str, Any]:
     return {"name": c.name, **gaps, **shares, "sentence": c.sentence}
 
 
-def _trial(one: NextExperiment) -> dict[str, Any]:
-    named = {"name": one.trial.name, "file": one.file_name, "command": one.command}
-    rest = {"sentence": one.sentence, "separation": one.separation, "tried": one.tried}
-    return named | rest | {"profile": one.trial.profile}
+def _trial(trial: NextExperiment) -> dict[str, Any]:
+    named = {"name": trial.trial.name, "file": trial.file_name, "command": trial.command}
+    others = {"sentence": trial.sentence, "separation": trial.separation, "tried": trial.tried}
+    return named | others | {"profile": trial.trial.profile}
 
 
 def _hold_out(held: HoldOut, unit: str) -> dict[str, Any]:

@@ -191,7 +191,7 @@ def _next_experiment(d: DiagnosisResult) -> list[Block]:
 
 
 def _data(d: DiagnosisResult) -> list[Block]:
-    records = len({part.record for part in d.splits})
+    records = len({segment.record for segment in d.splits})
     height = 0.9 + 0.24 * max(records, 2)
     blocks: list[Block] = [
         Paragraph(

@@ -15,22 +15,22 @@ from plants.effects.plant_scale import PlantScale
 from plants.models.linear_signal_path import READINGS_PER_ANGLE, ARM_m
 
 
-def in_own_units(effect: type[Effect], name: str, found: Interval, model: Any) -> Interval:
+def in_own_units(effect: type[Effect], name: str, fitted: Interval, model: Any) -> Interval:
     """A parameter of an effect with its interval, in the model's own units.
 
     Args:
         effect: The effect's class.
         name: Name of the parameter.
-        found: Its value and interval, in the declared unit.
+        fitted: Its value and interval, in the declared unit.
         model: The model that was fitted; those of a reel are unchanged.
     """
     declared = effect.parameters()[name]
     units = {} if declared.is_phase else _units(effect.port, model)
-    size, unit = units.get(found.unit, (1.0, PlantScale.of(model).unit(found.unit)))
+    size, unit = units.get(fitted.unit, (1.0, PlantScale.of(model).unit(fitted.unit)))
     if declared.low >= 0.0:
         size = abs(size)
-    low, high = sorted((found.low * size, found.high * size))
-    return Interval(found.value * size, low, high, unit)
+    low, high = sorted((fitted.low * size, fitted.high * size))
+    return Interval(fitted.value * size, low, high, unit)
 
 
 def located_in_own_units(where: ResidualLocation, scale: PlantScale) -> ResidualLocation:
@@ -56,8 +56,8 @@ def _view_unit(view: ResidualDependence, scale: PlantScale) -> str:
     """Unit of the variable of a view; of a plant that of its command or measurement."""
     if not scale.channels:
         return scale.unit(view.unit)
-    own = scale.input_unit if view.name == "command rate" else scale.output_unit
-    return re.sub(r"^N\b", own, view.unit)
+    signal_unit = scale.input_unit if view.name == "command rate" else scale.output_unit
+    return re.sub(r"^N\b", signal_unit, view.unit)
 
 
 def _detail(text: str, scale: PlantScale) -> str:
@@ -77,17 +77,17 @@ def _units(port: Port, model: Any) -> dict[str, tuple[float, str]]:
     at_gauge = port is Port.GAUGE
     newton = angle / READINGS_PER_ANGLE if at_gauge else torque * ARM_m
     scale = PlantScale.of(model)
-    given, got = scale.input_unit or "input", scale.output_unit or "output"
-    read = got if at_gauge else given
+    input_unit, output_unit = scale.input_unit or "input", scale.output_unit or "output"
+    read = output_unit if at_gauge else input_unit
     return {
-        "N m": (torque, given),
-        "A": (torque, given),
-        "A/s": (torque, f"{given}/s"),
-        "rad": (abs(angle), got),
-        "rad/s": (abs(angle), f"{got}/s"),
-        "m": (abs(angle) / ARM_m, got),
-        "N m s/rad": (torque / abs(angle), f"{given} s/{got}"),
-        "N m s2/rad2": (torque / angle**2, f"{given} s2/{got}2"),
+        "N m": (torque, input_unit),
+        "A": (torque, input_unit),
+        "A/s": (torque, f"{input_unit}/s"),
+        "rad": (abs(angle), output_unit),
+        "rad/s": (abs(angle), f"{output_unit}/s"),
+        "m": (abs(angle) / ARM_m, output_unit),
+        "N m s/rad": (torque / abs(angle), f"{input_unit} s/{output_unit}"),
+        "N m s2/rad2": (torque / angle**2, f"{input_unit} s2/{output_unit}2"),
         "N": (newton, read),
         "N/s": (newton, f"{read}/s"),
         "1/N": (1.0 / newton, f"1/{read}"),

@@ -68,10 +68,10 @@ def block_figure(block: Block) -> Figure:
 
 def draw_block_spectrum(ax: Axes, block: Block) -> Axes:
     """Spectrum of a block's residual above that of the noise."""
-    seen = block.frequency_Hz > 0.0
-    frequency = block.frequency_Hz[seen]
-    ax.plot(frequency, np.sqrt(block.power[seen]), color=VERMILION, linewidth=1.0)
-    ax.plot(frequency, np.sqrt(block.noise_power[seen]), **NOISE)
+    positive = block.frequency_Hz > 0.0
+    frequency = block.frequency_Hz[positive]
+    ax.plot(frequency, np.sqrt(block.power[positive]), color=VERMILION, linewidth=1.0)
+    ax.plot(frequency, np.sqrt(block.noise_power[positive]), **NOISE)
     ax.set_xscale("log")
     ax.set_yscale("log")
     if block.low_Hz < block.high_Hz:
@@ -129,9 +129,9 @@ def draw_distortion(ax: Axes, distortion: Distortion, scale: PlantScale) -> Axes
             distortion.frequency_Hz[lines], level, marker, color=colour, markersize=3.0,
             markeredgewidth=0, label=label,
         )  # fmt: skip
-    some = distortion.noise > 0.0
-    noise = 20.0 * np.log10(distortion.noise[some])
-    ax.plot(distortion.frequency_Hz[some], noise, label="noise", **NOISE)
+    nonzero = distortion.noise > 0.0
+    noise = 20.0 * np.log10(distortion.noise[nonzero])
+    ax.plot(distortion.frequency_Hz[nonzero], noise, label="noise", **NOISE)
     title, unit = scale.channel(distortion.channel)
     finish(ax, f"{title}, dB above 1 {unit}", "frequency, Hz")
     legend(ax)

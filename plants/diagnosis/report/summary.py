@@ -69,7 +69,7 @@ def heading(d: DiagnosisResult) -> str:
     error = _in(d.before.gap, d)
     if d.effects:
         error += f" → {_in(d.after.gap, d)}"
-    first = "".join(f"{one.label}; " for one in d.limitations)
+    first = "".join(f"{limit.label}; " for limit in d.limitations)
     first = f"WITH RESERVATION, {first.removesuffix('; ')}. " if first else ""
     told = f"{what}; prediction error {error}, noise floor {_in(d.floor, d)}"
     return f"{first}{_HEADINGS[d.verdict]}: {told}"
@@ -77,9 +77,9 @@ def heading(d: DiagnosisResult) -> str:
 
 def sentences(d: DiagnosisResult) -> tuple[str, ...]:
     """The verdict, each effect with its size, and where it shows, in plain words."""
-    own = [e.sentence for e in d.effects if e.sentence not in d.sentence]
+    sizes = [e.sentence for e in d.effects if e.sentence not in d.sentence]
     declared = [effect.sentence for effect in d.declared]
-    texts = (d.sentence, *own, *declared, d.where.sentence)
+    texts = (d.sentence, *sizes, *declared, d.where.sentence)
     return tuple(full_sentence(text) for text in texts if text)
 
 
@@ -124,12 +124,12 @@ def parameters(d: DiagnosisResult) -> TextTable:
     rows = []
     for effect in d.effects:
         declared = effect.effect.parameters()
-        for name, found in effect.parameters.items():
-            value, interval, unit = _interval(found)
-            known = found.is_determined or declared[name].is_phase
+        for name, interval_of in effect.parameters.items():
+            value, interval, unit = _interval(interval_of)
+            known = interval_of.is_determined or declared[name].is_phase
             shown = value if known else "not determined"
-            own = "" if declared[name].is_phase else declared[name].unit
-            rows.append((effect.name, scale.parameter(name, own), shown, interval, unit))
+            unit_of = "" if declared[name].is_phase else declared[name].unit
+            rows.append((effect.name, scale.parameter(name, unit_of), shown, interval, unit))
     return TextTable(("effect", "parameter", "value", "95 % interval", "unit"), tuple(rows))
 
 

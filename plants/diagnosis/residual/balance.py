@@ -161,22 +161,22 @@ def equations(b: BaseNumbers, channels: frozenset[str]) -> tuple[Equation, ...]:
 
     Of two with one name, the one with the smaller residual applies.
     """
-    found: list[Equation] = [ACTUATOR] if "current_A" in channels else []
+    balances: list[Equation] = [ACTUATOR] if "current_A" in channels else []
     gauge, encoder = "tension_N" in channels, "angle_rad" in channels
     if b.linear is not None:
         _, denominator = transfer(b.linear)
         if denominator.size - 1 > ORDER_MAX:
-            return tuple(found)
-        return (*found, PLANT, PLANT_OF_SMOOTH_INPUT)
+            return tuple(balances)
+        return (*balances, PLANT, PLANT_OF_SMOOTH_INPUT)
     cable = b.stiffness_N_m is not None
     if encoder or (cable and gauge):
         # Without a gauge the angle at which the cable is taut is each record's own.
-        found.append(replace(FORCE, own_offset=not gauge or not cable))
+        balances.append(replace(FORCE, own_offset=not gauge or not cable))
     if cable and gauge and encoder:
-        found.append(GAUGE)
+        balances.append(GAUGE)
     if gauge and "reference_N" in channels:
-        found += [EYELET]
-    return tuple(found)
+        balances += [EYELET]
+    return tuple(balances)
 
 
 def transfer(model: LinearModel) -> tuple[FloatArray, FloatArray]:

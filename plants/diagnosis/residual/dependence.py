@@ -104,10 +104,10 @@ class Fit:
             Partial eta squared less that expected by chance (epsilon squared, Kelley 1935), and
             the columns' coefficients.
         """
-        own = by - self.basis @ (self.basis.T @ by)
-        inverse = np.linalg.pinv(own.T @ own, rcond=1e-9, hermitian=True)
+        beside = by - self.basis @ (self.basis.T @ by)
+        inverse = np.linalg.pinv(beside.T @ beside, rcond=1e-9, hermitian=True)
         both = np.array([self.residual, self.noise])
-        pull = both @ own
+        pull = both @ beside
         share, of_noise = np.sum(pull @ inverse * pull, axis=1) / np.maximum(
             np.sum(both**2, axis=1), 1e-300
         )
@@ -170,23 +170,23 @@ def views(
         variables: The variables.
         slope: Regressor of a slope per cable length, shape (samples,).
     """
-    found = []
-    for one in variables:
-        if one.name == "command rate":
-            found.append(fitted.along(one))
-        elif one.name == "length":
-            found.append(fitted.by_length(one, slope))
+    listed = []
+    for variable in variables:
+        if variable.name == "command rate":
+            listed.append(fitted.along(variable))
+        elif variable.name == "length":
+            listed.append(fitted.by_length(variable, slope))
         else:
-            found.append(fitted.binned(one))
-        if one.name == "angle":
-            found.append(fitted.periodic(one))
-    return sorted(found, key=lambda view: -view.share)
+            listed.append(fitted.binned(variable))
+        if variable.name == "angle":
+            listed.append(fitted.periodic(variable))
+    return sorted(listed, key=lambda view: -view.share)
 
 
-def strongest(found: Sequence[ResidualDependence]) -> ResidualDependence:
+def strongest(listed: Sequence[ResidualDependence]) -> ResidualDependence:
     """The view to report: the best, or a simpler one nested in it that is nearly as good."""
-    best = max(found, key=lambda view: view.share)
-    by_name = {view.name: view for view in found}
+    best = max(listed, key=lambda view: view.share)
+    by_name = {view.name: view for view in listed}
     nearly = [
         by_name[name]
         for name in SIMPLER.get(best.name, ())

@@ -59,7 +59,7 @@ class Distortion:
 
 def distortions(measurements: Sequence[MeasuredRecord]) -> tuple[Distortion, ...]:
     """One entry for each channel of each record with an excitation that repeats on odd lines."""
-    return tuple(found for m in measurements for found in _of(m))
+    return tuple(distortion for m in measurements for distortion in _of(m))
 
 
 def _of(m: MeasuredRecord) -> Iterator[Distortion]:

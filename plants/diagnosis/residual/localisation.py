@@ -97,8 +97,8 @@ class Block:
     @property
     def regime(self) -> ResidualDependence | None:
         """The variable the residual follows, or None where it follows none."""
-        found = strongest(self.views)
-        return found if found.share >= SHARE_MIN else None
+        view = strongest(self.views)
+        return view if view.share >= SHARE_MIN else None
 
     @property
     def band(self) -> str:
@@ -157,7 +157,7 @@ def localise(
     floor: NoiseFloor,
 ) -> ResidualLocation:
     """Localises the base model's residual; `numbers` are those of the model at each record."""
-    found = distortions(measurements)
+    distortion = distortions(measurements)
     records = prepared(measurements, numbers, floor)
     best: dict[str, Block] = {}
     if records:
@@ -171,7 +171,7 @@ def localise(
                 best[equation.name] = block
     blocks = _responsible(list(best.values()), records[0].measurement.sampling_Hz) if best else []
     return ResidualLocation(
-        tuple(blocks), found, " ".join([_of_blocks(blocks), *_of_distortion(found)])
+        tuple(blocks), distortion, " ".join([_of_blocks(blocks), *_of_distortion(distortion)])
     )
 
 
@@ -182,9 +182,9 @@ def _block(
     smoother = smoother_for(equation, records, rate, widest_s(records))
     fitted = fit_balance(equation, records, smoother)
     inside = np.isfinite(fitted.residual) & np.isfinite(fitted.noise)
-    for one in motion:
-        if one.name in ("velocity", "command rate"):
-            inside &= np.isfinite(one.of)
+    for variable in motion:
+        if variable.name in ("velocity", "command rate"):
+            inside &= np.isfinite(variable.of)
     if inside.sum() < FEWEST:
         return None
     ends = np.cumsum([r.measurement.samples for r in records])[:-1]
@@ -192,7 +192,7 @@ def _block(
     frequency, power = spectrum(each, rate)
     _, noise_power = spectrum(np.split(fitted.noise, ends), rate)
     low_Hz, high_Hz = _band(frequency, np.maximum(power - noise_power, 0.0))
-    seen = _seen(equation, smoother, fitted, inside, ends)
+    dependence = _dependence(equation, smoother, fitted, inside, ends)
     allowance = ALLOWANCE * float(fitted.known[inside].std())
     return Block(
         name=equation.name,
@@ -203,7 +203,7 @@ def _block(
         smoothing_s=smoother.width_s,
         low_Hz=low_Hz,
         high_Hz=high_Hz,
-        views=tuple(views(seen, motion, fitted.slope)),
+        views=tuple(views(dependence, motion, fitted.slope)),
         frequency_Hz=frequency,
         power=power,
         noise_power=noise_power,
@@ -211,7 +211,7 @@ def _block(
     )
 
 
-def _seen(
+def _dependence(
     equation: Equation,
     smoother: Smoother,
     fitted: BalanceFit,
@@ -222,7 +222,7 @@ def _seen(
     stride = max(1, int(inside.sum()) // SAMPLES_MAX)
     chosen = np.flatnonzero(inside)[::stride]
     parts = [p for p in map(inner, np.split(fitted.residual, ends)) if p.size >= FEWEST]
-    loose = float(np.mean([independent_share(part) for part in parts]))
+    loose = float(np.mean([independent_share(residual) for residual in parts]))
 
     def spread(columns: FloatArray) -> FloatArray:
         split = np.split(columns, ends)
@@ -255,18 +255,20 @@ def _responsible(blocks: Sequence[Block], sampling_Hz: float) -> list[Block]:
         return [eyelet, *(block for block in ordered if block is not eyelet)]
     if force is not None and force.ratio > RATIO_MIN:
         if _signed_R2(force, gauge, sampling_Hz) < -R2_MIN:
-            rest = [block for block in ordered if block not in (force, gauge)]
-            return [replace(gauge, title=READING), *rest, force]
+            others = [block for block in ordered if block not in (force, gauge)]
+            return [replace(gauge, title=READING), *others, force]
     elif force is not None:
         return [replace(b, title="cable") if b is gauge else b for b in ordered]
     return ordered
 
 
-def _signed_R2(one: Block, other: Block, sampling_Hz: float) -> float:
+def _signed_R2(block: Block, explaining: Block, sampling_Hz: float) -> float:
     """Share of a block's residual that another's explains, with the sign of the slope."""
-    smoother = Smoother(one.smoothing_s, sampling_Hz)
-    x = np.concatenate(one.residual)
-    y = np.concatenate([smoother.sampled(np.nan_to_num(part), 1.0) for part in other.residual])
+    smoother = Smoother(block.smoothing_s, sampling_Hz)
+    x = np.concatenate(block.residual)
+    y = np.concatenate(
+        [smoother.sampled(np.nan_to_num(residual), 1.0) for residual in explaining.residual]
+    )
     both = np.isfinite(x) & np.isfinite(y)
     rho = float(np.corrcoef(x[both], y[both])[0, 1])
     return math.copysign(rho**2, rho)
@@ -300,15 +302,15 @@ def _of_blocks(blocks: Sequence[Block]) -> str:
     sentence += f"; 90 % of it lies {band}." if band else "."
     # The other block with the same cause is not reported again.
     shown = {READING: "force", "eyelet": "gauge"}.get(first.title)
-    own = [b for b in blocks[1:] if b.name != shown]
-    others = [f"the {b.title} {b.ratio:.2g} times" for b in own if b.ratio >= RATIO_MIN]
+    separate = [b for b in blocks[1:] if b.name != shown]
+    others = [f"the {b.title} {b.ratio:.2g} times" for b in separate if b.ratio >= RATIO_MIN]
     return sentence + (f" Above its noise too: {', '.join(others)}." if others else "")
 
 
-def _of_distortion(found: Sequence[Distortion]) -> Iterator[str]:
+def _of_distortion(distortion: Sequence[Distortion]) -> Iterator[str]:
     """The distortion of each channel, in words."""
-    for channel in dict.fromkeys(d.channel for d in found):
-        of = [d for d in found if d.channel == channel]
+    for channel in dict.fromkeys(d.channel for d in distortion):
+        of = [d for d in distortion if d.channel == channel]
         most = {
             "odd": max((d.odd_dB for d in of if not math.isnan(d.odd_dB)), default=math.nan),
             "even": max(d.even_dB for d in of),

@@ -75,12 +75,12 @@ def fit_balance(equation: Equation, records: Sequence[Record], smoother: Smoothe
 
     def columns(of: Sequence[FloatArray], *, offsets: bool) -> FloatArray:
         wide = []
-        for n, own in enumerate(of):
-            offset = np.zeros((own.shape[0], len(records) if equation.own_offset else 1))
+        for n, terms_of in enumerate(of):
+            offset = np.zeros((terms_of.shape[0], len(records) if equation.own_offset else 1))
             offset[:, n if equation.own_offset else 0] = float(offsets)
             # Friction and stiffness may change with the length in proportion.
-            by_length = own[:, -1:] * lengths[n] if lengths.any() else own[:, :0]
-            wide.append(np.hstack([own, by_length, offset]))
+            by_length = terms_of[:, -1:] * lengths[n] if lengths.any() else terms_of[:, :0]
+            wide.append(np.hstack([terms_of, by_length, offset]))
         return np.vstack(wide)
 
     known = np.concatenate([t.known for t in terms])
@@ -88,11 +88,13 @@ def fit_balance(equation: Equation, records: Sequence[Record], smoother: Smoothe
     inside = np.isfinite(known) & np.isfinite(A).all(axis=1)
     size = np.sqrt(np.mean(A[inside] ** 2, axis=0)) if inside.any() else np.ones(A.shape[1])
     size[~(size > 0.0)] = 1.0
-    found = np.linalg.lstsq(A[inside] / size, known[inside], rcond=1e-9)[0] / size
+    parameters = np.linalg.lstsq(A[inside] / size, known[inside], rcond=1e-9)[0] / size
     noise_known = np.concatenate([t.known for t in noises])
     noise_A = columns([t.columns for t in noises], offsets=False)
     slope = np.concatenate([t.columns[:, -1] for t in terms])
-    return BalanceFit(known - A @ found, noise_known - noise_A @ found, known, A / size, slope)
+    return BalanceFit(
+        known - A @ parameters, noise_known - noise_A @ parameters, known, A / size, slope
+    )
 
 
 def variables(records: Sequence[Record]) -> list[Variable]:
@@ -117,7 +119,7 @@ def variables(records: Sequence[Record]) -> list[Variable]:
     way = np.where(np.isfinite(sign), sign + 1.0, -1.0).astype(np.int64)
     commanded = [smoother.held(u, b.dead_time_s, 0.0, 1.0) for u, b in commands]
     samples = [r.measurement.samples for r in records]
-    found = [
+    listed = [
         Variable("time", "of the record", np.concatenate([np.arange(n) / n for n in samples])),
         Variable("velocity sign", "", sign, way),
         Variable("velocity", "rad/s" if has_angle else "N/s", v),
@@ -126,15 +128,15 @@ def variables(records: Sequence[Record]) -> list[Variable]:
     if has_tension:
         T = np.concatenate([smoother.sampled(r.signals["tension_N"], 1.0) for r in records])
         crossed = np.where((way < 0) | ~np.isfinite(T), -1, way * LEVELS + quantiles(T, LEVELS))
-        found.append(Variable("tension", "N", T))
-        found.append(Variable("velocity sign and tension", "N", T, crossed))
+        listed.append(Variable("tension", "N", T))
+        listed.append(Variable("velocity sign and tension", "N", T, crossed))
     if has_angle and (first.numbers.linear is None or not has_tension):
         angles = [_angle_from_slack(r, smoother) for r in records]
-        found.append(Variable("angle", "rad", np.concatenate(angles)))
+        listed.append(Variable("angle", "rad", np.concatenate(angles)))
     lengths = [r.measurement.cable_length_m or math.nan for r in records]
     if np.isfinite(lengths).all() and len(set(lengths)) > 1:
-        found.append(Variable("length", "m", np.repeat(lengths, samples)))
-    return found
+        listed.append(Variable("length", "m", np.repeat(lengths, samples)))
+    return listed
 
 
 def _angle_from_slack(record: Record, smoother: Smoother) -> FloatArray:
@@ -152,15 +154,15 @@ def spectrum(
     """Frequencies, Hz, and power spectral density of a signal over some records (Welch 1967)."""
     from scipy.signal import welch  # noqa: PLC0415  slow to import
 
-    finite = [part for part in map(inner, parts) if part.size >= FEWEST]
-    segment = min([longest, *(part.size for part in finite)]) // 2 * 2
-    powers = [welch(part, sampling_Hz, nperseg=segment, detrend=False)[1] for part in finite]
+    finite = [signal for signal in map(inner, parts) if signal.size >= FEWEST]
+    segment = min([longest, *(signal.size for signal in finite)]) // 2 * 2
+    powers = [welch(signal, sampling_Hz, nperseg=segment, detrend=False)[1] for signal in finite]
     frequency: FloatArray = np.linspace(0.0, sampling_Hz / 2.0, segment // 2 + 1)
     if not finite:
         return frequency, np.zeros(frequency.size)
-    return frequency, np.average(powers, axis=0, weights=[part.size for part in finite])
+    return frequency, np.average(powers, axis=0, weights=[signal.size for signal in finite])
 
 
-def inner(part: FloatArray) -> FloatArray:
+def inner(residual: FloatArray) -> FloatArray:
     """A residual without the ends at which it is undefined."""
-    return part[np.isfinite(part)]
+    return residual[np.isfinite(residual)]

@@ -127,8 +127,8 @@ def torque_waves(
     apart = None
     if aside:
         torque = np.concatenate([m.torque_Nm for m in aside])
-        rest = np.concatenate([_rest(m, orders, fitted, moving=moving) for m in aside])
-        apart = float(torque.std()) / K, float(np.sqrt(np.mean(rest**2))) / K
+        residual = np.concatenate([_rest(m, orders, fitted, moving=moving) for m in aside])
+        apart = float(torque.std()) / K, float(np.sqrt(np.mean(residual**2))) / K
     return TorqueWaves(
         _parameters(orders, fitted, error),
         -float(fitted[0]),
@@ -163,24 +163,26 @@ def _columns(m: TorqueMotion, orders: Sequence[float], *, moving: bool) -> Float
 def _fitted(parts: Sequence[TorqueMotion], orders: Sequence[float], *, moving: bool) -> FloatArray:
     columns = np.vstack([_columns(m, orders, moving=moving) for m in parts])
     torque = np.concatenate([m.torque_Nm for m in parts])
-    found: FloatArray = np.linalg.lstsq(columns, torque, rcond=1e-9)[0]
-    return found
+    coefficients: FloatArray = np.linalg.lstsq(columns, torque, rcond=1e-9)[0]
+    return coefficients
 
 
 def _rest(
     m: TorqueMotion, orders: Sequence[float], fitted: FloatArray, *, moving: bool
 ) -> FloatArray:
-    rest: FloatArray = m.torque_Nm - _columns(m, orders, moving=moving) @ fitted
-    return rest
+    residual: FloatArray = m.torque_Nm - _columns(m, orders, moving=moving) @ fitted
+    return residual
 
 
 def _left_out(parts: list[TorqueMotion], orders: Sequence[float], *, moving: bool) -> float:
     """Root mean square of what is left in each part by a fit to the others, N m."""
-    rests = []
+    residuals = []
     for n, part in enumerate(parts):
         others = parts[:n] + parts[n + 1 :]
-        rests.append(_rest(part, orders, _fitted(others, orders, moving=moving), moving=moving))
-    return float(np.sqrt(np.mean(np.concatenate(rests) ** 2)))
+        residuals.append(
+            _rest(part, orders, _fitted(others, orders, moving=moving), moving=moving)
+        )
+    return float(np.sqrt(np.mean(np.concatenate(residuals) ** 2)))
 
 
 def _parts(motions: Sequence[TorqueMotion]) -> list[TorqueMotion]:
@@ -207,33 +209,33 @@ def _orders(motions: Sequence[TorqueMotion]) -> tuple[float, ...]:
     if not grid.size:
         return ()
     stride = max(1, samples // SEARCHED)
-    some = [
+    thinned = [
         TorqueMotion(m.torque_Nm[::stride], m.angle_rad[::stride], m.terms[::stride])
         for m in motions
     ]
-    angle = np.concatenate([m.angle_rad for m in some])
-    torque = np.concatenate([m.torque_Nm for m in some])
+    angle = np.concatenate([m.angle_rad for m in thinned])
+    torque = np.concatenate([m.torque_Nm for m in thinned])
     orders: list[float] = []
-    left = float(np.mean((torque - torque.mean()) ** 2))
+    power = float(np.mean((torque - torque.mean()) ** 2))
     for _ in range(WAVES):
-        basis = np.linalg.qr(np.vstack([_columns(m, orders, moving=False) for m in some]))[0]
-        rest = torque - basis @ (basis.T @ torque)
-        gains = _gains(grid, angle, basis, rest)
+        basis = np.linalg.qr(np.vstack([_columns(m, orders, moving=False) for m in thinned]))[0]
+        residual = torque - basis @ (basis.T @ torque)
+        gains = _gains(grid, angle, basis, residual)
         order, most = float(grid[int(gains.argmax())]), float(gains.max())
         if extent >= WHOLE * 2.0 * math.pi:
             whole = np.array([round(order)], dtype=np.float64)
-            near = float(_gains(whole, angle, basis, rest)[0]) >= WHOLE * most
+            near = float(_gains(whole, angle, basis, residual)[0]) >= WHOLE * most
             order = float(whole[0]) if near else order
-        after = left - most / torque.size
-        if after > (1.0 - WORTH) * left or order in orders:
+        after = power - most / torque.size
+        if after > (1.0 - WORTH) * power or order in orders:
             break
         orders.append(order)
-        left = after
+        power = after
     return tuple(orders)
 
 
 def _gains(
-    orders: FloatArray, angle: FloatArray, basis: FloatArray, rest: FloatArray
+    orders: FloatArray, angle: FloatArray, basis: FloatArray, residual: FloatArray
 ) -> FloatArray:
     """Power that a wave of each order takes off a residual beside what there is."""
     turned = np.outer(angle, orders)
@@ -247,7 +249,7 @@ def _gains(
             (cosine, cosine, along[1], along[1]),
         )
     )
-    s, c = rest @ sine, rest @ cosine
+    s, c = residual @ sine, residual @ cosine
     area = np.maximum(ss * cc - sc**2, DISTINCT * angle.size**2)
     gains: FloatArray = (cc * s**2 - 2.0 * sc * s * c + ss * c**2) / area
     return gains
@@ -257,7 +259,7 @@ def _parameters(
     orders: Sequence[float], fitted: FloatArray, error: FloatArray
 ) -> dict[str, Interval]:
     """Amplitudes, orders and phases of the waves with their intervals."""
-    found: dict[str, Interval] = {}
+    parameters: dict[str, Interval] = {}
     for k in range(WAVES):
         amplitude = phase = half = 0.0
         order = 1.0
@@ -267,7 +269,7 @@ def _parameters(
             phase = float(np.arctan2(cosine, sine))
             half = QUANTILE * float(np.hypot(*error[1 + 2 * k : 3 + 2 * k]))
         low, turn = max(amplitude - half, 0.0), half / max(amplitude, 1e-300)
-        found[f"amplitude_{k + 1}_Nm"] = Interval(amplitude, low, amplitude + half, "N m")
-        found[f"per_turn_{k + 1}"] = Interval(order, order, order, "")
-        found[f"phase_{k + 1}_rad"] = Interval(phase, phase - turn, phase + turn, "rad")
-    return found
+        parameters[f"amplitude_{k + 1}_Nm"] = Interval(amplitude, low, amplitude + half, "N m")
+        parameters[f"per_turn_{k + 1}"] = Interval(order, order, order, "")
+        parameters[f"phase_{k + 1}_rad"] = Interval(phase, phase - turn, phase + turn, "rad")
+    return parameters
