@@ -24,7 +24,7 @@ DECADES = np.arange(-3.0, 4.0)
 residual: less than the first moves it in proportion, and is not seen better."""
 MOVED = (0.5, 3.0)
 """Changes of the residual by the sizes chosen, in its own size: a law that is bent points another
-way when it acts strongly."""
+direction when it acts strongly."""
 LEVELS, GRID, FREQUENCIES = 14, 7, 40
 """Values tried of a limit, of a shape, and of a frequency: those some 10 % apart, so that a
 resonance damped as frames are is seen from the next one."""
@@ -91,21 +91,26 @@ def screen_effect(
     effect: type[Effect], predictor: Predictor, contexts: Sequence[ScoreContext]
 ) -> ScreeningResult:
     """Screening of an effect, the last of the predictor's, from one or more models without it."""
-    first, *others = (_Probe(effect, predictor, context).screened() for context in contexts)
+    first, *others = (_Directions(effect, predictor, context).screened() for context in contexts)
     for result in others:
         first = first.merged(result)
     return first
 
 
-class _Way(NamedTuple):
-    """One way in which an effect was switched on."""
+class _Direction(NamedTuple):
+    """How an effect of some values changes the residual.
+
+    Attributes:
+        share: Share of the residual that the change explains when scaled.
+        start: Values to begin a fit with, shape (free,).
+    """
 
     share: float
     start: FloatArray
 
 
-class _Probe:
-    """One effect switched on in several ways at the values of the fit without it."""
+class _Directions:
+    """What one effect changes, for several of its values, at the fit without it."""
 
     def __init__(self, effect: type[Effect], predictor: Predictor, context: ScoreContext) -> None:
         place = {f.name: n for n, f in enumerate(predictor.free)}
@@ -118,39 +123,43 @@ class _Probe:
         # A wave over an angle whose zero each record has for itself, and nothing else tells.
         of_records = (f.name for f in predictor.free if f.owner.startswith("record "))
         waves = bool(effect.named(Role.PHASE))
-        self.loose = waves and any(name not in values for name in of_records)
-        self.off = predictor.row(values)
+        self.has_free_phase = waves and any(name not in values for name in of_records)
+        self.without_effect = predictor.row(values)
         for name in self.sizes:
-            self.off[self.column[name]] = self.declared[name].neutral
-        self.here = predictor.residuals(self.off[None, :], context.entries)[0]
+            self.without_effect[self.column[name]] = self.declared[name].neutral
+        self.residuals_without = predictor.residuals(
+            self.without_effect[None, :], context.entries
+        )[0]
 
     def screened(self) -> ScreeningResult:
-        """The best of all the ways."""
+        """The screening: the best of all directions."""
         limited = bool(self.effect.named(Role.LIMIT))
-        ways, reach = self._limits() if limited else self._amplitudes()
-        ways.sort(key=lambda way: -way.share)
+        directions, usual_change = self._limits() if limited else self._amplitudes()
+        directions.sort(key=lambda direction: -direction.share)
         most = STARTS + len(self.phases)  # a period is soon lost
-        starts = np.array([way.start for way in self._apart(ways)[:most]])
+        starts = np.array([direction.start for direction in self._apart(directions)[:most]])
         grids = self._grids()
-        return ScreeningResult(self.effect, self.predictor, (starts,), grids, ways[0].share, reach)
+        return ScreeningResult(
+            self.effect, self.predictor, (starts,), grids, directions[0].share, usual_change
+        )
 
-    def _apart(self, ways: list[_Way]) -> list[_Way]:
-        """The ways, of those with frequencies side by side the most promising alone."""
+    def _apart(self, directions: list[_Direction]) -> list[_Direction]:
+        """The directions; of those with nearly the same frequencies the most promising alone."""
         rates = [self.column[n] for n in self.effect.named(Role.FREQUENCY)]
-        kept: list[_Way] = []
-        for way in ways:
-            near = (np.abs(np.log(way.start[rates] / k.start[rates])) for k in kept)
+        kept: list[_Direction] = []
+        for direction in directions:
+            near = (np.abs(np.log(direction.start[rates] / k.start[rates])) for k in kept)
             if not rates or all((distance > APART).any() for distance in near):
-                kept.append(way)
+                kept.append(direction)
         return kept
 
     def _changes(self, rows: FloatArray) -> FloatArray:
         """Changes of the residuals screened by rows of values, shape (rows, screened)."""
-        residuals = self.predictor.residuals(rows, self.context.entries) - self.here
+        residuals = self.predictor.residuals(rows, self.context.entries) - self.residuals_without
         changes: FloatArray = np.where(np.isfinite(residuals), residuals, 0.0)
         return changes
 
-    def _limits(self) -> tuple[list[_Way], float]:
+    def _limits(self) -> tuple[list[_Direction], float]:
         """Levels of a limit from where it begins to act."""
         name = self.sizes[0]
         p = self.declared[name]
@@ -158,44 +167,44 @@ class _Probe:
         change = self.context.products(self._changes(self._rows(name, levels))).rms
         acting = np.flatnonzero(change > ACTING)
         if not acting.size:
-            return [_Way(0.0, self.off.copy())], 0.0
+            return [_Direction(0.0, self.without_effect.copy())], 0.0
         top = min(int(acting[-1]) + 1, LEVELS - 1)
         # From where it does not act to where it changes as much as there is to explain.
         enough = acting[change[acting] > max(1.0, 2.0 * self.context.size)]
         bottom = int(enough[-1]) if enough.size else int(acting[0])
         rows = self._rows(name, np.geomspace(levels[bottom], levels[top], LEVELS))
         products = self.context.products(self._changes(rows))
-        ways = []
+        directions = []
         for n in np.flatnonzero(products.rms > ACTING).tolist():
             share, weights = products.of(slice(n, n + 1)).explained(only_up=True)
             # It does not act in proportion: what has to be stretched far is no direction.
             fits = math.exp(-0.1 * math.log(max(float(weights[0]), 1e-9)) ** 2)
-            ways.append(_Way(share * fits, rows[n]))
-        return ways or [_Way(0.0, self.off.copy())], float(change.max())
+            directions.append(_Direction(share * fits, rows[n]))
+        return directions or [_Direction(0.0, self.without_effect.copy())], float(change.max())
 
-    def _amplitudes(self) -> tuple[list[_Way], float]:
+    def _amplitudes(self) -> tuple[list[_Direction], float]:
         """Sizes that act in proportion, for several values of the shapes."""
-        sizes, reach = self._sizes()
+        sizes, usual_change = self._sizes()
         turns = (0.0, 0.5 * math.pi) if self.phases else (0.0,)
-        ways_on = list(itertools.product(sizes, self._shapes()))
+        combinations = list(itertools.product(sizes, self._shapes()))
         rows = [
             self._at(shape, name, tried[name], phase)
-            for tried, shape in ways_on
+            for tried, shape in combinations
             for name in self.sizes
             for phase in turns
         ]
         changes = self._changes(np.array(rows))
-        each = len(rows) // len(ways_on)
-        products = None if self.loose else self.context.products(changes)
-        ways = []
-        for n, (tried, shape) in enumerate(ways_on):
+        each = len(rows) // len(combinations)
+        products = None if self.has_free_phase else self.context.products(changes)
+        directions = []
+        for n, (tried, shape) in enumerate(combinations):
             block = slice(n * each, (n + 1) * each)
             if products is None:
                 share, weights = self._turned(changes[block])
             else:
                 share, weights = products.of(block).explained(only_up=self._only_up)
-            ways.append(_Way(share, self._start(shape, tried, weights)))
-        return ways, reach
+            directions.append(_Direction(share, self._start(shape, tried, weights)))
+        return directions, usual_change
 
     def _turned(self, changes: FloatArray) -> tuple[float, FloatArray]:
         """Share of the residual that a wave explains whose phase each record has for itself.
@@ -238,7 +247,7 @@ class _Probe:
 
     def _scaled(self, name: str, power: FloatArray) -> FloatArray:
         """Values of a size at powers of ten of the usual one, within its bounds."""
-        p, neutral = self.declared[name], self.off[self.column[name]]
+        p, neutral = self.declared[name], self.without_effect[self.column[name]]
         usual = float(self.predictor.start[self.column[name]])
         step = usual - neutral or 1e-2 * (p.high - p.low)
         values: FloatArray = np.clip(neutral + step * 10.0**power, p.low, p.high)
@@ -255,12 +264,12 @@ class _Probe:
         )
 
     def _rows(self, name: str, values: FloatArray) -> FloatArray:
-        rows = np.tile(self.off, (len(values), 1))
+        rows = np.tile(self.without_effect, (len(values), 1))
         rows[:, self.column[name]] = values
         return rows
 
     def _at(self, shape: Mapping[str, float], name: str, size: float, phase: float) -> FloatArray:
-        row = self.off.copy()
+        row = self.without_effect.copy()
         for shape_name, value in shape.items():
             row[self.column[shape_name]] = value
         row[[self.column[shape_name] for shape_name in self.phases]] = phase
@@ -277,9 +286,9 @@ class _Probe:
             row[self.column[self.phases[0]]] = math.atan2(cosine, sine)
             weights = np.array([math.hypot(sine, cosine)])
         for name, weight in zip(self.sizes, weights.tolist(), strict=True):
-            p, neutral = self.declared[name], self.off[self.column[name]]
-            reached = float(np.clip(weight, -FURTHEST, FURTHEST)) * (tried[name] - neutral)
-            row[self.column[name]] = min(max(neutral + reached, p.low), p.high)
+            p, neutral = self.declared[name], self.without_effect[self.column[name]]
+            size = float(np.clip(weight, -FURTHEST, FURTHEST)) * (tried[name] - neutral)
+            row[self.column[name]] = min(max(neutral + size, p.low), p.high)
         return row
 
     def _shapes(self) -> list[dict[str, float]]:
@@ -322,7 +331,7 @@ class _Probe:
 def shown_range(unit: str, records: RecordScale) -> tuple[float, float] | None:
     """Range of a speed or a travel within which records show a law's shape; None for others.
 
-    A law that bends below what the encoder resolves, or above what is reached, is not told from
+    A law that bends below what the encoder resolves, or above what is size, is not told from
     one that does not bend at all.
     """
     if unit == "rad":
