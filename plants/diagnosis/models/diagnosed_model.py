@@ -218,6 +218,11 @@ class DiagnosedModel(ABC):
         """Whether the balance of its motion is linear in what is measured."""
         return not self.effects
 
+    @property
+    def fuller(self) -> "DiagnosedModel | None":
+        """The model with the law that its own is an approximation of, if records may show it."""
+        return None
+
     def for_records(self, measurements: Sequence[MeasuredRecord]) -> "DiagnosedModel":
         """The same model, with the same laws, for other records."""
         effects = (*self.effects, self.calibration)

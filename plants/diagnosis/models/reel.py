@@ -56,8 +56,15 @@ class DiagnosedReel(DiagnosedModel):
         self.output = "N" if self.has_gauge else "rad"
         self.is_watched = any(m.reference_N is not None for m in measurements)
         super().__init__(model, measurements)
-        if self._may_sag and not isinstance(self.calibration, SaggingCalibration):
-            self.calibration = SaggingCalibration(**vars(self.calibration))
+
+    @property
+    def fuller(self) -> "DiagnosedReel | None":
+        """The law with full sag, where the records may show the difference from the linear one."""
+        if isinstance(self.calibration, SaggingCalibration) or not self._may_sag:
+            return None
+        sagging = SaggingCalibration(**vars(self.calibration))
+        model = replace(self.model, effects=(*self.effects, sagging))
+        return DiagnosedReel(model, self.measurements)
 
     @property
     def is_linear(self) -> bool:

@@ -7,15 +7,17 @@ has another phase in each record, so that no effect stands for it.
 
 from dataclasses import dataclass
 
+from plants.diagnosis.data.measured_record import MeasuredRecord
 from plants.diagnosis.models.base import BaseNumbers
 from plants.diagnosis.models.diagnosed_model import DiagnosedModel
 from plants.diagnosis.pipeline.noise import SensorNoise
 from plants.diagnosis.residual.localisation import ResidualLocation, localise
+from plants.diagnosis.search.constants import CONSTANTS
 from plants.diagnosis.search.effect_choices import EffectChoices
 from plants.diagnosis.search.fitted_models import FittedModels
 from plants.diagnosis.search.initial_guesses import record_scale
 from plants.diagnosis.search.mains_interference import MainsLine, line_in_residual
-from plants.diagnosis.search.model_fitter import ModelFitter
+from plants.diagnosis.search.model_fitter import CandidateFit, ModelFitter
 from plants.diagnosis.search.more_records import differing
 from plants.effects import MainsInterference, RecordScale
 
@@ -54,9 +56,13 @@ def fit(plant: DiagnosedModel, noise: SensorNoise, choices: EffectChoices) -> Ba
         choices: The effects to choose from.
     """
     searched = differing(plant.measurements)
-    searched_plant = plant if searched == plant.measurements else plant.for_records(searched)
-    fitter = ModelFitter(searched_plant, searched, noise.floor)
-    base = fitter.base_fit()
+    fitter, base = _base_fit(plant, searched, noise)
+    fuller = plant.fuller
+    if fuller is not None:
+        # Approximations are in simulations: one is kept where it leaves nothing, and no more.
+        fitter_of_fuller, base_of_fuller = _base_fit(fuller, searched, noise)
+        if CONSTANTS.nothing < base.J or base_of_fuller.J < base.J:
+            plant, fitter, base = fuller, fitter_of_fuller, base_of_fuller
     line = line_in_residual(fitter, base) if MainsInterference in choices.in_noise else None
     if line is not None:
         fitter = ModelFitter(plant.for_records(line.measurements), line.measurements, noise.floor)
@@ -74,3 +80,13 @@ def fit(plant: DiagnosedModel, noise: SensorNoise, choices: EffectChoices) -> Ba
         scale=record_scale(fitter, where, base.values),
         line=line,
     )
+
+
+def _base_fit(
+    plant: DiagnosedModel, measurements: tuple[MeasuredRecord, ...], noise: SensorNoise
+) -> tuple[ModelFitter, CandidateFit]:
+    """The model fitted to some records."""
+    if measurements != plant.measurements:
+        plant = plant.for_records(measurements)
+    fitter = ModelFitter(plant, measurements, noise.floor)
+    return fitter, fitter.base_fit()
