@@ -41,6 +41,7 @@ from typing import Annotated, Any, Final, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
+from pydantic import Field
 
 from estune.core.quantities import FloatArray, check_positive
 from estune.core.response import (
@@ -74,6 +75,9 @@ _PRESET = "that of the preset"
 @dataclass(frozen=True, slots=True)
 class StepCost:
     """The settings of (35), or of another cost.
+
+    An `unscaled` cost weighs the effort in its own unit; the first record of a plant gives the
+    scale.
 
     Raises:
         InvalidInput: a value is out of its range or not among the choices.
@@ -124,6 +128,7 @@ class StepCost:
     function: Annotated[
         str, Setting("module:function of a cost of the response, which is then the whole cost")
     ] = ""
+    unscaled: Annotated[bool, Field(exclude_if=lambda unscaled: not unscaled)] = False
 
     def __post_init__(self) -> None:
         check_settings(self)
@@ -223,13 +228,16 @@ class StepCost:
         """Whether `weights` and the move penalty are all of the cost."""
         return not self.function and self.criterion != "itae" and not self.effort_weight
 
-    def scaled(self, gain: float) -> "StepCost":
-        """The cost with the effort in units of the measurement: times the plant's static gain.
+    def scaled(self, gain: float | None) -> "StepCost":
+        """The cost with the effort in units of the measurement: times the plant's gain.
 
-        With it a weight means the same in all units.
+        With it a weight means the same in all units. Without it the cost is `unscaled`.
         """
+        if gain is None:
+            return replace(self, unscaled=True)
         return replace(
             self,
+            unscaled=False,
             move_weight=self.move_weight * gain**2,
             effort_weight=self.effort_weight * gain**2,
         )

@@ -114,7 +114,10 @@ def summarise(
     """The fit of a model with its covariances and its misfit."""
     J, n = left.slopes, model.parameters.size
     weight = np.linalg.norm(J, axis=0)
-    weight = np.maximum(weight, 1e-12 * weight.max())
+    # Slopes along logarithms, which alone can be compared, may be nothing but rounding.
+    poles = slice(0, model.order)
+    weight[poles] = np.maximum(weight[poles], 1e-12 * weight[poles].max())
+    weight = np.where(weight > 0.0, weight, 1.0)
     inverse = np.linalg.pinv((J / weight).T @ (J / weight), rcond=1e-12) / np.outer(weight, weight)
     count = max(left.errors.size - J.shape[1] - left.nuisance * signals.records, 1)
     variance = float(left.errors @ left.errors) / count

@@ -64,7 +64,7 @@ def load_finished(journal: Journal) -> TuningRun:
         raise JournalError(f"{journal.folder}: the run was not finished, and {_REMEDY}")
     loop.read_kept_records(tuning, journal)
     if tuning.first_record is not None:
-        loop.adopt_form(tuning, tuning.first_record)
+        loop.adopt_first(tuning, tuning.first_record)
     return tuning
 
 

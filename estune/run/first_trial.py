@@ -1,13 +1,18 @@
-"""What the first trial of a run shows of a rig that cannot be tuned, with the remedy."""
+"""What the first trial of a run shows of its rig: form, scale, and why it cannot be tuned."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 
 from estune.core.quantities import FloatArray
 from estune.errors import InvalidInput
 from estune.run.plan import Plan
-from estune.trial import RigDescription, TrialRecord
+from estune.run.planning import step_trial
+from estune.trial import Outcome, RigDescription, TrialRecord
+from estune.trial.controller_fit import fitted_form
+from estune.trial.effort_scale import measured_effort_scale
+from estune.tuners.interface import RecordUsingTuner
 
 ANSWERED = 5.0
 """Least change of the measurement over a trial, in standard errors of its means: noise alone
@@ -15,6 +20,28 @@ reaches 5 in one trial of a million."""
 
 MEANS = 4
 """The last quarter of the samples after the step is compared with those before it."""
+
+
+def adopted(plan: Plan, rig: RigDescription, record: TrialRecord) -> tuple[Plan, RigDescription]:
+    """Plan and rig with what a first record shows and the rig does not declare.
+
+    That is the form of its controller, and the measurement per effort by which the cost weighs
+    the effort.
+    """
+    controller, cost, tuner = rig.controller, plan.cost, plan.tuner
+    if controller.form is None and plan.needs_records:
+        form = fitted_form(record, rig)
+        rig = rig if form is None else replace(rig, controller=replace(controller, form=form))
+    if cost.unscaled and record.outcome is Outcome.DONE:
+        scale = measured_effort_scale(
+            record, plan.step, rig.newtons_per_ampere, cost.settling_time_s
+        )
+        cost = cost.scaled(scale)
+    if rig.controller == controller and cost == plan.cost:
+        return plan, rig
+    if isinstance(tuner, RecordUsingTuner):
+        tuner = tuner.for_trial(step_trial(rig, plan.step, cost), plan.limits)
+    return replace(plan, tuner=tuner, cost=cost), rig
 
 
 def check_answer(record: TrialRecord, plan: Plan, rig: RigDescription) -> None:

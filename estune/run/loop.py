@@ -14,10 +14,9 @@ from estune.core.controller_form import ControllerForm
 from estune.errors import Interrupted, InvalidInput, JournalError, RigError, UnsafeStart
 from estune.run import snapshot
 from estune.run.failed_trials import run_trial
-from estune.run.first_trial import check_answer
+from estune.run.first_trial import adopted, check_answer
 from estune.run.journal import CompletedTrial, Journal, JournalEntry
 from estune.run.plan import Plan
-from estune.run.planning import step_trial
 from estune.run.session import (
     Phase,
     Session,
@@ -31,10 +30,9 @@ from estune.run.start import first_record_fault
 from estune.run.trial_quality import check_noise
 from estune.support.blas import one_blas_thread
 from estune.trial import Outcome, Rig, RigDescription, TrialRecord, TrialRequest, empty_record
-from estune.trial.controller_fit import fitted_form
 from estune.trial.loop_records import loop_signals
 from estune.trial.scoring import constraint_margin, cost_of, unscored
-from estune.tuners.interface import CostPrediction, RecordUsingTuner
+from estune.tuners.interface import CostPrediction
 
 CONSECUTIVE_VOID_MAX = 10
 """Consecutive void trials that end a run."""
@@ -136,21 +134,13 @@ class TuningRun:
     fitted_form: ControllerForm | None = None
 
 
-def adopt_form(tuning: TuningRun, record: TrialRecord) -> None:
-    """Takes over the form of the rig's controller that the first record shows."""
-    controller = tuning.description.controller
-    if controller.form is not None or not tuning.plan.needs_records:
-        return
-    form = fitted_form(record, tuning.description)
-    if form is None:
-        return
-    tuning.fitted_form = form
-    tuning.description = replace(tuning.description, controller=replace(controller, form=form))
-    plan, tuner = tuning.plan, tuning.plan.tuner
-    if isinstance(tuner, RecordUsingTuner):
-        trial = step_trial(tuning.description, plan.step, plan.cost)
-        plan = replace(plan, tuner=tuner.for_trial(trial, plan.limits))
-    tuning.plan, tuning.session = plan, replace(tuning.session, plan=plan)
+def adopt_first(tuning: TuningRun, record: TrialRecord) -> None:
+    """Takes over what the first record shows of the rig."""
+    before = tuning.description.controller.form
+    tuning.plan, tuning.description = adopted(tuning.plan, tuning.description, record)
+    tuning.session = replace(tuning.session, plan=tuning.plan)
+    if tuning.description.controller.form != before:
+        tuning.fitted_form = tuning.description.controller.form
 
 
 def start(plan: Plan, description: RigDescription, journal: Journal | None) -> TuningRun:
@@ -185,8 +175,8 @@ def replay(plan: Plan, description: RigDescription, journal: Journal) -> TuningR
             )
         tuning.session = session_after(tuning, entry, journal)
     read_kept_records(tuning, journal)
-    if replayed and tuning.first_record is not None:
-        adopt_form(tuning, tuning.first_record)
+    if tuning.first_record is not None:
+        adopt_first(tuning, tuning.first_record)
     return tuning
 
 
@@ -196,6 +186,8 @@ def session_after(tuning: TuningRun, entry: JournalEntry, journal: Journal) -> S
         return tuning.session
     if tuning.plan.needs_records:
         record = journal.record(entry.trial_id)
+        if not tuning.session.baseline:
+            adopt_first(tuning, record)
         margin = constraint_margin(record, tuning.description)
         return _advanced(tuning, record, entry.cost, margin, entry.reason)
     told = entry.outcome, entry.cost, entry.margin
@@ -323,6 +315,8 @@ def _record_trial(
             f"trial {request.trial_id}: rig {record.rig} ran {record.gains} where "
             f"{request.gains} were requested; check its limits and its software, then resume"
         )
+    if not tuning.session.baseline:
+        adopt_first(tuning, record)
     plan, before = tuning.plan, tuning.session
     cost = cost_of(record, plan.step, plan.cost, tuning.description.newtons_per_ampere)
     phase = before.phase or Phase.CONFIRM
@@ -349,8 +343,6 @@ def _advanced(
     tuning: TuningRun, record: TrialRecord, cost: float, margin: float, reason: str
 ) -> Session:
     """The session after a trial."""
-    if not tuning.session.baseline:
-        adopt_form(tuning, record)
     plan, rig, before = tuning.plan, tuning.description, tuning.session
     learning = before.phase in (Phase.BASELINE, Phase.SEARCH)
     first = not before.baseline

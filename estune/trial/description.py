@@ -54,6 +54,12 @@ class LinearModel:
         gain = abs(self.E - float(np.array(self.C) @ rest))
         return float(f"{gain:.9g}") if gain < GAIN_MAX else math.inf
 
+    def gain_at(self, frequency_rad_s: float) -> float:
+        """Size of the frequency response, to nine digits."""
+        A, B, C = (np.array(matrix) for matrix in (self.A, self.B, self.C))
+        states = np.linalg.solve(1j * frequency_rad_s * np.eye(len(A)) - A, B)
+        return float(f"{abs(self.E + C @ states):.9g}")
+
 
 def omitted_if(default: object) -> Any:
     """Leaves a value out of messages where it is the default: older clients know no such key."""
@@ -169,13 +175,18 @@ class RigDescription(NamedSignals):
     command: Annotated[str, omitted_if(EFFORT)] = EFFORT
 
     @property
-    def effort_scale(self) -> float:
-        """N of measurement per N of effort at rest, by which costs weigh the effort.
+    def effort_scale(self) -> float | None:
+        """N of measurement per N of effort, by which costs weigh the effort; None if unknown.
 
-        One where no model is known, and for plants without a steady state.
+        At rest, or, of a plant that needs no effort at rest, at the frequency 1/settling_time_s.
         """
-        gain = self.linear_model.static_gain if self.linear_model else 1.0
-        return gain if 0.0 < gain < math.inf else 1.0
+        model = self.linear_model
+        if model is None:
+            return None
+        gain = model.static_gain
+        if not 0.0 < gain < math.inf:
+            gain = model.gain_at(2.0 * math.pi / self.settling_time_s)
+        return gain if 0.0 < gain < math.inf else None
 
     @property
     def signals(self) -> Signals:

@@ -17,6 +17,7 @@ from estune.core.oscillation import growing_oscillation
 from estune.core.quantities import FloatArray
 from estune.errors import RigError
 from estune.trial.description import RigDescription
+from estune.trial.effort_scale import measured_effort_scale
 from estune.trial.profiles import StepProfile
 from estune.trial.records import Outcome, TrialRecord
 
@@ -35,6 +36,10 @@ def cost_of(
     """
     if not _is_complete(record, step) or growing_oscillation_Hz(record, step) is not None:
         return math.nan
+    if cost.unscaled:
+        cost = cost.scaled(
+            measured_effort_scale(record, step, newtons_per_ampere, cost.settling_time_s)
+        )
     eta = cost.evaluate(
         record.sampling_Hz,
         step.shape(record.sampling_Hz),

@@ -98,7 +98,7 @@ def match(
         raise RigError(f"too few reels for eta {eta} could be reached ({_reasons(reels)})")
     common = common_description(descriptions)
     step = step or common.step
-    cost = cost or default_cost(common.settling_time_s).scaled(common.effort_scale)
+    cost = cost or default_cost(common.settling_time_s).scaled(common.effort_scale or 1.0)
     step = suited_step(step, cost, common)
     reels = [matcher.tuned(reel, step, cost) for reel in reels]
     target = _worst(reels) if eta == "auto" else eta

@@ -205,7 +205,7 @@ def _measured(
     used = slice(about.step.samples(rate))
     cost = (
         default_cost(settling)
-        .scaled(about.effort_scale)
+        .scaled(about.effort_scale or 1.0)
         .evaluate(
             rate,
             about.step.shape(rate),

@@ -65,7 +65,7 @@ def tune_with_model(
 ) -> Tuned:
     """Tunes on the improved model, then on the rig from there, and compares the costs."""
     about = lab.about
-    cost = default_cost(about.settling_time_s).scaled(about.effort_scale)
+    cost = default_cost(about.settling_time_s).scaled(about.effort_scale or 1.0)
     own, own_error = lab.measured(about.gains, cost, options.repeats)
 
     def compared(label: str, gains: Gains, measured: float, error: float) -> Costs:

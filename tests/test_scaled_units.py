@@ -1,0 +1,96 @@
+"""Units change nothing: the same trials, gains and claims of a plant in any of them."""
+
+from dataclasses import replace
+
+import control
+import numpy as np
+import pytest
+
+import estune
+import plants
+from estune.core.cost import MOVE_WEIGHT
+from estune.core.gains import Gains
+from estune.trial.profiles import StepProfile
+
+UNITS = [(50.0, 0.02), (0.02, 50.0), (1.0, 50.0)]
+"""Scales of measurement and effort."""
+
+START = Gains(0.5, 4.0, 0.005, 0.05)
+LAG = control.tf([1.0], [0.02, 0.3, 1.0])
+INTEGRATOR = control.tf([2.0], [0.05, 1.0, 0.0])
+
+
+def scaled(transfer, measurement, effort):
+    """A plant in units that are so many times as small."""
+    gain = measurement / effort
+    P, I, D, filter_s = START.as_tuple()
+    return plants.linear_plant(
+        gain * transfer,
+        dead_time_s=0.01,
+        sampling_Hz=200.0,
+        gains=Gains(P / gain, I / gain, D / gain, filter_s),
+        profile=StepProfile(0.0, measurement, 0.2, 2.2),
+        settling_time_s=0.5,
+        noise_rms_N=0.003 * measurement,
+        output_min_N=-20.0 * effort,
+        output_max_N=20.0 * effort,
+    )
+
+
+class WithoutModel:
+    """A rig that says nothing of its plant."""
+
+    def __init__(self, rig):
+        self._rig = rig
+
+    def __getattr__(self, name):
+        return getattr(self._rig, name)
+
+    def describe(self):
+        return replace(self._rig.describe(), linear_model=None)
+
+
+def tuned(transfer, measurement, effort, *, knows, **settings):
+    """Gains of each trial in units of the first plant, and what the run ends with."""
+    rig = scaled(transfer, measurement, effort).rig(seed=3)
+    options = {"journal": False, "watch": None, **settings}
+    result = estune.tune(rig if knows else WithoutModel(rig), **options)
+    unit = measurement / effort
+    gains = np.array([e.gain_values for e in result.entries]) * [unit, unit, unit, 1.0]
+    margins = result.claim.margins
+    said = np.array([*margins.sensitivity, *margins.phase_margin_deg]) if margins else np.zeros(6)
+    costs = np.array([entry.cost for entry in result.entries])
+    return gains, costs, said, result.ending
+
+
+@pytest.mark.parametrize("knows", [True, False])
+@pytest.mark.parametrize(
+    ("tuner", "transfer"),
+    [
+        ("model_based", LAG),
+        ("safe_bayesian", LAG),
+        ("otis", LAG),
+        ("safe_bayesian", INTEGRATOR),
+        ("otis", INTEGRATOR),
+    ],
+)
+def test_units_change_neither_trials_nor_gains_nor_claims(tuner, transfer, knows):
+    search = {"tuner": tuner, "trials": 4}
+    gains, costs, said, ending = tuned(transfer, 1.0, 1.0, knows=knows, **search)
+    for measurement, effort in UNITS:
+        others = tuned(transfer, measurement, effort, knows=knows, **search)
+        assert len(others[0]) == len(gains)
+        assert others[0] == pytest.approx(gains, rel=1e-3)
+        assert others[1] == pytest.approx(costs, rel=1e-3)
+        if transfer is LAG:  # how slow a pole at the origin is, rounding decides
+            assert others[3] == ending
+            assert others[2] == pytest.approx(said, rel=1e-2)
+
+
+def test_measured_scale_is_that_of_the_model_and_is_kept_when_a_run_is_loaded(tmp_path):
+    rig = scaled(LAG, 50.0, 1.0).rig(seed=3)
+    known, weight = rig.describe().effort_scale, MOVE_WEIGHT
+    options = {"folder": tmp_path, "run": "run", "trials": 2, "watch": None}
+    result = estune.tune(WithoutModel(rig), **options)
+    assert result.plan.cost.move_weight == pytest.approx(weight * known**2, rel=0.02)
+    assert estune.load(tmp_path / "run").plan.cost == result.plan.cost
