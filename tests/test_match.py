@@ -123,7 +123,7 @@ def test_match_continues_without_unreachable_reels():
         def describe(self):
             raise RigError("nobody there")
 
-    slow = plants.reference_reel(drum_inertia_kg_m2=8e-3)
+    slow = plants.reference_reel(drum_inertia_kg_m2=5e-3)
     targets = {"away": Away(), "slow": slow, "good": plants.reference_reel()}
     result = estune.match(targets, eta=1.1, settings=BRIEF, journal=False)
     outcomes = {reel.label: reel.outcome for reel in result.reels}
