@@ -45,7 +45,7 @@ def draw_shares(ax: Axes, where: ResidualLocation) -> Axes:
         ax.barh(at, values, height=0.9 * height, color=colour, label=label, zorder=2)
     ax.set_yticks(np.arange(len(names)), names)
     ax.set_xlim(0.0, 100.0)
-    finish(ax, "", "share of the residual that goes with it, %")
+    finish(ax, "", "share of the residual explained, %")
     ax.grid(visible=False, axis="y")
     # The bars are shortest below.
     ax.legend(loc="lower right", fontsize=8, frameon=False, handlelength=1.2)

@@ -194,7 +194,7 @@ def verdict_sentence(
     before, after = steps[0], steps[-1]
     error = f"{si(before.gap, unit)}, {before.ratio:.2g} times the noise floor"
     if verdict == "none":
-        return f"Nothing is missing that these records can show: the prediction error is {error}."
+        return f"These records show no missing effect: the prediction error is {error}."
     if verdict == "unknown":
         like = f"It looks like {conclusion.like}." if conclusion.like else ""
         said = f"No declared effect explains the prediction error, {error}."
@@ -202,10 +202,12 @@ def verdict_sentence(
     titles = " and ".join(effect.title for effect in effects)
     falls = f"the prediction error falls from {error}, to {after.ratio:.2g} times the noise floor"
     if verdict == "ambiguous":
-        tied = " or ".join(conclusion.tied)
-        return f"These records cannot tell {tied} apart; with {titles} {falls}."
+        tied = " from ".join(conclusion.tied)
+        return f"These records do not distinguish {tied}; with {titles} {falls}."
     sentences = " ".join(effect.sentence for effect in effects)
     if verdict == "incomplete":
-        remainder = f" What is left looks like {conclusion.rest}." if conclusion.rest else ""
-        return f"{sentences} With {titles} {falls}: something more is missing.{remainder}"
+        remainder = (
+            f" The remaining error looks like {conclusion.rest}." if conclusion.rest else ""
+        )
+        return f"{sentences} With {titles} {falls}: another effect is missing.{remainder}"
     return f"{sentences} With it {falls}."

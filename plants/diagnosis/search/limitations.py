@@ -49,8 +49,9 @@ def limitations(
     limits += [*_of_base(last, scale), *_of_motion(measurements)]
     if scale.has_cable and all(m.angle_rad is None for m in measurements):
         said = (
-            "no record has an angle: effects of cable and gauge cannot be told from effects of "
-            "the drum, nor the drum's inertia but by the stiffness given; record angle_rad"
+            "no record has an angle: effects of cable and gauge cannot be distinguished from "
+            "effects of the drum, and the inertia is known only relative to the stiffness given; "
+            "record angle_rad"
         )
         limits.append(Limitation("no_encoder", "no encoder", said))
     first = "base_parameter_moved"
@@ -92,13 +93,13 @@ def _of_base(base: CandidateFit, scale: PlantScale) -> list[Limitation]:
         factor, name = value / f.start, scale.name(f.name)
         moved = f"{name} moved to {factor:.2g} times what was given"
         if f.scale == "log" and min(value / f.low, f.high / value) < 1.0 + EDGE:
-            said = f"{moved}, as far as it may; check the units and signs of the columns"
+            said = f"{moved}, the limit of the fit; check the units and signs of the columns"
             label = f"{name} at its bound"
             limits.append(Limitation("base_parameter_at_bound", label, said, by_data=True))
         elif f.prior is None:
             usual = USUAL_sd if f.scale == "log" else GUESSED_sd
             if abs(math.log(max(factor, EDGE))) > BEYOND * usual:
-                said = f"{moved}; check it, for it may make up for what is missing"
+                said = f"{moved}; check it: it may compensate for an effect that the model lacks"
                 limits.append(Limitation("base_parameter_moved", f"{name} x{factor:.2g}", said))
         elif (beyond := _distance(f, value)) > BEYOND:
             known = f"{f.prior / (1.0 if f.scale == 'log' else f.start):.0%}"
@@ -127,13 +128,13 @@ def _of_motion(measurements: Sequence[MeasuredRecord]) -> list[Limitation]:
     times = sorted([int((going & (moved > 0)).sum()), int((going & (moved < 0)).sum())])
     if ways[0] < ONE_WAY * ways[1] or times[0] < ONE_WAY_TIME * times[1]:
         said = (
-            "all motion is in one direction: dry friction cannot be told from an offset of the "
-            "force; record motion both ways"
+            "all motion is in one direction: dry friction cannot be distinguished from an offset "
+            "of the force; record motion both ways"
         )
         limits.append(Limitation("one_direction", "one direction of motion", said))
     if np.mean(np.abs(moved) < 0.1 * size) < SLOW:
         said = (
-            "nothing moves slowly: friction at low speed cannot be told; record slow motion and "
+            "no motion is slow: friction at low speed cannot be identified; record slow motion and "
             "standstill"
         )
         limits.append(Limitation("no_slow_motion", "no slow motion", said))
