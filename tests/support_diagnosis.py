@@ -12,7 +12,6 @@ from plants.diagnosis.data.noise_floor import Noise, NoiseFloor
 from plants.diagnosis.report.diagnosis import Diagnosis
 from plants.diagnosis.residual.localisation import (
     Block,
-    Distortion,
     ResidualDependence,
     ResidualLocation,
 )
@@ -70,22 +69,6 @@ def block(name, title, rms, noise_rms, seed):
         power=power,
         noise_power=np.full(200, noise_rms**2 / lines[-1]),
         residual=(np.zeros(8),),
-    )
-
-
-def distortion():
-    lines = np.arange(1.0, 61.0)
-    kind = np.array([0.0, 2.0, 1.0] * 20)
-    amplitude = np.where(kind == 0.0, 1.0, np.where(kind == 1.0, 0.05, 0.02)) / (1.0 + lines / 30)
-    return Distortion(
-        source="multisine-2",
-        channel="tension_N",
-        even_dB=22.0,
-        odd_dB=31.0,
-        frequency_Hz=lines,
-        amplitude=amplitude,
-        kind=kind,
-        noise=np.full(60, 1.5e-3),
     )
 
 
@@ -153,7 +136,6 @@ def diagnosis(**changes) -> Diagnosis:
                 block("gauge", "cable and gauge block", 0.62, 0.05, 1),
                 block("force", "force block", 0.11, 0.06, 2),
             ),
-            distortion=(distortion(),),
             sentence=(
                 "the cable and gauge block is 12 times its noise, below 14 Hz, and 63 % of it "
                 "goes with the sign of the velocity"
@@ -202,7 +184,7 @@ def diagnosis(**changes) -> Diagnosis:
     return replace(made, **changes)
 
 
-NO_BLOCKS = replace(diagnosis().where, blocks=(), distortion=(), sentence="")
+NO_BLOCKS = replace(diagnosis().where, blocks=(), sentence="")
 """A residual without the figures that take most of a page's time."""
 
 

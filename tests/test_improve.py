@@ -94,7 +94,7 @@ def records(reel, seed=0):
 @pytest.fixture(scope="module")
 def plain():
     seen = records(REEL)
-    return Evidence(seen, noise_floor(seen), ResidualLocation((), (), ""), 1.0)
+    return Evidence(seen, noise_floor(seen), ResidualLocation((), ""), 1.0)
 
 
 def test_deciding_experiment_separates_refitted_models(plain):

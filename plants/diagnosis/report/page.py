@@ -11,7 +11,6 @@ from estune.support.html_page import Block, Drawing, Heading, Page, Paragraph, S
 from estune.support.plot_style import WIDTH_in, new_figure
 from plants.diagnosis.report import figures, residual_figures, summary
 from plants.diagnosis.result import DiagnosisResult, Trace
-from plants.effects.plant_scale import PlantScale
 from plants.remedies import text as remedies
 
 TITLE = "Where simulation and measurement disagree"
@@ -113,32 +112,7 @@ def _where(d: DiagnosisResult) -> list[Block]:
         drawing = residual_figures.block_figure(block)
         heading = Heading(block.title[:1].upper() + block.title[1:])
         blocks += [heading, Drawing(drawing, f"block-{block.name}", block.title)]
-    return blocks + (_distortion(d) if where.distortion else [])
-
-
-def _distortion(d: DiagnosisResult) -> list[Block]:
-    drawings = [
-        _plot(
-            partial(
-                residual_figures.draw_distortion,
-                distortion=distortion,
-                scale=PlantScale.of(d.base_model),
-            ),
-            f"distortion-{channel}",
-            f"lines of {channel}",
-        )
-        for channel, distortion in residual_figures.most_distorted(d.where).items()
-    ]
-    return [
-        Heading("Lines that a periodic setpoint does not excite"),
-        Paragraph(
-            "A linear plant answers on the excited lines alone. A law that bends both ways alike "
-            "adds odd lines, any other even lines as well. Drawn is the record of each channel "
-            "that shows most."
-        ),
-        *drawings,
-        _table(summary.distortions(d)),
-    ]
+    return blocks
 
 
 def _ranking(d: DiagnosisResult) -> list[Block]:

@@ -15,16 +15,13 @@ from estune.support.plot_style import (
     VERMILION,
     WIDTH_in,
     finish,
-    legend,
     new_figure,
 )
 from plants.diagnosis.residual.localisation import (
     Block,
-    Distortion,
     ResidualDependence,
     ResidualLocation,
 )
-from plants.effects.plant_scale import PlantScale
 
 NOISE: dict[str, Any] = {"color": GREY, "linewidth": 1.0, "linestyle": (0, (4, 2))}
 _BLOCK_COLOURS = (VERMILION, PURPLE, GREEN, BLUE)
@@ -117,32 +114,3 @@ def _small(ax: Axes) -> Axes:
     for label in (ax.xaxis.label, ax.yaxis.label):
         label.set_fontsize(8)
     return ax
-
-
-def draw_distortion(ax: Axes, distortion: Distortion, scale: PlantScale) -> Axes:
-    """Lines of a multisine's response: those it excites, odd and even ones it does not."""
-    looks = ((0, GREY, "D", "excited"), (1, VERMILION, "o", "odd"), (2, BLUE, "s", "even"))
-    for kind, colour, marker, label in looks:
-        lines = (distortion.kind == kind) & (distortion.amplitude > 0.0)
-        level = 20.0 * np.log10(distortion.amplitude[lines])
-        ax.plot(
-            distortion.frequency_Hz[lines], level, marker, color=colour, markersize=3.0,
-            markeredgewidth=0, label=label,
-        )  # fmt: skip
-    nonzero = distortion.noise > 0.0
-    noise = 20.0 * np.log10(distortion.noise[nonzero])
-    ax.plot(distortion.frequency_Hz[nonzero], noise, label="noise", **NOISE)
-    title, unit = scale.channel(distortion.channel)
-    finish(ax, f"{title}, dB above 1 {unit}", "frequency, Hz")
-    legend(ax)
-    return ax
-
-
-def most_distorted(where: ResidualLocation) -> dict[str, Distortion]:
-    """For each channel the record that shows most distortion."""
-
-    def shown(distortion: Distortion) -> float:
-        return float(np.nanmax([distortion.even_dB, distortion.odd_dB, -np.inf]))
-
-    ranked = sorted(where.distortion, key=shown)
-    return {distortion.channel: distortion for distortion in ranked}

@@ -192,20 +192,6 @@ def step_name(effect: str | None) -> str:
     return "base fit" if effect is None else f"+ {effect}"
 
 
-def distortions(d: DiagnosisResult) -> TextTable:
-    """Power of periodic records on lines they do not excite."""
-    scale = PlantScale.of(d.base_model)
-    rows = [
-        (
-            x.source,
-            scale.channel(x.channel)[0],
-            *(f"{number(v)} dB" for v in (x.even_dB, x.odd_dB)),
-        )
-        for x in d.where.distortion
-    ]
-    return TextTable(("record", "channel", "even lines, over the noise", "odd lines"), tuple(rows))
-
-
 def noises(d: DiagnosisResult) -> TextTable:
     """The noise of each channel, and how it was estimated."""
     scale = PlantScale.of(d.base_model)

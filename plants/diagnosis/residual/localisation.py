@@ -4,7 +4,7 @@ Only the base-model parameters in which the balances are linear are fitted, no e
 """
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -25,7 +25,6 @@ from plants.diagnosis.residual.dependence import (
     strongest,
     views,
 )
-from plants.diagnosis.residual.distortion import Distortion, distortions
 from plants.diagnosis.residual.residuals import (
     FEWEST,
     BalanceFit,
@@ -37,7 +36,7 @@ from plants.diagnosis.residual.residuals import (
     widest_s,
 )
 
-__all__ = ["Block", "Distortion", "ResidualDependence", "ResidualLocation", "localise"]
+__all__ = ["Block", "ResidualDependence", "ResidualLocation", "localise"]
 
 BAND_POWER = 0.9
 """Share of the residual's power in its band."""
@@ -50,8 +49,6 @@ R2_MIN = 0.4
 READING = "gauge's reading"
 SAMPLES_MAX = 12_000
 """Samples used for the dependence on variables; longer residuals are subsampled."""
-DISTORTION_MIN_dB = 6.0
-"""Least distortion over the noise that is reported."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -132,12 +129,10 @@ class ResidualLocation:
 
     Attributes:
         blocks: The blocks that the channels allow, the one furthest above its noise first.
-        distortion: One entry per periodic record and channel.
         sentence: The main findings in words.
     """
 
     blocks: tuple[Block, ...]
-    distortion: tuple[Distortion, ...]
     sentence: str
 
     def to_json(self) -> dict[str, Any]:
@@ -147,7 +142,6 @@ class ResidualLocation:
             **{key: first.get(key) for key in ("block", "regime", "band")},
             "sentence": self.sentence,
             "blocks": [block.to_json() for block in self.blocks],
-            "distortion": [d.to_json() for d in self.distortion],
         }
 
 
@@ -157,7 +151,6 @@ def localise(
     floor: NoiseFloor,
 ) -> ResidualLocation:
     """Localises the base model's residual; `numbers` are those of the model at each record."""
-    distortion = distortions(measurements)
     records = prepared(measurements, numbers, floor)
     best: dict[str, Block] = {}
     if records:
@@ -170,9 +163,7 @@ def localise(
             ):
                 best[equation.name] = block
     blocks = _responsible(list(best.values()), records[0].measurement.sampling_Hz) if best else []
-    return ResidualLocation(
-        tuple(blocks), distortion, " ".join([_of_blocks(blocks), *_of_distortion(distortion)])
-    )
+    return ResidualLocation(tuple(blocks), _of_blocks(blocks))
 
 
 def _block(
@@ -305,20 +296,3 @@ def _of_blocks(blocks: Sequence[Block]) -> str:
     separate = [b for b in blocks[1:] if b.name != shown]
     others = [f"the {b.title} {b.ratio:.2g} times" for b in separate if b.ratio >= RATIO_MIN]
     return sentence + (f" Above its noise too: {', '.join(others)}." if others else "")
-
-
-def _of_distortion(distortion: Sequence[Distortion]) -> Iterator[str]:
-    """The distortion of each channel, in words."""
-    for channel in dict.fromkeys(d.channel for d in distortion):
-        of = [d for d in distortion if d.channel == channel]
-        most = {
-            "odd": max((d.odd_dB for d in of if not math.isnan(d.odd_dB)), default=math.nan),
-            "even": max(d.even_dB for d in of),
-        }
-        shown = [
-            f"{name} distortion of {dB:.0f} dB"
-            for name, dB in most.items()
-            if dB >= DISTORTION_MIN_dB
-        ]
-        what = " and ".join(shown) or "no distortion"
-        yield f"Lines left free in {channel} show {what} over the noise."

@@ -134,8 +134,8 @@ def _of_motion(measurements: Sequence[MeasuredRecord]) -> list[Limitation]:
         limits.append(Limitation("one_direction", "one direction of motion", said))
     if np.mean(np.abs(moved) < 0.1 * size) < SLOW:
         said = (
-            "no motion is slow: friction at low speed cannot be identified; record slow motion and "
-            "standstill"
+            "no motion is slow: friction at low speed cannot be identified; record slow motion "
+            "and standstill"
         )
         limits.append(Limitation("no_slow_motion", "no slow motion", said))
     return limits
