@@ -5,9 +5,11 @@ from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import plants
+from estune.hardware.compensation.tables import AngleMapTable
 from experiments import emps, silverbox
 from experiments.measured_data import folder
 
@@ -28,13 +30,39 @@ def test_friction_of_a_measured_drive_is_named_however_its_record_is_cut(pieces,
     assert found.held_out_N <= emps.HELD_OUT_N
 
 
-def test_cogging_of_a_measured_winch_motor_is_named_with_its_orders(tmp_path):
-    data = measured("winch_motor/nocomp_0.csv")
+MOTOR = replace(
+    plants.servo(2.5e-4, 1e-4, torque_constant_Nm_A=0.0094, encoder_counts=8192.0),
+    sampling_Hz=430.0,
+)
+
+
+@pytest.fixture(scope="module")
+def winch(tmp_path_factory):
+    """The diagnosis of two slow records of a winch motor, a third one held out."""
+    data, folder = measured("winch_motor/nocomp_0.csv"), tmp_path_factory.mktemp("winch")
     for n in (0, 1):
-        (tmp_path / f"{n}.csv").write_bytes((data / f"nocomp_{n}.csv").read_bytes())
-    motor = plants.servo(2.5e-4, 1e-4, torque_constant_Nm_A=0.0094, encoder_counts=8192.0)
-    motor = replace(motor, sampling_Hz=430.0)
-    found = plants.explain(motor, tmp_path, hold_out=data / "nocomp_2.csv")
+        (folder / f"{n}.csv").write_bytes((data / f"nocomp_{n}.csv").read_bytes())
+    return plants.explain(MOTOR, folder, hold_out=data / "nocomp_2.csv")
+
+
+def test_a_map_of_the_diagnosis_removes_the_cogging_of_a_record_it_has_not_seen(winch):
+    time_s, current, angle = np.loadtxt(
+        DATA / "winch_motor" / "nocomp_2.csv", delimiter=",", skiprows=1, unpack=True
+    )
+    # The motor swings into its slow motion, by more than a turn in the first 0.3 s.
+    current, angle = current[time_s > 0.3], angle[time_s > 0.3]
+    reel = plants.reference_reel().scale  # a map in the loop is a reel's
+    (remedy, _) = type(winch.effects[0].effect).remedies(winch.effects[0].effect, reel)
+    table = AngleMapTable(**remedy.tables["angle_map"] | {"fraction": 1.0, "lead_s": 0.0})
+    mapped = table.map(drum_radius_m=1.0)
+    fed = np.array([mapped.force_N(one, 0.0, 0.0) for one in angle]) / MOTOR.torque_constant_Nm_A
+    # Friction, which is constant in one direction, is no part of the map.
+    assert np.std(current) > 0.6
+    assert np.std(current - fed) <= 0.16
+
+
+def test_cogging_of_a_measured_winch_motor_is_named_with_its_orders(winch):
+    found = winch
     assert [e.name for e in found.effects] == ["cogging"]
     orders = [found.effects[0].effect.__dict__[f"per_turn_{k}"] for k in (1, 2, 3, 4)]
     assert sorted(orders) == [7.0, 12.0, 14.0, 28.0]

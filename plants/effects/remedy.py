@@ -25,6 +25,9 @@ WORK = {
     Place.LIMIT: "none",
 }
 
+BY_HAND = "by hand, in the drive's own controller"
+"""Work of what a loop of a reel does by a table of its file, on a machine that is no reel."""
+
 SAFE_FRACTION = 0.8
 """Greatest share of a feed-forward that is offered: from 0.8 to 1.0 it gains most, and above that
 an error of the identified size turns it into a disturbance (`experiments.compensation`)."""
@@ -71,8 +74,8 @@ def friction_feed_forward(
         friction: Keys of `[compensation.friction]` that the effect gives.
     """
     if not plant.has_cable:
-        torque = "the drive's own controller, along the motion that is commanded"
-        return (Remedy(Place.LOOP, f"feed the friction forward in {torque}", sized_by=sized_by),)
+        title = "feed the friction forward along the motion that is commanded"
+        return (Remedy(Place.LOOP, title, sized_by=sized_by, work=BY_HAND),)
     per_rad = plant.stiffness_N_m * plant.radius_m
     table = {"coulomb_Nm": 0.0, "static_Nm": 0.0, "stribeck_rad_s": 1.0} | dict(friction)
     table["fraction"] = SAFE_FRACTION
@@ -101,8 +104,8 @@ def angle_map(
         waves: Of each wave `orders`, `phase_rad`, and `torque_Nm` or `load_share`.
     """
     if not plant.has_cable:
-        title = "map the torque over the angle in the drive's own controller"
-        return (Remedy(Place.LOOP, title, sized_by=sized_by),)
+        title = "feed a map over the angle forward"
+        return (Remedy(Place.LOOP, title, sized_by=sized_by, work=BY_HAND),)
     table: dict[str, Any] = {key: [wave[key] for wave in waves] for key in waves[0]}
     # The effort acts for one sample after the dead time: in its middle on the average.
     table["lead_s"] = plant.dead_time_s + 0.5 / plant.sampling_Hz
