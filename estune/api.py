@@ -132,6 +132,13 @@ class TuneOptions(Search):
             "of the cost, or the settling time is shorter than ten samples"
         ),
     ] = False
+    tracking: Annotated[
+        bool,
+        Setting(
+            "Whether to run a slow triangle and a rest after the tuning, at the initial and the "
+            "tuned gains; what they show stands beside the cost"
+        ),
+    ] = False
 
 
 @keywords(TuneOptions)
@@ -187,11 +194,12 @@ def tune(target: Any, options: TuneOptions) -> "TuneResult":  # noqa: D417  from
                 "created_at": datetime.now().astimezone().isoformat(timespec="seconds"),
                 "status": "running",
                 "records_max": options.records,
+                "tracking": options.tracking,
             }
             book = Journal.create(Path(options.folder) / name, facts)
         tuning_ = loop.start(plan, description, book)
         try:
-            return _run(tuning_, the_rig, options.watch, options.ask)
+            return _run(tuning_, the_rig, options.watch, options.ask, tracking=options.tracking)
         except (InvalidInput, RigError):
             if book is not None and not tuning_.entries and _replies(the_rig):
                 book.discard()  # it was refused before its first trial
@@ -233,7 +241,8 @@ def resume(
             )
         with open_target(target, journal.fact("rig_name"), security, patience_s) as rig:
             check_same_rig(tuning_.description, rig.describe())
-            return _run(tuning_, rig, watch, ask)
+            wanted = bool(journal.fact("tracking"))
+            return _run(tuning_, rig, watch, ask, tracking=wanted)
     finally:
         journal.close()
 
@@ -260,6 +269,8 @@ def _run(
     rig: Rig,
     watch: ProgressListener | Literal["auto"] | None,
     ask: ApprovalCallback | None,
+    *,
+    tracking: bool,
 ) -> "TuneResult":
     from estune.run.results import result  # noqa: PLC0415  it loads SciPy
 
@@ -268,7 +279,9 @@ def _run(
         progress.watching(watch, tuning_, asking=ask is not None) as listeners,
     ):
         loop.run(tuning_, rig, listeners, ask)
-    made = result.from_tuning(tuning_)
+        made = result.from_tuning(tuning_)
+        if tracking and made.verdict.complete:
+            made.measure_behaviour(rig, tuning_.journal)
     if made.folder is not None:
         with contextlib.suppress(InvalidInput):  # a list without them is no reason to fail
             write_numbers(made.folder, made.listed_numbers)

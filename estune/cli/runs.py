@@ -230,6 +230,7 @@ def result_facts(result: "TuneResult", *, trials: bool = False) -> dict[str, Any
         shown[name] = performance
     shown["forms"] = output.plain(result.forms)
     shown.update(rig=result.rig.name, trials_run=result.nfev)
+    shown["behaviour"] = output.plain(result.behaviour)
     if trials:
         shown["trials"] = result.to_frame().to_dict(orient="records")
     return shown

@@ -54,6 +54,7 @@ def tune(
     tuner: TunerName = DEFAULT_TUNER,
     ask: Flag = False,
     force: Flag = False,
+    tracking: Flag = False,
     start: Values = (),
     bounds: Values = (),
     rig: str | None = None,
@@ -82,6 +83,8 @@ def tune(
         tuner: Tuner.
         ask: Prompt before gains are tried that lie outside the region shown to be safe.
         force: Tune even if the trial is ill-posed: cost mostly noise, or too few samples.
+        tracking: Run a slow triangle and a rest after the tuning, at the initial and at the tuned
+            gains.
         start: Where the initial gains come from instead of the rig: model (the optimum of its own
             linear model), run:RUN, law:SWEEP or law:RUNS (the law over cable length of a sweep or
             of a folder of runs), records:LOGS (what estune suggest recommends by logs of the rig
@@ -122,6 +125,7 @@ def tune(
             watch=None if quiet else "auto",
             ask=terminal_approval() if ask else None,
             force=force,
+            tracking=tracking,
         )
     if json:
         return print_result(result, report)

@@ -18,6 +18,13 @@ from estune.core.gains import GAIN_NAMES, Gains
 from estune.core.metrics import NO_METRICS
 from estune.errors import JournalError
 from estune.loop_model.claim import Claim, unexplained
+from estune.run.behaviour import (
+    Measured,
+    behaviour_remarks,
+    behaviour_rows,
+    measure_all,
+    stored_behaviour,
+)
 from estune.run.ending import RunEnding
 from estune.run.journal import Journal, JournalEntry
 from estune.run.labels import ListedNumbers
@@ -36,7 +43,7 @@ from estune.run.session import Phase, Session, is_safe
 from estune.run.start import left_out
 from estune.run.trial_quality import quality_remarks
 from estune.support.quantity_text import change_text
-from estune.trial import Outcome, RigDescription, TrialRecord
+from estune.trial import Outcome, Rig, RigDescription, TrialRecord
 from estune.trial.scoring import constraint_margin
 
 if TYPE_CHECKING:
@@ -149,6 +156,22 @@ class RunResult(OptimizeResult):  # type: ignore[misc]  # scipy ships no type in
         return replace(performance, metrics=performance.metrics._replace(overshoot=mean.value))
 
     @cached_property
+    def behaviour(self) -> Measured:
+        """Tracking and rest at the `start` and the `tuned` gains; empty where not asked for."""
+        if self.folder is None:
+            return {}
+        with Journal.open(self.folder) as journal:
+            return stored_behaviour(journal)
+
+    def measure_behaviour(self, rig: Rig, journal: Journal | None) -> None:
+        """Measures it on the rig, after the tuning."""
+        gains = {"start": self.start_gains} | ({"tuned": self.gains} if self.success else {})
+        found = measure_all(rig, self.rig, self.plan.run, gains)
+        self.__dict__["behaviour"] = found  # the cached property
+        if journal is not None:
+            journal.note(behaviour=found)
+
+    @cached_property
     def findings(self) -> tuple[result_warnings.ResultWarning, ...]:
         """Warnings: low margins, a response near a limit, gains at a bound, a flat cost.
 
@@ -230,6 +253,8 @@ class RunResult(OptimizeResult):  # type: ignore[misc]  # scipy ships no type in
         shown = [ResultRow(label, start[label], tuned.get(label, "-")) for label in start]
         robust = robustness_cells(self.claim.margins)
         shown += [ResultRow(label, *(("-", x) if self.tuned else (x, ""))) for label, x in robust]
+        none = "-" if self.tuned else ""
+        shown += [ResultRow(*r) for r in behaviour_rows(self.behaviour, self.rig.measured, none)]
         return tuple(shown)
 
     def remarks(self) -> tuple[str, ...]:
@@ -240,6 +265,7 @@ class RunResult(OptimizeResult):  # type: ignore[misc]  # scipy ships no type in
             *_start_remarks(self),
             *(f"{n} trial{'s were' if n > 1 else ' was'} {what}" for n, what in counts if n),
             *(finding.sentence for finding in self.findings),
+            *behaviour_remarks(self.behaviour),
             *(_robustness_remarks(self) if self.verdict.complete else ()),
         )
         return tuple(f"{sentence[:1].upper()}{sentence[1:]}." for sentence in sentences)

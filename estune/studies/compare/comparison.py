@@ -11,6 +11,7 @@ from estune import api
 from estune.core.gains import GAIN_NAMES
 from estune.errors import InvalidInput
 from estune.loop_model.optimum import RobustnessLimits
+from estune.run.behaviour import LoopBehaviour
 from estune.run.ending import RunEnding
 from estune.run.journal import FILE_NAME
 from estune.run.loop import ProgressListener
@@ -111,7 +112,8 @@ def compare(
             again = {key: how[key] for key in ("security", "patience_s", "ask") if key in how}
             results[name] = api.resume(where / run, target, watch=watch, **again)
             continue
-        chosen = {"trials": trials, "tolerance": tolerance, "limits": limits, **how}
+        fixed = {"trials": trials, "tolerance": tolerance, "limits": limits, "tracking": True}
+        chosen: dict[str, Any] = {**fixed, **how}
         results[name] = api.tune(target, tuner=name, run=run, folder=where, watch=watch, **chosen)
     return Comparison(dict(sorted(results.items(), key=lambda item: _rank(item[1]))), where)
 
@@ -136,6 +138,12 @@ def searched(result: TuneResult) -> "pd.DataFrame":
     ]
 
 
+def behaviour_of(result: TuneResult) -> LoopBehaviour:
+    """Tracking and rest at the gains to use; NaN where they were not measured."""
+    found = result.behaviour.get("tuned" if result.tuned else "start")
+    return found if isinstance(found, LoopBehaviour) else LoopBehaviour(*3 * (math.nan,))
+
+
 def _row(name: str, result: TuneResult) -> dict[str, Any]:
     at, margins = result.tuned or result.start, result.claim.margins
     return {
@@ -148,5 +156,6 @@ def _row(name: str, result: TuneResult) -> dict[str, Any]:
         "cost": result.fun,
         "overshoot": math.nan if at.metrics is None else at.metrics.overshoot,
         "sensitivity": math.nan if margins is None else margins.sensitivity.value,
+        **behaviour_of(result)._asdict(),
         **dict(zip(GAIN_NAMES, result.gains.as_tuple(), strict=True)),
     }

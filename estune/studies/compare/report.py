@@ -10,7 +10,7 @@ from matplotlib.ticker import MaxNLocator, StrMethodFormatter
 from estune.core.gains import GAIN_NAMES
 from estune.run.ending import RunEnding
 from estune.run.results.result import TuneResult
-from estune.studies.compare.comparison import Comparison, searched
+from estune.studies.compare.comparison import Comparison, behaviour_of, searched
 from estune.studies.page import study_page
 from estune.studies.table import NOTHING, StudyRow, StudyTable
 from estune.support.html_page import Drawing, Page, Status
@@ -34,7 +34,10 @@ _COLOURS = (BLUE, GREEN, PURPLE, VERMILION, ORANGE, GREY)
 _MARKERS = "osD^vX"
 _HEADS = {"setpoint_filter_s": "filter"}
 
-_FIGURES = ("search trials", "all trials", "unsafe", "start cost", "cost", "overshoot", "Ms")
+_FIGURES = (
+    *("search trials", "all trials", "unsafe", "start cost", "cost", "overshoot", "Ms"),
+    *("tracking", "reversals", "rest"),
+)
 
 
 def page(comparison: Comparison) -> Page:
@@ -49,7 +52,9 @@ def page(comparison: Comparison) -> Page:
         "the other. The cost is from repeats after the search, interleaved with the start. "
         "Results within the limits of sensitivity and overshoot come first, then those whose "
         "limits are not shown, then those that break one, each by cost; only model_based keeps "
-        "limits while it searches. Ms is given where the records allow it to be claimed."
+        "limits while it searches. Ms is given where the records allow it to be claimed. Tracking "
+        "and reversals are the errors on a slow triangle after the tuning, rest the deviation of "
+        "a settled loop, all at the recommended gains."
     )
     return study_page(
         f"Tuners compared on {rig.name}",
@@ -94,6 +99,10 @@ def _row(name: str, result: TuneResult) -> StudyRow:
         *(f"{result.verdict.start_cost:.4g}", f"{result.fun:.4g}"),
         f"{overshoot:.1%}" if math.isfinite(overshoot) else NOTHING,
         NOTHING if margins is None else f"{margins.sensitivity.value:.2f}",
+        *(
+            result.rig.measured(value, 3) if math.isfinite(value) else NOTHING
+            for value in behaviour_of(result)
+        ),
     )
     return StudyRow(name, figures, result.gains, str(result.ending), result.ending.good)
 

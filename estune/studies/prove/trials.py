@@ -14,15 +14,15 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.stats import t as student
 
-from estune.core.cost import default_cost
 from estune.core.gains import Gains
 from estune.core.quantities import FloatArray
 from estune.errors import InvalidInput, RigError
+from estune.run.behaviour import rest_in, step_cost_in, tracking_in
 from estune.run.failed_trials import run_trial
 from estune.studies.prove.patch import Patch
 from estune.trial import Outcome, Rig, RigDescription, TrialRecord, TrialRequest
 from estune.trial.profiles import AnyProfile
-from estune.trial.tracking import rest_of, resting_profile, tracking_of, tracking_profile
+from estune.trial.tracking import resting_profile, tracking_profile
 
 MEASURES = ("cost", "tracking", "reversal", "rest")
 NOUNS = {
@@ -192,32 +192,17 @@ def _measured(
         RigError: so did a trial without it, or the rig ignores the remedy.
     """
     settling, tables = about.settling_time_s, "" if calm_N is None else patch.compensation
-    resting = resting_profile(about.step, settling)
     # A map is judged where the drum turns as far as the tension can turn it.
     wide = about.limits if "angle_map" in patch.tables else None
     triangle = tracking_profile(about.step, settling, wide)
     run, number = place
-    rate = about.controller.sampling_Hz
-    record = _trial(rig, about, (run, number, resting), tables)
-    rest = rest_of(settling, rate, record.unfiltered_N)
+    record = _trial(rig, about, (run, number, resting_profile(about.step, settling)), tables)
+    rest = rest_in(record, about)
     if calm_N is not None and not rest <= RESTLESS * calm_N:
         raise Stop(f"at rest the tension deviates by {rest:.3g} N, without it by {calm_N:.3g} N")
-    used = slice(about.step.samples(rate))
-    cost = (
-        default_cost(settling)
-        .scaled(about.effort_scale or 1.0)
-        .evaluate(
-            rate,
-            about.step.shape(rate),
-            record.setpoint_N[used],
-            record.unfiltered_N[used],
-            record.current_A[used]
-            * about.newtons_per_ampere,  # the whole, with what is fed forward
-        )
-    )
     followed = _trial(rig, about, (run, number + 1, triangle), tables)
-    error = followed.setpoint_N - followed.unfiltered_N
-    return np.array([float(cost), *tracking_of(triangle, settling, rate, error), rest])
+    tracked = tracking_in(followed, about, triangle)
+    return np.array([step_cost_in(record, about), *tracked, rest])
 
 
 def _trial(

@@ -1,0 +1,82 @@
+"""Tracking and rest beside the cost: in results, on disk, in reports and comparisons."""
+
+import json
+import math
+
+import pytest
+
+import estune
+import plants
+from estune.cli import run
+from estune.run.behaviour import LoopBehaviour, measure_behaviour
+from estune.trial import Outcome
+from plants.effects import CoulombFriction
+from plants.remedies.behaviour import MEASURES, behaviour
+
+STICKY = plants.reference_reel() + CoulombFriction(0.05)
+
+
+@pytest.fixture(scope="module")
+def tuned(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("runs")
+    how = {"trials": 6, "repeats": 2, "folder": folder, "run": "one", "watch": None}
+    return estune.tune(STICKY, tracking=True, **how)
+
+
+def test_result_has_tracking_and_rest_at_both_gains_and_keeps_them_on_disk(tuned):
+    found = tuned.behaviour
+    assert set(found) == {"start", "tuned"}
+    assert found["tuned"].tracking_N < 0.7 * found["start"].tracking_N
+    assert estune.load(tuned.folder).behaviour == found
+    labels = [row.label for row in tuned.rows()]
+    assert labels[-3:] == ["tracking error (rms)", "error at reversals", "deviation at rest"]
+    row = next(row for row in tuned.rows() if row.label == "tracking error (rms)")
+    assert row.tuned == tuned.rig.measured(found["tuned"].tracking_N, 3)
+    assert "error at reversals" in tuned._repr_html_()
+
+
+def test_the_trials_are_none_of_the_run(tuned):
+    without = estune.tune(STICKY, trials=6, repeats=2, journal=False, watch=None)
+    assert without.behaviour == {}
+    assert (without.nfev, without.gains) == (tuned.nfev, tuned.gains)
+
+
+def test_a_rig_measures_what_a_model_predicts():
+    rig = STICKY.rig()
+    about = rig.describe()
+    measured = measure_behaviour(rig, about, about.gains, "b")
+    predicted = dict(
+        zip(MEASURES, behaviour(STICKY, about.gains, about.settling_time_s), strict=True)
+    )
+    assert measured.tracking_N == pytest.approx(predicted["tracking"], rel=0.02)
+    assert measured.reversal_N == pytest.approx(predicted["reversal"], rel=0.05)
+    assert measured.rest_N == pytest.approx(predicted["rest"], rel=0.1)
+
+
+def test_what_a_rig_cannot_measure_is_told_and_the_result_stays(monkeypatch):
+    rig = STICKY.rig()
+    perform = rig._perform
+
+    def stopped(request):
+        record = perform(request)
+        if request.profile.kind != "triangle":
+            return record
+        object.__setattr__(record, "outcome", Outcome.GUARD)
+        return record
+
+    monkeypatch.setattr(rig, "_perform", stopped)
+    result = estune.tune(rig, trials=4, repeats=2, tracking=True, journal=False, watch=None)
+    assert "ended early" in result.behaviour["start"]
+    assert any("not measured" in remark for remark in result.remarks())
+    assert math.isfinite(result.fun)
+
+
+def test_comparison_shows_them_for_each_tuner(tmp_path, capsys):
+    command = ["compare", "plants:reference_reel", "--tuners", "model_based,otis", "--trials", "3"]
+    command += ["--repeats", "2", "--quiet", "--folder", str(tmp_path), "--json"]
+    assert run(command) == 0
+    told = json.loads(capsys.readouterr().out)
+    text = json.dumps(told)
+    for name in LoopBehaviour._fields:
+        assert name in text
+    assert "reversals" in (tmp_path / "comparison.html").read_text()
