@@ -19,11 +19,12 @@ from typing import cast
 from estune.errors import InvalidInput, RigError
 from estune.remote.security import Security, Tls, common_name, has_version_3
 from estune.remote.zenoh.endpoints import host_and_port, with_port
+from estune.remote.zenoh.tls_arrivals import Arrivals, Handshake
 from estune.support.open_files import allow_open_files
 from estune.support.printable import printable
 
 HANDSHAKE_WITHIN_S = 5.0
-"""Time for a handshake. A connection that waits costs a file; a flood that renews them, work."""
+"""Time for a handshake that has begun."""
 
 SPOKEN_WITHIN_S = 10.0
 """Time from the handshake to the first message, s."""
@@ -94,7 +95,6 @@ class TlsFront:
         self.endpoint = f"{endpoint.rpartition(':')[0]}:{self._socket.getsockname()[1]}"
         self._loop = asyncio.new_event_loop()
         self._ending = asyncio.Event()
-        self._handshakes: set[asyncio.Task[None]] = set()
         self.ends: set[_End] = set()
         self._thread = threading.Thread(target=self._run, name="TLS", daemon=True)
         self._thread.start()
@@ -112,43 +112,40 @@ class TlsFront:
 
     async def _serve(self) -> None:
         self._loop.set_exception_handler(lambda _, found: _log.debug("TLS: %s", found["message"]))
-        self._loop.add_reader(self._socket, self._accept)
+        arrivals = Arrivals(self._loop, self._begin)
+        self._loop.add_reader(self._socket, self._accept, arrivals)
         await self._ending.wait()
         self._loop.remove_reader(self._socket)
         self._socket.close()
-        for task in tuple(self._handshakes):
-            task.cancel()
-        await asyncio.gather(*self._handshakes, return_exceptions=True)
+        await asyncio.gather(*arrivals.close(), return_exceptions=True)
         for end in tuple(self.ends):
             end.transport.abort()
         while self.ends:
             await asyncio.sleep(0.0)
 
-    def _accept(self) -> None:
-        """Accepts the connections that have come; no handshake waits for another."""
+    def _accept(self, arrivals: Arrivals) -> None:
+        """Accepts the connections that have come."""
         for _ in range(_ACCEPTED_AT_ONCE):
             try:
-                connection, _ = self._socket.accept()
+                connection, address = self._socket.accept()
             except BlockingIOError:
                 return
             except OSError as error:  # gone already, or no file is left
                 _log.debug("TLS: %s", error)
                 self._loop.remove_reader(self._socket)
-                self._loop.call_later(_ACCEPT_AGAIN_S, self._accept_again)
+                self._loop.call_later(_ACCEPT_AGAIN_S, self._accept_again, arrivals)
                 return
             connection.settimeout(0.0)  # for asyncio
-            task = self._loop.create_task(self._shake_hands(connection))
-            self._handshakes.add(task)
-            task.add_done_callback(partial(self._handshake_ended, connection))
+            arrivals.add(connection, address[0])
 
-    def _accept_again(self) -> None:
+    def _accept_again(self, arrivals: Arrivals) -> None:
         if not self._ending.is_set():
-            self._loop.add_reader(self._socket, self._accept)
+            self._loop.add_reader(self._socket, self._accept, arrivals)
 
-    def _handshake_ended(self, connection: socket.socket, task: "asyncio.Task[None]") -> None:
-        self._handshakes.discard(task)
-        if task.cancelled():  # perhaps before it began, so that no transport has the socket
-            connection.close()
+    def _begin(self, connection: socket.socket) -> Handshake:
+        task = self._loop.create_task(self._shake_hands(connection))
+        task.add_done_callback(partial(_close_if_cancelled, connection))
+        return task
 
     async def _shake_hands(self, connection: socket.socket) -> None:
         try:
@@ -161,6 +158,11 @@ class TlsFront:
             )
         except OSError as error:  # of TLS, too
             _log.debug("TLS: %s", error)
+
+
+def _close_if_cancelled(connection: socket.socket, task: Handshake) -> None:
+    if task.cancelled():  # perhaps before it began, so that no transport has the socket
+        connection.close()
 
 
 class _End(asyncio.Protocol):
