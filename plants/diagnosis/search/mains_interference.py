@@ -53,13 +53,15 @@ def coarse_step_N(noise: Noise) -> float | None:
     return noise.lsb if noise.lsb > CONSTANTS.coarse * unrounded else None
 
 
-def line_in_residual(fitter: ModelFitter, model: CandidateFit) -> MainsLine | None:
-    """Mains interference in what a model leaves of the gauge's readings."""
+def line_in_residual(
+    fitter: ModelFitter, model: CandidateFit, recorded: Sequence[MeasuredRecord]
+) -> MainsLine | None:
+    """Mains interference in what a model leaves of the gauge's readings as they were recorded."""
     if "tension_N" not in fitter.floor.channels:
         return None
     predictions = model.fitted.predictor.predict(model.fitted.values[None, :])
     tensions = [None if p.tension_N is None else p.tension_N[0] for p in predictions]
-    return find_mains_interference(fitter.measurements, tensions, fitter.floor.tension_N)
+    return find_mains_interference(recorded, tensions, fitter.floor.tension_N)
 
 
 def find_mains_interference(

@@ -128,13 +128,21 @@ def on_all_records(
         conclusion: Which of them is believed.
         line: The mains interference in what the base model leaves of them.
     """
-    if line is None and len(searched.measurements) == len(plant.measurements):
+    all_searched = len(searched.measurements) == len(plant.measurements)
+    if line is None and all_searched:
         return AllRecords(searched, models, None, None, refitted=False)
-    fitter = ModelFitter(plant, plant.measurements, searched.floor)
-    if line is not None:
-        line = line_in_residual(fitter, carried_over(fitter, conclusion.best))
-    if line is None:
-        return AllRecords(fitter, refitted(fitter, models, conclusion), None, None, refitted=True)
-    recorded = fitter, carried_over(fitter, models.base)
-    fitter = ModelFitter(plant.for_records(line.measurements), line.measurements, searched.floor)
-    return AllRecords(fitter, refitted(fitter, models, conclusion), line, recorded, refitted=True)
+    recorded = ModelFitter(plant, plant.measurements, searched.floor)
+    remaining = line
+    if line is not None and (conclusion.best.effects or not all_searched):
+        believed = carried_over(recorded, conclusion.best)
+        remaining = line_in_residual(recorded, believed, plant.measurements)
+    if remaining is None:
+        models = refitted(recorded, models, conclusion)
+        return AllRecords(recorded, models, None, None, refitted=True)
+    with_line = recorded, carried_over(recorded, models.base)
+    if all_searched:
+        return AllRecords(searched, models, line, with_line, refitted=False)
+    cleaned = remaining.measurements
+    fitter = ModelFitter(plant.for_records(cleaned), cleaned, searched.floor)
+    models = refitted(fitter, models, conclusion)
+    return AllRecords(fitter, models, remaining, with_line, refitted=True)
