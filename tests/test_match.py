@@ -118,17 +118,27 @@ def test_match_brings_different_reels_to_the_cost_of_the_worst():
     )
 
 
-def test_match_continues_without_unreachable_reels():
+def test_match_continues_without_reels_that_fail():
     class Away(ArithmeticRig):
         def describe(self):
             raise RigError("nobody there")
 
-    slow = plants.reference_reel(drum_inertia_kg_m2=5e-3)
-    targets = {"away": Away(), "slow": slow, "good": plants.reference_reel()}
+    targets = {
+        "away": Away(),
+        "unstable": plants.reference_reel(drum_inertia_kg_m2=8e-3),  # at its live gains
+        "slow": plants.reference_reel(drum_inertia_kg_m2=5e-3),
+        "good": plants.reference_reel(),
+    }
     result = estune.match(targets, eta=1.1, settings=BRIEF, journal=False)
     outcomes = {reel.label: reel.outcome for reel in result.reels}
-    assert outcomes == {"away": "failed", "slow": "out of reach", "good": "pass"}
+    assert outcomes == {
+        "away": "failed",
+        "unstable": "failed",
+        "slow": "out of reach",
+        "good": "pass",
+    }
     assert "nobody there" in result.reels[0].reason
+    assert "growing amplitude" in result.reels[1].reason
     assert not result.passed
 
 
