@@ -13,7 +13,7 @@ from rich.live import Live
 from rich.text import Text
 
 from estune.cli import output
-from estune.cli.values import Flag, security_from
+from estune.cli.values import Flag, security_from, share_from
 from estune.core.gains import GAIN_NAMES
 from estune.errors import InvalidInput, RigError
 from estune.remote.messages.daemon import DaemonStatus, DaemonVerb, History
@@ -37,6 +37,7 @@ def daemon(
     /,
     *,
     check: Flag = False,
+    dither: str | None = None,
     security: Path | None = None,
     log_format: LogFormat = "auto",
     verbose: Flag = False,
@@ -46,6 +47,8 @@ def daemon(
     Args:
         config: The daemon's file (TOML): the rigs, and for each when to tune and check it.
         check: Only check the file.
+        dither: Multisine added to the setpoints of all rigs while they are watched, rms over the
+            step, such as 1%; that of the file by default.
         security: Credentials file, if a rig requires authentication.
         log_format: JSON lines or text, on standard error; auto is text on a terminal.
         verbose: Log every check trial, too.
@@ -57,6 +60,8 @@ def daemon(
         print(f"{config}: {check_file(config)} rigs, nothing wrong")
         return
     settings, credentials = read_config(config), security_from(security)
+    if dither is not None:
+        settings = settings.with_dither(share_from("--dither", dither))
     begin_logging(log_format, verbose=verbose)
     service = DaemonService(settings, security=credentials)
 
@@ -225,6 +230,8 @@ def _facts(status: DaemonStatus) -> Mapping[str, object]:
         facts["cost"] = f"{status.baseline_cost:.4g}{last}; drift {drift:+.0%} of the limit"
     if status.next_check_s is not None:
         facts["next check"] = f"in {status.next_check_s:.0f} s, {status.checks} so far"
+    if status.margins:
+        facts["margins"] = status.margins
     if status.paused:
         facts["paused"] = status.paused
     if status.trouble:

@@ -146,6 +146,22 @@ class WatchTable(TomlTable):
         return self
 
 
+class MarginsTable(TomlTable):
+    """Settings of the monitoring of margins.
+
+    Attributes:
+        every_s: Least time between two statements of Ms.
+        max_sensitivity: Ms that is reported once the whole of its interval is above it.
+        dither: Multisine that is added to the setpoint for it, rms over the step; 0 is none.
+        dither_time: Share of the time that it may take.
+    """
+
+    every_s: Positive = 60.0
+    max_sensitivity: Annotated[float, Field(gt=1.0)] = 1.8
+    dither: Annotated[float, Field(ge=0.0, le=0.1)] = 0.0
+    dither_time: Annotated[float, Field(gt=0.0, le=1.0)] = 0.2
+
+
 class RigTable(TomlTable):
     """One rig.
 
@@ -170,6 +186,7 @@ class RigTable(TomlTable):
     cost: CostTable = CostTable()
     tuning: TuningTable = TuningTable()
     watch: WatchTable = WatchTable()
+    margins: MarginsTable = MarginsTable()
 
     def retry_s(self, failures: int) -> float:
         """Wait after so many consecutive failures."""
@@ -211,6 +228,22 @@ class DaemonConfig(TomlTable):
     page: PageTable = PageTable()
     hook: list[HookTable] = Field(default=[])
     rig: Annotated[list[RigTable], Field(min_length=1)]
+
+    def with_dither(self, share: float) -> "DaemonConfig":
+        """The file with this multisine for all rigs.
+
+        Raises:
+            InvalidInput: the share is out of range.
+        """
+        tables = [
+            validate(MarginsTable, {**rig.margins.model_dump(), "dither": share}, "--dither")
+            for rig in self.rig
+        ]
+        rigs = [
+            rig.model_copy(update={"margins": table})
+            for rig, table in zip(self.rig, tables, strict=True)
+        ]
+        return self.model_copy(update={"rig": rigs})
 
     @model_validator(mode="after")
     def _names_differ(self) -> Self:

@@ -65,6 +65,11 @@ def _gains(rig: RigFigures) -> Iterator[MetricSample]:
             yield MetricSample({"set": name, "gain": gain}, getattr(gains, gain))
 
 
+def _sensitivity(status: DaemonStatus) -> Iterator[MetricSample]:
+    for end, value in zip(("estimate", "low", "high"), status.sensitivity or (), strict=False):
+        yield MetricSample({"end": end}, value)
+
+
 METRICS = (
     Metric(
         "estune_mode",
@@ -139,6 +144,11 @@ METRICS = (
         "Faults by code.",
         lambda r: _by("fault", r.counts.faults),
         "counter",
+    ),
+    Metric(
+        "estune_sensitivity",
+        "Ms of the live gains, and the ends of its 95 % interval, while it is known.",
+        lambda r: _sensitivity(r.status),
     ),
 )
 

@@ -25,6 +25,9 @@ _LEVELS = {
     EventKind.TROUBLE: logging.ERROR,
     EventKind.UNSAFE: logging.ERROR,
     EventKind.DRIFTED: logging.WARNING,
+    EventKind.MARGINS: logging.WARNING,
+    EventKind.PLANT: logging.WARNING,
+    EventKind.DITHER: logging.WARNING,
     EventKind.SUSPECT: logging.WARNING,
     EventKind.OUTLIER: logging.WARNING,
 }

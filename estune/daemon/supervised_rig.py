@@ -17,6 +17,7 @@ from estune.daemon.check_trials import CheckTrials
 from estune.daemon.config import RigTable
 from estune.daemon.events import Event, EventKind
 from estune.daemon.faults import FAULT, FaultCode
+from estune.daemon.margin_watch import MarginReport, MarginWatch
 from estune.daemon.rig_counts import RigCounts
 from estune.daemon.store import CommandResult, DaemonStore, now
 from estune.daemon.supervisor_state import (
@@ -94,6 +95,7 @@ class SupervisedRig:
         self.store = store
         self.tuning_runs = TuningRuns(store, settings)
         self.checks = CheckTrials(store, settings)
+        self.margins = MarginWatch(settings, f"{store.identity}-{instance}")
         self.changed = threading.Event()
         self.live: GainSet | None = None
         self.session: Session | None = None
@@ -146,6 +148,8 @@ class SupervisedRig:
             "trials": session.number if session else self._earlier_trials[0],
             "trials_max": session.plan.max_trials if session else self._earlier_trials[1],
             "cost": self.cost,
+            "sensitivity": self.margins.sensitivity and tuple(self.margins.sensitivity),
+            "margins": self.margins.sentence,
         }
         if made.next_check_s is not None:
             present["next_check_s"] = self.checks.wait_s(state.home)
@@ -304,6 +308,16 @@ class SupervisedRig:
             sentence = f"{signal.sentence}; tuning again"
             event, fault = SupervisorEvent.DRIFTED, FaultCode.DRIFT
             self.apply_event(event, sentence, EventKind.DRIFTED, fault=fault)
+
+    def handle_margins(self, reports: list[MarginReport]) -> None:
+        """Logs what the margins show, and tunes again as after a drift of the cost."""
+        for kind, sentence, gains in reports:
+            facts = {"gains": str(gains)} if gains is not None else {}
+            self.log_event(kind, sentence, **facts)
+        worse = [report for report in reports if report.kind is not EventKind.DITHER]
+        if worse and self.checks.is_cooldown_over:
+            sentence = f"{worse[0].sentence}; tuning again"
+            self.apply_event(SupervisorEvent.DRIFTED, sentence, EventKind.DRIFTED)
 
     def _take(self, event: SupervisorEvent, command: Command, reason: str) -> CommandResult:
         verb = event.value

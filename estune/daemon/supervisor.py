@@ -288,14 +288,18 @@ class RigSupervisor:
             reason = "there is no baseline for the check trials"
             rig.apply_event(SupervisorEvent.DRIFTED, reason, EventKind.DRIFTED)
             return
-        wait_s = rig.checks.wait_s(home)
-        if wait_s > 0.0:
-            self._monitor_gains(min(wait_s, self._settings.look_every_s))
+        wait_s, gains = rig.checks.wait_s(home), rig.store.gains()[home]
+        if (next_s := min(wait_s, rig.margins.wait_s)) > 0.0:
+            self._monitor_gains(min(next_s, self._settings.look_every_s))
             return
-        gains = rig.store.gains()[home]
         with self._shared.admission.computing, self._trials():
-            check = rig.checks.run(access, access.description, home, gains)
+            due = wait_s == 0.0
+            check = rig.checks.run(access, access.description, home, gains) if due else None
+            reports = rig.margins.take(check and check.record, access, access.description, gains)
         self._consecutive_failures = 0
+        rig.handle_margins(reports)
+        if check is None:
+            return
         rig.note_cost(check.cost)
         if check.signal is None:
             return

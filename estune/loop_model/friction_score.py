@@ -19,6 +19,9 @@ from estune.loop_model.records import LoopRecord
 SHARES = (0.01, 0.03, 0.1, 0.25)
 """Sizes of friction that a search begins from, over the effort of a step."""
 
+SCORED = 2
+"""Records whose errors are looked at: with many more what any model leaves shows as something."""
+
 CHANCE = 1e-3
 """Probability that errors of a loop without friction are taken to show some."""
 
@@ -61,6 +64,7 @@ def hides_friction(records: Sequence[LoopRecord], linear: LoopFit) -> bool:
 
     if linear.model.friction_N or not math.isfinite(linear.model.static_gain):
         return False
-    motion = FrictionMotion.of(records, linear._replace(model=two_poles(linear.model)))
+    two = linear._replace(model=two_poles(linear.model))
+    motion = FrictionMotion.of(records[:SCORED], two)
     tried = len(SHARES) * len(grid_of_poles(linear))
     return friction_score(motion, linear) > -float(ndtri(CHANCE / tried))

@@ -67,27 +67,34 @@ def advise(loop: ServiceLoop, trial: StepTrial, gains: Gains) -> AdvisedExperime
     fit, settling_s, rate = loop.fit, trial.cost.settling_time_s, trial.controller.sampling_Hz
     middle = float(np.mean(np.concatenate([record.setpoint_N for record in loop.records])))
     for share in SHARES:
-        length_s = PERIOD * settling_s
-        profile = MultisineProfile(
-            preload_N=middle,
-            rms_N=share * abs(trial.step.size_N),
-            period_s=length_s,
-            first_line=max(round(BAND[0] * PERIOD), 1),
-            last_line=max(
-                math.floor(min(BAND[1] * PERIOD, NYQUIST_SHARE * 0.5 * rate * length_s)), 2
-            ),
-            duration_s=length_s,
-        )
+        profile = multisine(middle, share * abs(trial.step.size_N), settling_s, rate)
         setpoint = profile.setpoint(rate)
         still = np.zeros(setpoint.size)
         record = LoopRecord(still, still, setpoint, gains)
         half = DEVIATIONS * setpoint_deviation(fit, [record], gains, trial.controller)
         periods = max(math.ceil((half / AIM) ** 2), 1) if math.isfinite(half) else math.inf
         if periods * PERIOD <= LONGEST:
-            whole = replace(profile, duration_s=periods * length_s)
+            length_s = periods * profile.period_s
+            whole = replace(profile, duration_s=length_s)
             file = TrialFile("multisine", whole, gains, "to know the margins of the gains in use")
-            return AdvisedExperiment(share, periods * length_s, file)
+            return AdvisedExperiment(share, length_s, file)
     return None
+
+
+def multisine(
+    middle: float, rms: float, settling_time_s: float, sampling_Hz: float
+) -> MultisineProfile:
+    """A period of a multisine about a setpoint, in the band of a loop that settles so."""
+    length_s = PERIOD * settling_time_s
+    highest = min(BAND[1] * PERIOD, NYQUIST_SHARE * 0.5 * sampling_Hz * length_s)
+    return MultisineProfile(
+        preload_N=middle,
+        rms_N=rms,
+        period_s=length_s,
+        first_line=max(round(BAND[0] * PERIOD), 1),
+        last_line=max(math.floor(highest), 2),
+        duration_s=length_s,
+    )
 
 
 def _Hz(trial: TrialFile, *, first: bool) -> float:

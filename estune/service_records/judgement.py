@@ -81,9 +81,7 @@ def judge(
     band = margin.unknown and unknown_band(margin.unknown, loop.settings.sampling_Hz)
     reason = _too_still(loop, half_width)
     if not reason and hides_friction(loop.records, loop.fit):
-        reason = (
-            "what the model leaves turns with the motion, as friction does that it cannot name"
-        )
+        reason = "friction is shown, but not its size: the setpoint moves too little against it"
     if not reason and not math.isfinite(margins.sensitivity.value):
         reason = "the identified loop is unstable with the gains that ran"
     if not reason and band and margin.excited:

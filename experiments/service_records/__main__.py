@@ -2,8 +2,9 @@
 
 Command: `python -m experiments.service_records`.
 Target: intervals hold the true Ms in 95 % of what is stated, worst error 20 %; stated in 90 % of
-busy records and 80 % of those with 1 % dither, never of a loop that holds still; from 300 settling
-times costs within 5 % of the best in 90 % and both limits kept in 95 %.
+busy records and 80 % of those with 1 % dither, never of a loop that holds still; busy with
+friction, Ms within 6 % or not stated; from 300 settling times costs within 5 % of the best in 90 %
+and both limits kept in 95 %.
 
 Loops of known plants run in six kinds of service under a load of several colours, with gains
 half-way, in logarithms, between a weak start and the constrained optimum. `suggest` reads each
@@ -39,7 +40,12 @@ HALF_WAY = 0.5
 TOLD = {"busy": 0.9, "dither 1 %": 0.8}
 """Least share of records of a kind whose margins are stated."""
 
-OUTSIDE = ("Coulomb 0.005 N m", "Coulomb 0.02 N m", "Coulomb 0.05 N m", "mode at 25 Hz")
+STICKING = ("friction", "Coulomb 0.005 N m", "Coulomb 0.02 N m", "Coulomb 0.05 N m", "eyelet 0.93")
+OUTSIDE = (*STICKING[1:], "mode at 25 Hz")
+"""Loops with friction, which have rows of their own, and those outside the linear ones."""
+
+EVALUATIONS = 300
+"""Of the true cost, for the optimum of a loop: with 100 it is up to a third from the best."""
 
 
 class KnownLoop(NamedTuple):
@@ -159,13 +165,14 @@ def judge(loop: KnownLoop, service: Service, seed: int) -> Judged:
     )
 
 
-def row(kind: str, length: float, judged: Sequence[Judged]) -> dict[str, Any]:
-    """The row of a kind of service."""
+def row(kind: str, length: float, loops: str, judged: Sequence[Judged]) -> dict[str, Any]:
+    """The row of a kind of service of some loops."""
     told = [one for one in judged if one.told]
     changed = [one for one in told if math.isfinite(one.cost_ratio) or one.recommended[0] > 0]
     errors = [abs(one.sensitivity.value / one.true - 1.0) for one in told]
     return {
         "kind": kind,
+        "loops": loops,
         "settling_times": length,
         "records": len(judged),
         "told": len(told) / len(judged),
@@ -194,8 +201,13 @@ def targets_of(rows: Sequence[dict[str, Any]]) -> dict[str, Target]:
         "error_worst": at_most(max((r["error_worst"] for r in told), default=0.0), 0.2),
         "told_still": at_most(sum(r["told"] for r in rows if r["kind"] == "still"), 0.0),
     }
+    linear = [r for r in rows if r["loops"] == "linear"]
+    for r in rows:
+        if r["loops"] == "friction" and r["kind"] == "busy" and r["told"] > 0:
+            name = f"error_friction_{r['settling_times']:.0f}"
+            targets[name] = at_most(r["error_worst"], 0.06)
     for kind, least in TOLD.items():
-        mine = [r["told"] for r in rows if r["kind"] == kind and r["settling_times"] == 80.0]
+        mine = [r["told"] for r in linear if r["kind"] == kind and r["settling_times"] == 80.0]
         if mine:
             targets[f"told_{kind}"] = at_least(float(np.mean(mine)), least)
     long = [r for r in rows if r["settling_times"] == 300.0 and r["changed"]]
@@ -222,7 +234,11 @@ def main() -> int:
     else:
         cases += [c for c in outside() if c.name in OUTSIDE]
         cases += [*random_loops(options.random, options.seed0)]
-    made = list(loops(cases, 100))
+    made = list(loops(cases, EVALUATIONS))
+    groups = {
+        "linear": [loop for loop in made if loop.name not in STICKING],
+        "friction": [loop for loop in made if loop.name in STICKING],
+    }
     rows = []
     for length in lengths:
         for kind in kinds:
@@ -230,9 +246,11 @@ def main() -> int:
                 continue
             service = Service(kind, length)
             seeds = range(options.seed0, options.seed0 + (1 if options.quick else options.seeds))
-            judged = [judge(loop, service, seed) for loop in made for seed in seeds]
-            rows.append(row(kind, length, judged))
-            print(rows[-1], file=sys.stderr, flush=True)
+            for name, chosen in groups.items():
+                judged = [judge(loop, service, seed) for loop in chosen for seed in seeds]
+                if judged:
+                    rows.append(row(kind, length, name, judged))
+                    print(rows[-1], file=sys.stderr, flush=True)
     return print_results({"rows": rows}, targets_of(rows), as_json=options.json, tables=True)
 
 

@@ -151,6 +151,8 @@ class DaemonStatus(Report):
         checks: Check trials finished.
         next_check_s: Time until the next check trial, if one is due.
         since: Start of the daemon, ISO 8601 with offset.
+        sensitivity: Ms of the live gains with the ends of its 95 % interval, if it is known.
+        margins: What is known of the margins, in words; empty before the first record.
     """
 
     rig: str
@@ -173,6 +175,8 @@ class DaemonStatus(Report):
     checks: int
     next_check_s: float | None
     since: str
+    sensitivity: tuple[float, float, float] | None = None
+    margins: str = ""
 
 
 @dataclass(frozen=True, slots=True)

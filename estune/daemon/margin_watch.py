@@ -1,0 +1,183 @@
+"""Margins of one rig in service, from its check trials and, where it is asked for, a multisine.
+
+The multisine is a trial of the live gains: the rig's guard, deadline and lease are in force, it
+moves the setpoint by a stated share of the step for a stated share of the time, and a trial that a
+guard ends is the last one.
+"""
+
+import time
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from estune.core.gains import Gains
+from estune.daemon.config import RigTable
+from estune.daemon.events import EventKind
+from estune.errors import InvalidInput
+from estune.loop_model.intervals import Interval
+from estune.loop_model.optimum import RobustnessLimits
+from estune.loop_model.prediction import StepTrial
+from estune.loop_model.records import LoopRecord
+from estune.service_records.advice import multisine
+from estune.service_records.recommendation import recommend
+from estune.service_records.watched_loop import (
+    WatchedLoop,
+    WatchedMargins,
+    judged_margins,
+    observe,
+)
+from estune.trial import Outcome, Rig, RigDescription, TrialRecord, TrialRequest
+from estune.trial.loop_records import loop_signals, recomputed_effort
+from estune.trial.records import SATURATED
+
+PERIODS = 4
+"""Periods of a multisine: 80 settling times, by which a 1 % one shows Ms to 10 to 20 %."""
+
+
+class MarginReport(NamedTuple):
+    """Something to be reported of the margins.
+
+    Attributes:
+        kind: Kind of the event.
+        sentence: What was found.
+        gains: Recommended gains, whose limits hold by the upper ends of their intervals; or None.
+    """
+
+    kind: EventKind
+    sentence: str
+    gains: Gains | None = None
+
+
+class MarginWatch:
+    """Margins of the live gains of one rig.
+
+    Attributes:
+        sensitivity: Ms with its interval; None while it is not known.
+        sentence: What is known of it; empty before the first record.
+        stopped: Why the multisine is no longer added; empty while it is.
+    """
+
+    def __init__(self, settings: RigTable, instance: str) -> None:
+        self.sensitivity: Interval | None = None
+        self.sentence = ""
+        self.stopped = ""
+        self._settings = settings
+        self._instance = instance
+        self._known = WatchedLoop()
+        self._number = 0
+        self._due_s = self._shown_s = -np.inf
+        self._above = False
+
+    @property
+    def wait_s(self) -> float:
+        """Time until the next multisine; infinite without any."""
+        if not self._settings.margins.dither or self.stopped:
+            return np.inf
+        return max(0.0, self._due_s - time.monotonic())
+
+    def take(
+        self, check: TrialRecord | None, rig: Rig, description: RigDescription, gains: Gains
+    ) -> list[MarginReport]:
+        """Takes a check trial, or runs a multisine with the live gains; what is to be reported.
+
+        Raises:
+            RigError: the rig cannot be reached.
+        """
+        if check is None:
+            return self._dither(rig, description, gains)
+        if time.monotonic() - self._shown_s < self._settings.margins.every_s:
+            return []
+        step = self._settings.step.of(description)
+        signals = loop_signals(check, step, description).record
+        return [] if signals is None else self._observe(signals, description, gains)
+
+    def _dither(self, rig: Rig, description: RigDescription, gains: Gains) -> list[MarginReport]:
+        table, step = self._settings.margins, self._settings.step.of(description)
+        T, rate = self._settling_time_s(description), description.controller.sampling_Hz
+        profile = multisine(step.preload_N, table.dither * abs(step.step_N), T, rate)
+        length_s = min(PERIODS * profile.period_s, description.limits.duration_max_s)
+        profile = replace(profile, duration_s=length_s)
+        begun_s = time.monotonic()
+        request = TrialRequest(f"{self._instance}-margins", self._number, gains, profile)
+        self._number += 1
+        try:
+            record = rig.run(request)
+        except InvalidInput as error:  # the rig's limits do not allow it
+            return [self._stop(str(error))]
+        finally:
+            took_s = time.monotonic() - begun_s
+            self._due_s = begun_s + max(table.every_s, took_s / table.dither_time)
+        if record.outcome.is_void:
+            return []
+        if record.outcome is not Outcome.DONE:
+            return [self._stop(record.reason or record.outcome.sentence)]
+        effort = recomputed_effort(record, description, 0.0)
+        if (record.flags & SATURATED).any():
+            self.sentence = "cannot tell: a limit of the controller acted"
+            return []
+        signals = LoopRecord(effort, record.tension_N, record.setpoint_N, gains)
+        return self._observe(signals, description, gains)
+
+    def _observe(
+        self, record: LoopRecord, description: RigDescription, gains: Gains
+    ) -> list[MarginReport]:
+        T, settings = self._settling_time_s(description), description.controller
+        before = self.sentence
+        self._known, changed = observe(self._known, record, settings.sampling_Hz, T)
+        if self._known.suspect is not None:
+            self._due_s = -np.inf  # the next record says whether it was a disturbance
+            return []
+        self._shown_s = time.monotonic()
+        found = judged_margins(self._known, self._trial(description), gains, settings)
+        Ms, records = found.margins.sensitivity, len(self._known.records)
+        if found.judgement.can_tell:
+            self.sensitivity = Ms
+            self.sentence = f"Ms {Ms.value:.2f} ({Ms.low:.2f} to {Ms.high:.2f}), {records} records"
+        else:
+            self.sensitivity = None
+            self.sentence = f"cannot tell: {found.judgement.reason}"
+        reports = []
+        if changed:
+            sentence = f"the plant has changed: {self.sentence}; before, {before}"
+            reports.append(self._report(EventKind.PLANT, sentence, found, description, gains))
+        most = self._settings.margins.max_sensitivity
+        above = self.sensitivity is not None and Ms.low > most
+        if above and not self._above:
+            sentence = f"{self.sentence}: above {most:g} by the whole interval"
+            reports.append(self._report(EventKind.MARGINS, sentence, found, description, gains))
+        self._above = above
+        return reports
+
+    def _report(
+        self,
+        kind: EventKind,
+        sentence: str,
+        found: WatchedMargins,
+        description: RigDescription,
+        gains: Gains,
+    ) -> MarginReport:
+        """The report, with better gains where some keep the limits by their intervals."""
+        if not found.judgement.can_tell:
+            return MarginReport(kind, sentence)
+        limits = self._settings.tuning.limits or RobustnessLimits()
+        better = recommend(found.loop, self._trial(description), gains, limits)
+        if better is None:
+            return MarginReport(kind, sentence)
+        return MarginReport(
+            kind, f"{sentence}; {better.gains} is predicted to be within the limits", better.gains
+        )
+
+    def _stop(self, why: str) -> MarginReport:
+        self.stopped = why
+        return MarginReport(
+            EventKind.DITHER, f"no multisine is added any more until the daemon restarts: {why}"
+        )
+
+    def _settling_time_s(self, description: RigDescription) -> float:
+        return self._settings.cost.of(description).settling_time_s
+
+    def _trial(self, description: RigDescription) -> StepTrial:
+        step, settings = self._settings.step.of(description), description.controller
+        rate, cost = settings.sampling_Hz, self._settings.cost.of(description)
+        return StepTrial(settings, cost, step.preload_N, step.shape(rate), step.samples(rate))

@@ -1,0 +1,163 @@
+"""How soon is a changed plant noticed by 1 % dither, and how often a quiet loop taken for one?
+
+Command: `python -m experiments.margin_watch`.
+Target: a change of 30 % noticed within 2 records, no quiet loop taken for a changed one.
+
+Loops of known plants are watched as the daemon watches them, a record of 80 settling times a
+minute, under a load of 1 % of the step and noise of 0.4 %. After some quiet records, each with a
+load of its own size, the plant's inertia, viscous friction or gain is 30 % larger. The CPU time of
+a record is that of its identification and its margins, without the rig's.
+"""
+
+import argparse
+import math
+import sys
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from estune.core.gains import Gains
+from estune.loop_model.prediction import StepTrial
+from estune.loop_model.records import LoopRecord
+from estune.service_records.watched_loop import WatchedLoop, judged_margins, observe
+from experiments.loop_claims.truth import true_sensitivity
+from experiments.results import at_least, at_most, command_line, print_results
+from experiments.sample_efficiency.problems import PROBLEMS
+from experiments.service_records.service import Service, serve
+from plants.models.reel import Reel
+from plants.simulation.plant import Plant
+
+CHANGE = 1.3
+LIMIT = 2
+"""Records, one a minute, within which a change has to be noticed."""
+
+LOOPS = {
+    "reel 0.5 m": Gains(0.524, 9.85, 0.00816, 0.00585),
+    "reel 1.4 m": Gains(0.482, 8.85, 0.00621, 0.013),
+    "8 Hz": Gains(0.0906, 9.64, 0.00262, 0.0271),
+    "20 Hz": Gains(0.161, 24.0, 0.000237, 0.00319),
+    "dead time": Gains(0.0621, 6.34, 0.0037, 0.0128),
+}
+"""Gains half-way, in logarithms, between a weak start and the constrained optimum."""
+
+WARM = 6
+"""Quiet records by which a loop is known before anything is counted."""
+
+
+class WatchedCase(NamedTuple):
+    """A loop that is watched.
+
+    Attributes:
+        plant: The plant, as it is at first.
+        trial: Its step trial.
+        gains: The gains in use.
+    """
+
+    plant: Plant
+    trial: StepTrial
+    gains: Gains
+
+    def record(self, seed: int, gain: float = 1.0, plant: Plant | None = None) -> LoopRecord:
+        """A record with 1 % dither, of another plant or of one of so many times the gain.
+
+        A plant of higher gain makes the loop that gains higher by as much do, with less effort.
+        """
+        load = 0.01 * 2.0 ** np.random.default_rng(seed).uniform(-1.0, 1.0)
+        P, I, D, F = self.gains.as_tuple()
+        ran = Gains(gain * P, gain * I, gain * D, F)
+        service = Service("dither 1 %", load=load)
+        r = serve(plant or self.plant, self.trial, ran, service, seed)
+        return LoopRecord(r.effort / gain, r.measurement, r.setpoint, self.gains)
+
+    def changes(self) -> Iterator[tuple[str, Callable[[int], LoopRecord]]]:
+        """Records of changed plants, by the name of the change."""
+        if isinstance(self.plant, Reel):
+            heavier = replace(
+                self.plant, drum_inertia_kg_m2=CHANGE * self.plant.drum_inertia_kg_m2
+            )
+            longer = replace(self.plant, cable_length_m=CHANGE * self.plant.cable_length_m)
+            yield "inertia", lambda seed: self.record(seed, plant=heavier)
+            yield "cable length", lambda seed: self.record(seed, plant=longer)
+        else:
+            yield "gain", lambda seed: self.record(seed, gain=CHANGE)
+
+
+def case_of(name: str) -> WatchedCase:
+    """A loop of `LOOPS`."""
+    problem = PROBLEMS[name]
+    plant = problem.build()
+    step, rate = plant.profile, plant.controller.sampling_Hz
+    shape, samples = step.shape(rate), step.samples(rate)
+    trial = StepTrial(plant.controller, problem.cost, step.preload_N, shape, samples)
+    return WatchedCase(plant, trial, LOOPS[name])
+
+
+def watched(name: str, quiet: int, seed0: int) -> dict[str, Any]:
+    """What watching one loop shows: quiet records, then each change from the same state."""
+    case = case_of(name)
+    settings, settling_s = case.trial.controller, case.trial.cost.settling_time_s
+    known, cpu_s, suspects, changed = WatchedLoop(), [], 0, 0
+    for k in range(WARM + quiet):
+        record = case.record(seed0 + k)
+        begun = time.process_time()
+        known, is_changed = observe(known, record, settings.sampling_Hz, settling_s)
+        shown = judged_margins(known, case.trial, case.gains, settings)
+        cpu_s.append(time.process_time() - begun)
+        suspects += known.suspect is not None
+        changed += is_changed
+    Ms = shown.margins.sensitivity
+    row = {
+        "loop": name,
+        "true_Ms": true_sensitivity(case.plant, case.gains),
+        "Ms": Ms.value,
+        "low": Ms.low,
+        "high": Ms.high,
+        "told": shown.judgement.can_tell,
+        "quiet": quiet,
+        "suspect": suspects,
+        "false_alarms": changed,
+        "cpu_s": float(np.median(cpu_s)),
+    }
+    for change, record_of in case.changes():
+        state, noticed = known, math.inf
+        for k in range(3 * LIMIT):
+            state, is_changed = observe(
+                state, record_of(seed0 + 1000 + k), settings.sampling_Hz, settling_s
+            )
+            if is_changed:
+                noticed = k + 1
+                break
+        row[f"{change}, records"] = noticed
+    return row
+
+
+def main() -> int:
+    """Prints the table, or with --json one object; returns 1 where a target is missed."""
+    parser: argparse.ArgumentParser = command_line(
+        __doc__, quick="two loops, five quiet records of each"
+    )
+    parser.add_argument("--quiet", type=int, default=60, help="quiet records of each loop")
+    parser.add_argument("--seed0", type=int, default=1, help="first seed")
+    options = parser.parse_args()
+    names = list(LOOPS)[1:3] if options.quick else list(LOOPS)
+    quiet = 5 if options.quick else options.quiet
+    rows = [watched(name, quiet, options.seed0) for name in names]
+    seen = [value for row in rows for key, value in row.items() if key.endswith("records")]
+    cpu_s = float(np.mean([row["cpu_s"] for row in rows]))
+    figures = {
+        "rows": rows,
+        "cores_25_rigs": 25.0 * cpu_s / 60.0,
+        "cores_100_rigs": 100.0 * cpu_s / 60.0,
+    }
+    targets = {
+        "noticed": at_least(float(np.mean([n <= LIMIT for n in seen])), 1.0),
+        "false_alarms": at_most(sum(row["false_alarms"] for row in rows), 0.0),
+    }
+    return print_results(figures, targets, as_json=options.json, tables=True)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,113 @@
+"""Margins that the daemon watches: a changed plant is noticed, a quiet one is left alone."""
+
+import tomllib
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+import plants
+from estune.core.gains import Gains
+from estune.daemon.config import config_from
+from estune.errors import InvalidInput
+from estune.remote import zenoh
+from estune.trial import Outcome
+from experiments.loop_claims.truth import true_sensitivity
+from tests.support_daemon import daemon, rig_table
+
+GAINS = Gains(0.5, 8.0, 0.007, 0.01)
+DITHERED = "margins = {dither = 0.01, every_s = 0.05, dither_time = 1.0}\n"
+
+
+class ChangingRig:
+    """A simulated reel in virtual time, whose drum becomes heavier; a guard may end its trials."""
+
+    def __init__(self) -> None:
+        self.plant = plants.reference_reel()
+        self._rig = self.plant.rig(name="drum", gains=GAINS, seed=3)
+        self.requests = []
+
+    def become(self, plant) -> None:
+        other = plant.rig(name="drum", gains=self._rig.describe().gains, seed=4)
+        self.plant, self._rig = plant, other
+
+    def run(self, request):
+        self.requests.append(request)
+        return self._rig.run(request)
+
+    def describe(self):
+        return self._rig.describe()
+
+    def apply(self, gains):
+        self._rig.apply(gains)
+
+    def abort(self):
+        return self._rig.abort()
+
+    def estop(self, reason):
+        self._rig.estop(reason)
+
+    def clear(self):
+        self._rig.clear()
+
+    def close(self):
+        self._rig.close()
+
+
+@contextmanager
+def watched(folder, margins=DITHERED):
+    rig = ChangingRig()
+    table = rig_table("drum", "{}", accept="auto", trials=8, every_s=3600.0) + margins
+    with zenoh.serve(rig) as server, daemon(folder, table.replace("{}", server.endpoint)) as it:
+        yield rig, it
+
+
+def multisines(rig):
+    return sum(request.profile.kind == "multisine" for request in rig.requests)
+
+
+def test_a_heavier_drum_is_noticed_within_two_records_and_a_quiet_reel_is_left_alone(tmp_path):
+    with watched(tmp_path) as (rig, it):
+        status = it.until(lambda s: s.sensitivity is not None and multisines(rig) >= 6)
+        low, high = status.sensitivity[1:]
+        assert low <= true_sensitivity(rig.plant, status.gains[status.live]) <= high
+        assert not {"plant", "drifted", "margins"} & set(it.kinds())
+        before = multisines(rig)
+        rig.become(replace(rig.plant, drum_inertia_kg_m2=1.3 * rig.plant.drum_inertia_kg_m2))
+        it.until(lambda _: "plant" in it.kinds())
+        assert multisines(rig) - before <= 3  # one may have been under way
+        it.until(lambda s: s.run.endswith("-002"))  # and it is tuned again
+
+
+def test_a_guard_that_ends_a_multisine_ends_them_all(tmp_path):
+    with watched(tmp_path) as (rig, it):
+        it.until(lambda s: s.sensitivity is not None)
+        run, kind = rig.run, "multisine"
+        rig.run = lambda request: (
+            replace(run(request), outcome=Outcome.GUARD)
+            if request.profile.kind == kind
+            else run(request)
+        )
+        it.until(lambda _: "dither" in it.kinds())
+        (event,) = [e for e in it.client.events("drum", limit=1000) if e.kind == "dither"]
+        assert "until the daemon restarts" in event.sentence
+
+
+def test_without_dither_the_check_trials_show_the_margins_and_nothing_else_moves(tmp_path):
+    with watched(tmp_path, "margins = {every_s = 0.05}\n") as (rig, it):
+        status = it.until(lambda s: s.sensitivity is not None and s.checks >= 8)
+        low, high = status.sensitivity[1:]
+        assert low <= true_sensitivity(rig.plant, status.gains[status.live]) <= high
+        assert multisines(rig) == 0
+
+
+def test_dither_of_the_command_line_is_that_of_all_rigs_within_its_budget():
+    text = f"[service]\n{rig_table('a', 'plants:reference_reel')}"
+    config = config_from(
+        tomllib.loads(text + rig_table("b", "plants:reference_reel")), "test", Path()
+    )
+    assert {rig.margins.dither for rig in config.rig} == {0.0}
+    assert {rig.margins.dither for rig in config.with_dither(0.01).rig} == {0.01}
+    with pytest.raises(InvalidInput, match=r"dither.*0\.1"):
+        config.with_dither(0.5)
