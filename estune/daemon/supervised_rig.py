@@ -316,8 +316,8 @@ class SupervisedRig:
             self.log_event(kind, sentence, **facts)
         worse = [report for report in reports if report.kind is not EventKind.DITHER]
         if worse and self.checks.is_cooldown_over:
-            sentence = f"{worse[0].sentence}; tuning again"
-            self.apply_event(SupervisorEvent.DRIFTED, sentence, EventKind.DRIFTED)
+            event, sentence = SupervisorEvent.DRIFTED, f"{worse[0].sentence}; tuning again"
+            self.apply_event(event, sentence, EventKind.DRIFTED, fault=FaultCode.DRIFT)
 
     def _take(self, event: SupervisorEvent, command: Command, reason: str) -> CommandResult:
         verb = event.value

@@ -293,11 +293,10 @@ class RigSupervisor:
             self._monitor_gains(min(next_s, self._settings.look_every_s))
             return
         with self._shared.admission.computing, self._trials():
-            due = wait_s == 0.0
-            check = rig.checks.run(access, access.description, home, gains) if due else None
-            reports = rig.margins.take(check and check.record, access, access.description, gains)
+            about = access.description
+            check = None if wait_s else rig.checks.run(access, about, home, gains)
+            rig.handle_margins(rig.margins.take(check and check.record, access, about, gains))
         self._consecutive_failures = 0
-        rig.handle_margins(reports)
         if check is None:
             return
         rig.note_cost(check.cost)

@@ -75,7 +75,7 @@ def cold_starts(signals: FitSignals, noises: Iterable[NoiseModel] = (WHITE,)) ->
     for fit in sorted((improve(signals, one) for one in starts), key=by_cost):
         if all(abs(fit.dead - other.dead) > _first_step(other.dead) for other in found):
             found.append(fit)
-    return found
+    return [searched_dead_time(signals, found[:1]), *found[1:]]
 
 
 def searched_dead_time(signals: FitSignals, starts: Sequence[PoleFit]) -> PoleFit:
