@@ -373,10 +373,11 @@ def _response_changes(start: Performance, tuned: Performance | None) -> Iterator
 def _robustness(result: RunResult) -> str:
     """The claims about the tuned gains in a few words, and what stands against their limits."""
     margins, limits = result.claim.margins, result.limits
-    if limits is not None and limits.reason:
-        return limits.reason
-    if margins is None:
-        return "no margins claimed"
+    if margins is None and (limits is None or result.claim.reason not in limits.reason):
+        broken = [limits.reason] if limits is not None and limits.reason else []
+        return " and ".join((*broken, f"no margins are claimed: {result.claim.reason}"))
+    if margins is None or (limits is not None and limits.reason):
+        return limits.reason if limits else ""
     return f"Ms {margins.sensitivity.value:.2f}, at most {margins.sensitivity.high:.2f}"
 
 

@@ -278,7 +278,9 @@ def _keys(
     to_json = json.JSONEncoder(sort_keys=True, default=asdict).encode
     before = to_json([version("estune"), rig.label, rig.rig, source, length, tension, tuner])[:-1]
     start_values = start and asdict(start)
-    after = to_json([search, start_values, stated(step), asdict(cost), model])[1:]
+    weights = asdict(cost)
+    del weights["unscaled"]  # follows from the rig
+    after = to_json([search, start_values, stated(step), weights, model])[1:]
     texts = (f"{before}, {seed}, {after}" for seed in range(seeds))
     return "".join(hashlib.sha256(text.encode()).hexdigest()[:KEY_LENGTH] for text in texts)
 
