@@ -114,24 +114,17 @@ def compare(
     waves = None
     if Cogging in choices.in_torque and conclusion.verdict in ("unknown", "none"):
         waves = _waves(fitted.plant, held_out)
-    effects = [e for e in _in_order(stages) if e is not MainsInterference]
-    effects += [MainsInterference] if every.line is not None else []
-    effects += [Quantisation] if steps[-1].effect == Quantisation.name else []
-    effects += [Cogging] if waves is not None else []
-    verdict: Verdict = conclusion.verdict
-    if verdict == "none" and most_refused(usable.measurements, usable.findings):
-        verdict = "unknown"
-    if effects and verdict in ("none", "unknown"):
-        verdict = "named" if verdict == "none" else "incomplete"
+    effects = _effects(stages, every.line, steps, waves)
+    too_few = most_refused(usable.measurements, usable.findings)
     return EffectComparison(
         fitted=fitted,
         screening=screening,
-        verdict=verdict,
+        verdict=_verdict(conclusion.verdict, beside=bool(effects), too_few=too_few),
         conclusion=conclusion,
         models=every.models,
         stages=stages,
         steps=steps,
-        effects=tuple(effects),
+        effects=effects,
         line=every.line,
         waves=waves,
     )
@@ -225,10 +218,35 @@ def _waves(plant: DiagnosedModel, held_out: Sequence[MeasuredRecord]) -> TorqueW
     return waves if waves is not None and waves.share >= CONSTANTS.named_share else None
 
 
-def _in_order(stages: Sequence[ModelStage]) -> list[type[Effect]]:
-    """The effects of the last stage in the order in which they were added."""
+def _effects(
+    stages: Sequence[ModelStage],
+    line: MainsLine | None,
+    steps: Sequence[SearchStep],
+    waves: TorqueWaves | None,
+) -> tuple[type[Effect], ...]:
+    """The effects of the last stage in the order in which they were added, then those beside."""
     order = [each.step.effect for each in stages]
-    return sorted(
+    fitted = sorted(
         stages[-1].fit.effects,
         key=lambda e: order.index(e.name) if e.name in order else len(order),
     )
+    beside = (
+        (MainsInterference, line is not None),
+        (Quantisation, steps[-1].effect == Quantisation.name),
+        (Cogging, waves is not None),
+    )
+    return (*fitted, *(effect for effect, is_there in beside if is_there))
+
+
+def _verdict(concluded: Verdict, *, beside: bool, too_few: bool) -> Verdict:
+    """The conclusion of the search, with what was found beside it.
+
+    Args:
+        concluded: That of the search.
+        beside: Whether an effect is believed, of whatever kind.
+        too_few: Whether more records were refused than are left.
+    """
+    verdict: Verdict = "unknown" if concluded == "none" and too_few else concluded
+    if beside and verdict == "none":
+        return "named"
+    return "incomplete" if beside and verdict == "unknown" else verdict
