@@ -1,4 +1,4 @@
-"""Every number that decides a verdict, a probability or an interval, and what it was measured on.
+"""The numbers by which fits are judged: for verdicts, probabilities and intervals.
 
 Powers are mean squares of whitened residuals: 1 is the noise floor. Measured on hidden machines of
 the development and validation seeds (experiments/hidden_machines/seeds.md) and on two measured
