@@ -6,7 +6,7 @@ from the frozen values of the steps before it to one of its own; no step goes ba
     read       files or records            -> measurements on even clocks, in SI units
     check      measurements                -> those that can be used, and why others cannot
     noise      measurements                -> the noise of each sensor: the unit of all errors
-    fit        model, noise                -> the base model fitted, where its error is, interference
+    fit        model, noise                -> the base model fitted, and where its error is
     screen     base fit                    -> the share of the error that each direction explains
     compare    base fit, directions        -> models with effects, the one believed, its verdict
     intervals  the model believed          -> 95 % intervals of its numbers

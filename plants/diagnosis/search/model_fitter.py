@@ -15,7 +15,7 @@ from plants.diagnosis.models.base import BaseNumbers
 from plants.diagnosis.models.diagnosed_model import DiagnosedModel, Free
 from plants.diagnosis.prediction.prediction import Prediction, Predictor
 from plants.diagnosis.search.constants import CONSTANTS
-from plants.diagnosis.search.fit import FINAL, WhitenedFit, fit
+from plants.diagnosis.search.least_squares import FINAL, WhitenedFit, fit
 from plants.effects import Effect, Port, RecordScale, Role
 
 SHIFTS = np.array([0.0, *(sign * 3.0**n for n in range(6) for sign in (-1, 1))])

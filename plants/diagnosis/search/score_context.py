@@ -6,7 +6,7 @@ import numpy as np
 from scipy.optimize import nnls
 
 from estune.core.quantities import FloatArray
-from plants.diagnosis.search.fit import Prior, prior_weight
+from plants.diagnosis.search.least_squares import Prior, prior_weight
 from plants.diagnosis.search.model_fitter import CandidateFit, ModelFitter, Numbers
 from plants.effects import RecordScale
 

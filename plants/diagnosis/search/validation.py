@@ -8,7 +8,7 @@ from estune.core.quantities import FloatArray
 from plants.diagnosis.data.measured_record import OUTPUTS
 from plants.diagnosis.prediction.prediction import CHANNELS
 from plants.diagnosis.result import DataSegment, SearchStep
-from plants.diagnosis.search.fit import fit
+from plants.diagnosis.search.least_squares import fit
 from plants.diagnosis.search.model_fitter import CandidateFit, ModelFitter, Numbers
 
 THIRDS = 3
