@@ -119,3 +119,16 @@ def test_rivals_of_one_family_share_its_probability():
     p = probabilities(base(100.0), members)
     assert family_probabilities(members, p)["friction"] == pytest.approx(1.0)
     assert effect_probabilities(members, p) == pytest.approx({"simple": 0.5, "full": 0.5})
+
+
+@pytest.mark.parametrize(("J", "tied"), [(1.05, True), (3.0, False)])
+def test_laws_of_a_family_with_as_many_values_are_rivals(J, tied):
+    lag, delay = (model(name, j, family="delay") for name, j in (("lag", 1.0), ("delay", J)))
+    decision = decide(base(20.0), [lag, delay])
+    assert (decision.verdict == "ambiguous") is tied
+    assert decision.tied == ((delay.names,) if tied else ())
+
+
+def test_fuller_law_that_does_no_better_is_no_rival_of_the_simpler():
+    simple, full = (model(name, 1.0, n, family="friction") for name, n in (("f", 1), ("g", 2)))
+    assert decide(base(20.0), [simple, full]).verdict == "named"

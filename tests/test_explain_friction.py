@@ -118,7 +118,6 @@ def test_friction_of_a_gear_grows_with_its_torque():
     ("seed", "variant", "effect", "size"),
     [
         (31001, "unloaded", "directional_friction", "difference_Nms"),
-        (31003, "unloaded", "current_lag", "lag_s"),
         (31004, "unloaded", "link_gravity", "torque_Nm"),
         pytest.param(31000, "plain", "load_friction", "load_share", marks=pytest.mark.nightly),
     ],
@@ -129,4 +128,12 @@ def test_effect_of_a_real_drive_is_identified_in_a_hidden_machine(seed, variant,
     assert (row.verdict, row.found) == ("named", (effect,))
     (held,) = row.intervals
     assert held.name == f"{effect}.{size}"
+    assert held.value == pytest.approx(held.true, rel=0.05)
+
+
+def test_lag_and_dead_time_of_a_drive_that_explain_as_much_are_told_together():
+    skip_without_compiler()
+    row = diagnose(DiagnosisTask(31003, "unloaded", "current_lag"))
+    assert (row.verdict, set(row.ambiguous)) == ("ambiguous", {"current_lag", "dead_time"})
+    (held,) = row.intervals
     assert held.value == pytest.approx(held.true, rel=0.05)

@@ -10,6 +10,10 @@ from estune.core.gains import Gains
 from estune.errors import InvalidInput, PlantError
 from estune.trial import TrialRequest
 from estune.trial.profiles import ChirpProfile, StepProfile
+from plants.diagnosis.data.measured_record import MeasuredRecord
+from plants.diagnosis.data.noise_floor import Noise, NoiseFloor
+from plants.diagnosis.models.diagnosed_model import diagnosed
+from plants.diagnosis.prediction.prediction import Predictor
 from plants.effects import EFFECTS, CoulombFriction, DeadTime, Port, TorqueRipple
 
 FINE = plants.unloaded_reel(encoder_counts=1e12)  # so that the angle can be compared to rounding
@@ -121,3 +125,24 @@ def test_unloaded_reel_rejects_values_out_of_range(wrong):
 def test_unloaded_reel_names_unknown_attributes():
     with pytest.raises(InvalidInput, match="cable_EA_N"):
         plants.unloaded_reel(cable_EA_N=1.0)
+
+
+OF_DRIVES = [name for name, effect in EFFECTS.items() if effect.without_cable]
+
+
+@pytest.mark.parametrize("name", OF_DRIVES)
+def test_free_run_of_a_drive_with_true_parameters_equals_the_simulation(name):
+    one = EFFECTS[name]()
+    records = [
+        MeasuredRecord.of((FINE + one).rig(seed=0).run(TrialRequest("run", n, GAINS, profile)))
+        for n, profile in enumerate((PUSH, replace(PUSH, step_N=-6.0, duration_s=0.9)))
+    ]
+    quiet = NoiseFloor({"angle_rad": Noise(1e-5, 0.0, "quiet stretches")})
+    predictor = Predictor(diagnosed(FINE, records), [type(one)], records, None, quiet)
+    zeros = {f.name: 0.0 for f in predictor.free if f.name.startswith("encoder_zero")}
+    row = predictor.row(zeros | {f"{name}.{n}": getattr(one, n) for n in one.parameters()})
+    bare = predictor.row(zeros | {f"{name}.{n}": getattr(one.neutral(), n) for n in vars(one)})
+    for n, record in enumerate(records):
+        true, without = (predictor.predict(v[None])[n].angle_rad[0] for v in (row, bare))
+        assert true == pytest.approx(record.angle_rad, abs=1e-9)
+        assert np.abs(without - record.angle_rad).max() > 1e-4

@@ -57,7 +57,7 @@ def judge(hidden: tuple[str, ...], verdict: str, names: set[str], tied: set[str]
     """What a verdict is worth."""
     known = set(hidden) - UNDECLARED
     if names - known:
-        return "unknown" if verdict == "ambiguous" and known <= tied else "wrong"
+        return "unknown" if verdict == "ambiguous" and known <= tied | names else "wrong"
     if names:
         return "right" if names == set(hidden) else "part"
     if verdict == "none":

@@ -85,7 +85,9 @@ def conclude(fitter: ModelFitter, models: FittedModels) -> Conclusion:
         return conclusion._replace(
             like=_title(models, decision.like), reason=_reason(models, decision, base, others)
         )
-    names = dict.fromkeys(n for slugs in (decision.best, *decision.tied) for n in sorted(slugs))
+    rivals = (decision.best, *decision.tied)
+    common = frozenset.intersection(*rivals)
+    names = dict.fromkeys(n for slugs in rivals for n in sorted(slugs - common))
     return conclusion._replace(
         stages=_stages(models, decision.best),
         tied=tuple(names) if decision.verdict == "ambiguous" else (),

@@ -82,8 +82,18 @@ def relative(models: Sequence[Model]) -> list[Model]:
 def _tied(
     best: Model, named: Sequence[Model], p: Mapping[Slugs, float], c: Constants
 ) -> tuple[Slugs, ...]:
-    """Models of other families, with no more effects, that are about as probable."""
-    others = [m for m in named if not m.families & best.families]
+    """Models with no more effects that are about as probable: of other families, or rivals.
+
+    Of laws of a family a fuller one is taken for the share it explains; two with as many values
+    are rivals like any others.
+    """
+    others = [
+        m
+        for m in named
+        if not m.families & best.families
+        or (m.families, m.rank, m.values) == (best.families, best.rank, best.values)
+    ]
+    others = [m for m in others if m.names != best.names]
     # Of two, that whose size a scale tells without the machine is the less likely one.
     others = [m for m in others if len(m.names) <= len(best.names) and not m.known_apart]
     close = [m for m in others if p[m.names] > c.tied * (p[m.names] + p[best.names])]
