@@ -74,7 +74,8 @@ def claimed(Ms):
 @pytest.mark.parametrize(
     ("Ms", "state"),
     [
-        (Interval(1.6, 1.58, 1.73), LimitState.KEPT),
+        (Interval(1.6, 1.57, 1.67), LimitState.KEPT),
+        (Interval(1.6, 1.58, 1.73), LimitState.NOT_SHOWN),
         (Interval(1.6, 1.3, 1.9), LimitState.NOT_SHOWN),
         (Interval(2.0, 1.9, 2.1), LimitState.BROKEN),
         (Interval(1.6, math.nan, math.nan), LimitState.NOT_SHOWN),

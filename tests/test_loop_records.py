@@ -1,7 +1,6 @@
 """The loop from any records: its order, its noise, bad records, and what is not known of it."""
 
 import math
-from dataclasses import replace
 from functools import cache
 
 import control
@@ -14,11 +13,10 @@ from estune.core.gains import Gains
 from estune.core.pidf import ControllerSettings
 from estune.core.response import StepShape
 from estune.loop_model.claim import claim
-from estune.loop_model.excitation import excitation
+from estune.loop_model.excitation import UnknownLoop, wanted_setpoint
 from estune.loop_model.fitting import fit_loop
 from estune.loop_model.intervals import predict_with_intervals, setpoint_deviation
 from estune.loop_model.model import LoopModel, close_loop, robustness
-from estune.loop_model.plant_error import error_margin, plant_error
 from estune.loop_model.prediction import StepTrial
 from estune.loop_model.records import LoopRecord
 from estune.trial.profiles import StepProfile
@@ -154,28 +152,20 @@ def test_band_that_is_not_excited_is_named_and_nothing_is_claimed():
     assert made.reason.endswith(" Hz: the records do not excite it")
 
 
-def test_excitation_keeps_its_limits_and_makes_the_loop_known():
+def test_excitation_of_the_wanted_size_makes_the_loop_known():
     records, fit = timid()
     reel, fast = plants.reference_reel(), Gains(1.0, 30.0, 0.018, 0.0016)
     settings = reel.controller
-    # The setpoint filter would keep the excitation from the effort.
-    gains = replace(records[0].gains, setpoint_filter_s=0.0016)
-    added = excitation(fit.model, gains, settings, 632, effort_N=2.0, setpoint_N=8.0)
-    assert abs(added.mean()) < 1e-9
-    output, effort = close_loop(fit.model, gains, settings).setpoint_response(np.tile(added, 3))
-    assert np.abs(effort[632:]).max() <= 2.02
-    assert np.abs(added).max() <= 8.001
-    output, effort = output[:632], effort[:632]
-    noise = np.random.default_rng(2).normal(0.0, reel.noise_rms_N, (3, output.size))
-    noises = [close_loop(fit.model, gains, settings).noise_response(row) for row in noise]
-    more = [LoopRecord(effort + u, output + y, added, gains, at_rest=True) for y, u in noises]
-    both = [*records, *more]
-    before, after = (
-        error_margin(one, plant_error(one, used), fast, settings)
-        for one, used in ((fit, records), (fit_loop(both, 632.0, 0.128), both))
-    )
-    assert before.unknown is not None
-    assert after.unknown is None or after.unknown[0] > 1.5 * before.unknown[0]
+    unknown = UnknownLoop(fit, records, fast, records[0].gains, settings)
+    assert not unknown.is_known
+    added = np.random.default_rng(3).normal(0.0, wanted_setpoint(unknown, 632), 632)
+    loop = close_loop(fit.model, unknown.excited_at, settings)
+    output, effort = loop.setpoint_response(added)
+    noise = np.random.default_rng(2).normal(0.0, reel.noise_rms_N, 632)
+    y, u = loop.noise_response(noise)
+    more = LoopRecord(effort + u, output + y, added, unknown.excited_at, at_rest=True)
+    both = [*records, more]
+    assert unknown._replace(fit=fit_loop(both, 632.0, 0.128), records=both).is_known
 
 
 @pytest.mark.parametrize(("seed", "kind"), [(1, "steps"), (2, "dither"), (3, "steps")])

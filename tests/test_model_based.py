@@ -10,11 +10,15 @@ import pytest
 import estune
 import plants
 from estune.core.gains import Gains
+from estune.errors import InvalidInput
 from estune.loop_model.optimum import RobustnessLimits
 from estune.run.ending import RunEnding
 from estune.run.loop import Stopped
-from estune.trial import TrialRequest
+from estune.run.robustness import claim_from, identify
+from estune.run.session import Phase
+from estune.trial import Outcome, TrialRequest
 from estune.trial.loop_records import loop_signals
+from estune.trial.profiles import StepProfile
 from experiments.loop_claims import true_sensitivity
 from plants.effects import CoulombFriction, EyeletFriction
 
@@ -36,6 +40,68 @@ def test_search_of_a_linear_reel_needs_few_trials_and_keeps_its_limits(tuned):
     assert tuned.unsafe == 0
     assert true_sensitivity(plants.reference_reel(0.8), tuned.gains) <= 1.65
     assert tuned.tuned.metrics.overshoot <= 0.06
+
+
+def test_run_excites_the_loop_once_at_least_and_counts_no_cost_of_it(tuned):
+    excited = [entry for entry in tuned.entries if entry.phase is Phase.EXCITE]
+    assert 1 <= len(excited) <= 2
+    assert all(math.isnan(entry.cost) for entry in excited)
+    assert tuned.nit + len(excited) + len(tuned.session.baseline) < tuned.nfev
+    step = tuned.plan.step
+    for record in tuned.excitations:
+        assert record.outcome is Outcome.DONE
+        assert record.setpoint_N.min() >= step.preload_N - 0.5 * step.step_N
+        assert record.setpoint_N.max() <= step.preload_N + step.step_N
+    before, after = (
+        claim_from(loop, tuned.plan, tuned.rig, tuned.gains).margins
+        for loop in (
+            identify(tuned.recent_records, (), tuned.plan, tuned.rig),
+            tuned.identified,
+        )
+    )
+    assert after is not None
+    assert before is None or after.sensitivity.high < before.sensitivity.high
+
+
+def test_rig_that_refuses_the_excitation_is_tuned_and_claims_less(tuned):
+    class StepsOnly:
+        def __init__(self, rig):
+            self._rig = rig
+
+        def __getattr__(self, name):
+            return getattr(self._rig, name)
+
+        def run(self, request):
+            if not isinstance(request.profile, StepProfile):
+                raise InvalidInput("this board runs steps only")
+            return self._rig.run(request)
+
+    result = tune(StepsOnly(plants.reference_reel(0.8).rig()))
+    assert result.improvement.is_decrease
+    assert not result.excitations
+    declined = [entry for entry in result.entries if entry.outcome is Outcome.DECLINED]
+    assert declined
+    assert "this board runs steps only" in declined[0].reason
+    margins = result.claim.margins
+    assert margins is None or margins.sensitivity.high > tuned.claim.margins.sensitivity.high
+
+
+@pytest.mark.parametrize("cut_after", [1, 2, 3])
+def test_run_cut_before_or_after_an_excitation_resumes_with_the_same_proposals(
+    tmp_path, tuned, cut_after
+):
+    assert tuned.entries[1].phase is Phase.EXCITE
+
+    def stop(progress):
+        if progress.session.number == cut_after:
+            raise KeyboardInterrupt
+
+    with pytest.raises(Stopped):
+        tune(plants.reference_reel(0.8), journal=True, folder=tmp_path, run="cut", watch=stop)
+    resumed = estune.resume(tmp_path / "cut", plants.reference_reel(0.8), watch=None)
+    assert resumed.gains == tuned.gains
+    assert len(resumed.excitations) == len(tuned.excitations)
+    assert estune.load(tmp_path / "cut").ending is tuned.ending
 
 
 def test_claimed_sensitivity_holds_the_true_one(tuned):
@@ -75,17 +141,6 @@ def test_start_that_breaks_a_limit_is_not_kept_for_being_as_cheap():
     assert result.success
     assert "keep the limits" in result.message
     assert true_sensitivity(plants.reference_reel(0.8), result.gains) <= 1.65
-
-
-def test_interrupted_search_resumes_with_the_proposals_of_an_uninterrupted_one(tmp_path, tuned):
-    def stop(progress):
-        if progress.session.number == 3:
-            raise KeyboardInterrupt
-
-    with pytest.raises(Stopped):
-        tune(plants.reference_reel(0.8), journal=True, folder=tmp_path, run="cut", watch=stop)
-    resumed = estune.resume(tmp_path / "cut", plants.reference_reel(0.8), watch=None)
-    assert resumed.gains == tuned.gains
 
 
 @pytest.fixture(scope="module")

@@ -85,7 +85,8 @@ def test_frame_has_a_row_per_trial_and_monotone_best_cost(tuned):
     assert list(frame["number"]) == list(range(tuned.nfev))
     assert list(frame["trial_id"]) == [e.trial_id for e in tuned.entries]
     assert list(frame.loc[frame["unsafe"], "number"]) == [9, 12]
-    assert set(frame["phase"]) == set(map(str, Phase))
+    # The effort of this rig does not move the measurement, so that no excitation would tell more.
+    assert set(frame["phase"]) == set(map(str, Phase)) - {"excite"}
     best = frame["best_cost"].to_numpy()
     assert (np.diff(best) <= 0.0).all()
     assert best[-1] == frame.loc[~frame["unsafe"], "cost"].min()

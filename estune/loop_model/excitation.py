@@ -1,101 +1,110 @@
-"""A short multisine on the setpoint that shows the plant where its step trials do not."""
+"""Whether a loop needs a short multisine on its setpoint to be known, and how large a one.
+
+Step trials hardly excite what lies above their crossover. With gains of controller C_0 and a
+setpoint of power |r|^2 in each bin of the spectrum, the effort is u = H r, and the noise hides an
+error of the plant of two standard deviations s = noise/(|H r| sqrt(bins)) (`plant_error`). Its
+share of |1 + L| with other gains, of controller C, is
+
+    |C| 2 s/|1 + L|,
+
+so the setpoint that makes the largest share as small as wanted follows from the loop model. Where
+both gains are one and neither filter acts it is 2 noise/(r sqrt(bins)), whatever the plant is.
+"""
 
 import math
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from estune.core.gains import Gains
 from estune.core.pidf import ControllerSettings
-from estune.core.quantities import ComplexArray, FloatArray
-from estune.errors import InvalidInput
-from estune.loop_model.model import LoopModel, close_loop
+from estune.core.quantities import FloatArray
+from estune.loop_model.loop_fit import LoopFit
+from estune.loop_model.model import LoopModel, close_loop, loop_response
+from estune.loop_model.plant_error import (
+    DEVIATIONS,
+    HALF_WIDTH,
+    UNKNOWN_FROM,
+    error_margin,
+    plant_error,
+)
+from estune.loop_model.records import LoopRecord
 
-SHARES = 25
-"""Compromises between both limits that are compared."""
+SHARE_WANTED = 0.02
+"""Largest share of |1 + L| that the noise may hide after an excitation: it adds 2 % to Ms."""
 
-LINES_MIN = 8
-"""Least number of lines of a multisine: with fewer a mode falls between them."""
-
-HIGHEST = 0.95 * math.pi
-"""Highest frequency, rad/sample: the controller acts up to half the sampling rate."""
+ENOUGH = 0.05
+"""Share by which the end of Ms may exceed the model's before an excitation is worth a trial."""
 
 
-def excitation(
-    model: LoopModel,
-    gains: Gains,
-    settings: ControllerSettings,
-    samples: int,
-    *,
-    effort_N: float,
-    setpoint_N: float,
-    band: tuple[float, float] | None = None,
-) -> FloatArray:
-    """What to add to the setpoint, N, shape (samples,), with mean zero.
+class UnknownLoop(NamedTuple):
+    """A loop to be known, and the gains at which its plant can be excited.
 
-    Its effort has the same amplitude at all lines of the band, as far as the limit of the setpoint
-    allows: through the setpoint filter high frequencies need a larger setpoint. Gains with the
-    least filter serve best; the stability of the loop does not depend on it.
+    Attributes:
+        fit: The identified loop.
+        records: The records that were fitted.
+        gains: Gains of the loop in question.
+        tried: Gains of a safe trial.
+        controller: The fixed part of the controller.
+    """
+
+    fit: LoopFit
+    records: Sequence[LoopRecord]
+    gains: Gains
+    tried: Gains
+    controller: ControllerSettings
+
+    @property
+    def excited_at(self) -> Gains:
+        """The gains tried, without the filter of the setpoint: stability does not depend on it."""
+        return replace(self.tried, setpoint_filter_s=0.0)
+
+    @property
+    def is_known(self) -> bool:
+        """Whether more excitation would not tell more about Ms."""
+        margin = error_margin(
+            self.fit, plant_error(self.fit, self.records), self.gains, self.controller
+        )
+        if margin.unknown is not None:
+            return margin.excited
+        least = loop_response(self.fit.model, self.gains, self.controller)
+        Ms = float(np.max(1.0 / np.abs(1.0 + least.loop)))
+        return margin.sensitivity <= (1.0 + ENOUGH) * Ms
+
+
+def wanted_setpoint(unknown: UnknownLoop, samples: int) -> float:
+    """Setpoint of white power that makes the loop known, as its root mean square, N.
+
+    Infinite where one of the loops is unstable by the model.
 
     Args:
-        model: The loop as far as it is known.
-        gains: Gains of the trial, whose loop has to be stable.
-        settings: The fixed part of the controller.
-        samples: Length; the lines lie at multiples of one over it.
-        effort_N: Largest deviation of the effort.
-        setpoint_N: Largest deviation of the setpoint.
-        band: Lowest and highest frequency, rad/sample; by default from half the frequency of the
-            poles to `HIGHEST`.
-
-    Raises:
-        InvalidInput: a limit is not above zero, or the record is too short for the band.
+        unknown: The loop.
+        samples: Length of the multisine.
     """
-    if not (effort_N > 0.0 and setpoint_N > 0.0):
-        raise InvalidInput(
-            f"excitation of {effort_N:g} in effort and {setpoint_N:g} in setpoint; both must be "
-            "above zero"
-        )
-    natural = 2.0 * math.pi / model.natural_period
-    low, high = band or (0.5 * natural, HIGHEST)
-    lines = np.arange(1, (samples + 1) // 2)
-    theta = 2.0 * math.pi * lines / samples
-    inside = (theta >= low) & (theta <= high)
-    lines, theta = lines[inside], theta[inside]
-    if lines.size < LINES_MIN:
-        raise InvalidInput(
-            f"{samples} samples hold {lines.size} lines of the band where {LINES_MIN} are needed; "
-            "record longer"
-        )
-    to_effort = _setpoint_to_effort(model, gains, settings, theta)
-    size, number = np.abs(to_effort), np.arange(lines.size)
-    # Phases of Schroeder keep the sum low.
-    phases = np.exp(-1j * math.pi * number * (number + 1) / lines.size)
-    best, most = np.zeros(samples), 0.0
-    # Flat in effort, but for lines that would need more setpoint than a share of the others.
-    for share in np.geomspace(1.0, 1e-3, SHARES):
-        amplitudes = phases / np.maximum(size, share * size.max())
-        moves = _signal(lines, amplitudes, samples)
-        efforts = _signal(lines, amplitudes * to_effort, samples)
-        scale = min(effort_N / np.abs(efforts).max(), setpoint_N / np.abs(moves).max())
-        typical = float(scale * np.median(np.abs(amplitudes * to_effort)))
-        if typical > most:
-            best, most = scale * moves, typical
-    return best
+    fit, controller = unknown.fit, unknown.controller
+    theta, C, loop, stable = loop_response(fit.model, unknown.gains, controller)
+    at = close_loop(fit.model, unknown.excited_at, controller)
+    if not (stable and loop_response(fit.model, unknown.excited_at, controller).stable):
+        return math.inf
+    inside = theta >= 2.0 * math.pi / samples
+    theta, weight = theta[inside], np.abs(C[inside] / (1.0 + loop[inside]))
+    later = np.exp(-1j * theta)
+    to_effort = np.polyval(at.to_effort[::-1], later) / np.polyval(at.characteristic[::-1], later)
+    bins = np.maximum(HALF_WIDTH * theta * samples / math.pi, 1.0)
+    hidden = DEVIATIONS * fit.noise_N * weight / (np.abs(to_effort) * np.sqrt(bins))
+    return float(hidden.max()) / SHARE_WANTED
 
 
-def _setpoint_to_effort(
-    model: LoopModel, gains: Gains, settings: ControllerSettings, theta: FloatArray
-) -> ComplexArray:
-    """From the setpoint before its filter to the effort, at angles in rad/sample."""
-    loop, later = close_loop(model, gains, settings), np.exp(-1j * theta)
-    filtered = np.polyval(loop.filter_numerator[::-1], later) / np.polyval(
-        loop.filter_denominator[::-1], later
-    )
-    answer = np.polyval(loop.to_effort[::-1], later) / np.polyval(loop.characteristic[::-1], later)
-    return np.asarray(filtered * answer)
+def is_enough(setpoint_N: float, wanted_N: float) -> bool:
+    """Whether a setpoint smaller than wanted still makes the loop known."""
+    return setpoint_N * UNKNOWN_FROM >= wanted_N * SHARE_WANTED
 
 
-def _signal(lines: NDArray[np.integer], amplitudes: ComplexArray, samples: int) -> FloatArray:
-    spectrum = np.zeros(samples // 2 + 1, complex)
-    spectrum[lines] = amplitudes
-    return np.fft.irfft(spectrum, samples)
+def largest_deviations(
+    model: LoopModel, gains: Gains, controller: ControllerSettings, setpoint_N: FloatArray
+) -> tuple[float, float]:
+    """Largest deviations of measurement and effort for a setpoint, N, shape (samples,)."""
+    output, effort = close_loop(model, gains, controller).setpoint_response(setpoint_N)
+    return float(np.abs(output).max()), float(np.abs(effort).max())

@@ -19,7 +19,7 @@ from estune.run.loop import TuningRun
 from estune.run.plan import Plan
 from estune.run.planning import description_from_json, plan_from_json
 from estune.run.results.summary import summarise
-from estune.run.session import Phase, Session, is_censored, is_safe, new_session
+from estune.run.session import Phase, Session, is_safe, new_session
 from estune.support.garbage import collection_paused
 from estune.trial import Outcome
 from estune.tuners import Observation, Point, SearchSpace, tuner_name, tuner_space
@@ -120,10 +120,11 @@ def _session(session: Session, entries: list[JournalEntry], journal: Journal) ->
         number=len(counted),
         baseline=tuple(e.cost for e in others if e.phase is Phase.BASELINE),
         search_trials=len(search),
+        excitations=tuple(e.number for e in others if e.phase is Phase.EXCITE),
         search_end=journal.fact("search_end") or f"the search took {len(search)} trials",
     )
     eta_max = session.eta_max
-    safe = [e for e in search if e.outcome and is_safe(e.outcome, e.cost, eta_max)]
+    safe = [e for e in search if e.outcome and is_safe(e.phase, e.outcome, e.cost, eta_max)]
     if safe:
         best = min(safe, key=attrgetter("cost"))
         point = session.plan.tuner.space.point_of(best.gains)
@@ -159,4 +160,6 @@ def _repeats(
 
 
 def _censored(session: Session, entry: JournalEntry) -> bool:
-    return entry.outcome is None or is_censored(session, entry.outcome, entry.cost)
+    return entry.outcome is None or not is_safe(
+        entry.phase, entry.outcome, entry.cost, session.eta_max
+    )

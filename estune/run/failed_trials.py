@@ -1,11 +1,11 @@
-"""Trials that a rig cannot run under their id again."""
+"""Trials that a rig refuses, or cannot run under their id again."""
 
 import contextlib
 import logging
 from datetime import UTC, datetime
 from typing import Protocol, runtime_checkable
 
-from estune.errors import EstuneError
+from estune.errors import EstuneError, InvalidInput
 from estune.trial import Outcome, Rig, RigDescription, TrialRecord, TrialRequest, empty_record
 
 _log = logging.getLogger(__name__)
@@ -20,11 +20,14 @@ class FailureMemory(Protocol):
         ...
 
 
-def run_trial(rig: Rig, request: TrialRequest, description: RigDescription) -> TrialRecord:
+def run_trial(
+    rig: Rig, request: TrialRequest, description: RigDescription, *, may_be_refused: bool = False
+) -> TrialRecord:
     """The record of a trial; a void one where none can ever be had under its id.
 
     A rig does not run an id twice, so that a trial which failed there, before it began or in it,
-    would fail for ever. On a rig that moves it counts as interrupted.
+    would fail for ever. On a rig that moves it counts as interrupted. One that may be refused, as
+    of a profile that not every rig runs, counts as declined.
 
     Raises:
         EstuneError: the rig cannot be reached, or refuses.
@@ -32,12 +35,23 @@ def run_trial(rig: Rig, request: TrialRequest, description: RigDescription) -> T
     try:
         return rig.run(request)
     except EstuneError as error:
+        if may_be_refused and isinstance(error, InvalidInput):
+            return declined(request, description, f"the rig refused it: {error}")
         if not _has_failed(rig, request):
             raise
         _log.error("%s", error, extra={"rig": description.name})
         outcome = Outcome.CANCELLED if description.simulated else Outcome.INTERRUPTED
-        at = datetime.now(UTC).isoformat(timespec="milliseconds")
-        return empty_record(request, description, outcome, str(error), at)
+        return empty_record(request, description, outcome, str(error), _now())
+
+
+def declined(request: TrialRequest, description: RigDescription, reason: str = "") -> TrialRecord:
+    """The record of a trial that was not run."""
+    outcome = Outcome.DECLINED
+    return empty_record(request, description, outcome, reason or outcome.sentence, _now())
+
+
+def _now() -> str:
+    return datetime.now(UTC).isoformat(timespec="milliseconds")
 
 
 def _has_failed(rig: Rig, request: TrialRequest) -> bool:

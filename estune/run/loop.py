@@ -5,7 +5,6 @@ import shlex
 from collections import deque
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, replace
-from datetime import UTC, datetime
 from itertools import islice
 from pathlib import Path
 from typing import Literal, NamedTuple
@@ -13,7 +12,7 @@ from typing import Literal, NamedTuple
 from estune.core.controller_form import ControllerForm
 from estune.errors import Interrupted, InvalidInput, JournalError, RigError, UnsafeStart
 from estune.run import snapshot
-from estune.run.failed_trials import run_trial
+from estune.run.failed_trials import declined, run_trial
 from estune.run.first_trial import adopted, check_answer
 from estune.run.journal import CompletedTrial, Journal, JournalEntry
 from estune.run.plan import Plan
@@ -25,11 +24,12 @@ from estune.run.session import (
     new_session,
     next_request,
     predict_next,
+    with_excitation,
 )
 from estune.run.start import first_record_fault
 from estune.run.trial_quality import check_noise
 from estune.support.blas import one_blas_thread
-from estune.trial import Outcome, Rig, RigDescription, TrialRecord, TrialRequest, empty_record
+from estune.trial import Outcome, Rig, RigDescription, TrialRecord, TrialRequest
 from estune.trial.loop_records import loop_signals
 from estune.trial.scoring import constraint_margin, cost_of, unscored
 from estune.tuners.interface import CostPrediction
@@ -117,7 +117,8 @@ class TuningRun:
         tuned_record: Record of the last confirmation trial with the tuned gains.
         intervals: Stored confidence intervals of an archived run, as in
             `estune.run.results.summary.RunSummary`; None where the tuner computes them.
-        recent_records: Records of the last trials, void ones excluded.
+        recent_records: Records of the last step trials, void ones excluded.
+        excitations: Records of the excitations.
         fitted_form: Form of the controller that the first record shows, where the rig declares
             none and does not run estune's own; the description and the plan have it.
     """
@@ -131,6 +132,7 @@ class TuningRun:
     tuned_record: TrialRecord | None
     intervals: tuple[tuple[str, float, float], ...] | None = None
     recent_records: deque[TrialRecord] = field(default_factory=lambda: deque(maxlen=RECENT_MAX))
+    excitations: list[TrialRecord] = field(default_factory=list)
     fitted_form: ControllerForm | None = None
 
 
@@ -239,9 +241,10 @@ def run(
             if answer == "always":
                 ask = None
             if answer == "no":
-                record = _declined(tuning, request)
+                record = declined(request, tuning.description)
             else:
-                record = run_trial(rig, request, tuning.description)
+                extra = tuning.session.phase is Phase.EXCITE
+                record = run_trial(rig, request, tuning.description, may_be_refused=extra)
             request = _record_trial(tuning, request, record, listeners)
             consecutive_void = consecutive_void + 1 if record.outcome.is_void else 0
             if record.outcome.is_void:
@@ -256,7 +259,8 @@ def run(
 def _check_posed(tuning: TuningRun) -> None:
     """Refuses to search on a rig that does not answer, or by noise, unless forced."""
     session, first = tuning.session, tuning.first_record
-    begins = session.phase is Phase.SEARCH and not session.search_trials
+    first_phases = (Phase.SEARCH, Phase.EXCITE)
+    begins = session.phase in first_phases and session.number == tuning.plan.baseline_trials
     if begins and first is not None and not tuning.plan.forced:
         check_answer(first, tuning.plan, tuning.description)
         check_noise(first, tuning.plan, tuning.description, session.baseline[0])
@@ -268,12 +272,6 @@ def _approval_request(tuning: TuningRun, request: TrialRequest) -> ApprovalReque
     if prediction is None or prediction.explored:
         return None
     return ApprovalRequest(request, prediction, tuning.session.eta_max)
-
-
-def _declined(tuning: TuningRun, request: TrialRequest) -> TrialRecord:
-    outcome = Outcome.DECLINED
-    at = datetime.now(UTC).isoformat(timespec="milliseconds")
-    return empty_record(request, tuning.description, outcome, outcome.sentence, at)
 
 
 def _check_void(tuning: TuningRun, record: TrialRecord, consecutive: int) -> None:
@@ -318,9 +316,10 @@ def _record_trial(
     if not tuning.session.baseline:
         adopt_first(tuning, record)
     plan, before = tuning.plan, tuning.session
-    cost = cost_of(record, plan.step, plan.cost, tuning.description.newtons_per_ampere)
-    phase = before.phase or Phase.CONFIRM
-    reason = record.reason or (unscored(record, plan.step) if math.isnan(cost) else "")
+    phase, cost, reason = before.phase or Phase.CONFIRM, math.nan, record.reason
+    if phase is not Phase.EXCITE:
+        cost = cost_of(record, plan.step, plan.cost, tuning.description.newtons_per_ampere)
+        reason = reason or (unscored(record, plan.step) if math.isnan(cost) else "")
     margin = constraint_margin(record, tuning.description)
     entry = JournalEntry(
         *(request.number, request.attempt, request.trial_id, phase, request.gains.as_tuple()),
@@ -333,7 +332,7 @@ def _record_trial(
     keep_record(tuning, entry, record)
     if tuning.journal is not None:
         snapshot.write_if_due(tuning.journal, tuning.session, tuning.entries)
-    unsafe = is_unsafe(before, record.outcome, cost)
+    unsafe = is_unsafe(phase, record.outcome, cost, before.eta_max)
     for listener in listeners:
         listener(Progress(tuning.session, entry, unsafe, record))
     return following
@@ -344,7 +343,7 @@ def _advanced(
 ) -> Session:
     """The session after a trial."""
     plan, rig, before = tuning.plan, tuning.description, tuning.session
-    learning = before.phase in (Phase.BASELINE, Phase.SEARCH)
+    learning = before.phase in (Phase.BASELINE, Phase.SEARCH, Phase.EXCITE)
     first = not before.baseline
     needed = (plan.uses_records and learning) or (plan.start_source and first)
     signals = loop_signals(record, plan.step, rig).record if needed else None
@@ -353,7 +352,7 @@ def _advanced(
         settling_time_s = plan.cost.settling_time_s
         fault = first_record_fault(signals, plan.start, rig.controller, settling_time_s)
         session = replace(session, failure=fault)
-    return session
+    return with_excitation(session, rig)
 
 
 def _commit(
@@ -371,6 +370,10 @@ def keep_record(tuning: TuningRun, entry: JournalEntry, record: TrialRecord) -> 
     """Keeps the record of the first trial, and of the last that confirmed the tuned gains."""
     if record.outcome.is_void:
         return
+    if entry.phase is Phase.EXCITE:
+        if record.outcome is Outcome.DONE:
+            tuning.excitations.append(record)
+        return
     tuning.recent_records.append(record)
     if tuning.first_record is None:
         tuning.first_record = record
@@ -384,5 +387,6 @@ def read_kept_records(tuning: TuningRun, journal: Journal) -> None:
     confirmed = (
         e for e in reversed(entries) if e.phase is Phase.CONFIRM and e.gains != tuning.plan.start
     )
-    for entry in sorted({*entries[:1], *islice(confirmed, 1), *entries[-RECENT_MAX:]}):
+    excited = (e for e in entries if e.phase is Phase.EXCITE)
+    for entry in sorted({*entries[:1], *excited, *islice(confirmed, 1), *entries[-RECENT_MAX:]}):
         keep_record(tuning, entry, journal.record(entry.trial_id))

@@ -155,16 +155,30 @@ class Plan(Search):
         """Trials of the initial gains before the search: one record identifies the loop."""
         return 1 if self.uses_records else self.repeats
 
-    @property
-    def settled_trials(self) -> int:
-        """Consecutive trials with little improvement left that end the search."""
-        tuner = self.tuner
-        return tuner.settled_trials if isinstance(tuner, RecordUsingTuner) else CONSECUTIVE_SETTLED
+    def settled_trials(self, tuner_state: Any) -> int:
+        """Consecutive trials with little improvement left that end the search.
 
-    def needs_choice(self, tuner_state: Any) -> bool:
-        """Whether repeats choose between the recommendation of a search and its best trial."""
+        One does where the identified loop predicts the costs: the confirmation tries what it
+        recommends.
+        """
+        return 1 if self.is_predicted(tuner_state) else CONSECUTIVE_SETTLED
+
+    def is_predicted(self, tuner_state: Any) -> bool:
+        """Whether an identified loop predicts the costs.
+
+        If not, repeats choose between the recommendation of a search and its best trial.
+        """
         tuner = self.tuner
-        return not (isinstance(tuner, RecordUsingTuner) and tuner.is_predicted(tuner_state))
+        return isinstance(tuner, RecordUsingTuner) and tuner.is_predicted(tuner_state)
+
+    def would_repeat(self, tuner_state: Any) -> bool:
+        """Whether the next trial would tell what an earlier one told."""
+        tuner = self.tuner
+        return (
+            self.tolerance > 0.0
+            and isinstance(tuner, RecordUsingTuner)
+            and tuner.would_repeat(tuner_state, self.tolerance)
+        )
 
     def may_end(self, tuner_state: Any) -> bool:
         """Whether the search may end by its tolerance."""

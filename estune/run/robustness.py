@@ -43,10 +43,10 @@ class IdentifiedLoop(NamedTuple):
 
     Attributes:
         fit: The fit; None where no record can be used.
-        tried: Gains of the records that were fitted, in their order.
+        tried: Gains of the step trials that were fitted, in their order.
         reason: Why there is no fit; empty where there is one.
-        signals: The records that were fitted.
-        costs: Their costs.
+        signals: The records that were fitted: step trials, then excitations.
+        costs: Costs of the step trials.
         remarks: Why others were not, a sentence for each reason.
     """
 
@@ -59,8 +59,13 @@ class IdentifiedLoop(NamedTuple):
 
 
 @one_blas_thread()
-def identify(records: Sequence[TrialRecord], plan: Plan, rig: RigDescription) -> IdentifiedLoop:
-    """The loop identified from the last records of a run."""
+def identify(
+    records: Sequence[TrialRecord],
+    excitations: Sequence[TrialRecord],
+    plan: Plan,
+    rig: RigDescription,
+) -> IdentifiedLoop:
+    """The loop identified from the last step trials of a run and its excitations."""
     records = records[-RECORDS_MAX:]
     signals, kept, reasons = list[LoopRecord](), list[TrialRecord](), Counter[str]()
     for record in records:
@@ -77,6 +82,8 @@ def identify(records: Sequence[TrialRecord], plan: Plan, rig: RigDescription) ->
     if not signals:
         reason = next(iter(reasons), "there are no records of it")
         return IdentifiedLoop(None, reason=reason, remarks=remarks)
+    excited = (loop_signals(record, plan.step, rig).record for record in excitations)
+    signals += [record for record in excited if record is not None]
     return IdentifiedLoop(
         fit_loop(signals, rig.controller.sampling_Hz, plan.cost.settling_time_s),
         tuple(record.gains for record in kept),
@@ -96,7 +103,8 @@ def claim_from(loop: IdentifiedLoop, plan: Plan, rig: RigDescription, gains: Gai
     check = None
     if earlier:
         rate, asked_s = rig.controller.sampling_Hz, plan.cost.settling_time_s
-        before = fit_loop(loop.signals[:earlier], rate, asked_s, loop.fit)
+        known = (*loop.signals[:earlier], *loop.signals[len(loop.tried) :])
+        before = fit_loop(known, rate, asked_s, loop.fit)
         check = CostCheck(before, tuple(c for c, at in zip(loop.costs, here, strict=True) if at))
     return claim(loop.fit, loop.signals, step_trial(rig, plan.step, plan.cost), gains, check)
 
@@ -147,7 +155,7 @@ def verdict_on(run: TuningRun, change: Change | None) -> Verdict:
     gains, plan, rig = run.session.candidate, run.plan, run.description
     if gains is None or change is None or plan.limits is None:
         return Verdict()
-    loop = identify(list(run.recent_records), plan, rig)
+    loop = identify(list(run.recent_records), run.excitations, plan, rig)
     claimed = claim_from(loop, plan, rig, gains)
     broken = ""
     if not change.is_decrease and claimed.margins and plan.limits.broken_by(claimed.margins) == "":

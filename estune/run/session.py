@@ -1,6 +1,8 @@
 """State machine of one tuning run: the trial history determines the next request.
 
 A run has four phases. `baseline` runs the initial gains, and in `search` the tuner proposes.
+Where the step trials leave the identified loop unknown, `excite` runs a multisine in between,
+which has no cost (`estune.run.excitation`).
 `choose` repeats the tuner's recommendation and its best trial, interleaved, unless the tuner
 predicts costs by an identified loop; `confirm` repeats the better of the two and the initial
 gains, interleaved, until the interval of the improvement is narrow. Choice and confirmation use
@@ -18,8 +20,9 @@ from typing import Any
 from estune.core.comparison import InterleavedRepeats
 from estune.core.gains import Gains
 from estune.loop_model.records import LoopRecord
+from estune.run.excitation import ExcitationTrial, excitation_trial
 from estune.run.plan import CONFIRMATION_REPEATS_MAX, Plan
-from estune.trial import Outcome, TrialRequest
+from estune.trial import Outcome, RigDescription, TrialRequest
 from estune.tuners.interface import CostPrediction, PredictingTuner, RecordUsingTuner
 from estune.tuners.observation import Observation
 
@@ -29,12 +32,17 @@ class Phase(StrEnum):
 
     BASELINE = "baseline"
     SEARCH = "search"
+    EXCITE = "excite"
     CHOOSE = "choose"
     CONFIRM = "confirm"
 
 
 UNSAFE_RATIO = 3.0
 """Default of the unsafe cost, as a multiple of the initial cost."""
+
+EXCITATIONS_MAX = 2
+"""Most excitations of a run: one at the initial gains, where these move the effort enough to be of
+use, and one at better ones."""
 
 CONSECUTIVE_CENSORED_MAX = 12
 """Consecutive unsafe or declined trials that end the search."""
@@ -55,6 +63,8 @@ class Session:
         consecutive_censored: Search trials since the last safe one, unsafe or declined.
         consecutive_settled: Last search trials with a remaining improvement below the tolerance.
         baseline: Costs of the initial gains.
+        excitation: The trial that excites the loop next; None for a step trial.
+        excitations: Numbers of the completed trials of this kind, declined ones too.
         search_end: Why the search ended; empty while it continues.
         choice: Repeats of the candidates; None before there are two.
         confirmation: Repeats of the initial and of the tuned gains, in this order; None before
@@ -72,6 +82,8 @@ class Session:
     consecutive_censored: int = 0
     consecutive_settled: int = 0
     baseline: tuple[float, ...] = ()
+    excitation: ExcitationTrial | None = None
+    excitations: tuple[int, ...] = ()
     search_end: str = ""
     choice: InterleavedRepeats | None = None
     confirmation: InterleavedRepeats | None = None
@@ -84,6 +96,8 @@ class Session:
             return None
         if len(self.baseline) < self.plan.baseline_trials:
             return Phase.BASELINE
+        if self.excitation is not None:
+            return Phase.EXCITE
         if not self.search_end:
             return Phase.SEARCH
         if self.confirmation is not None:
@@ -134,17 +148,19 @@ def next_request(session: Session) -> TrialRequest | None:
     gains = _next_gains(session)
     if gains is None:
         return None
-    plan = session.plan
-    return TrialRequest(plan.run, session.number, gains, plan.step, session.attempt)
+    plan, excitation = session.plan, session.excitation
+    profile = plan.step if excitation is None else excitation.profile
+    return TrialRequest(plan.run, session.number, gains, profile, session.attempt)
 
 
 def predict_next(session: Session) -> CostPrediction | None:
     """The tuner's prediction of the next trial.
 
-    None for gains that have been run before, and if the tuner has no predictions.
+    None for gains that have been run before, as those of an excitation have, and if the tuner has
+    no predictions.
     """
     gains, tuner = _next_gains(session), session.plan.tuner
-    if gains is None or not isinstance(tuner, PredictingTuner):
+    if gains is None or session.excitation or not isinstance(tuner, PredictingTuner):
         return None
     run_before = [session.plan.start]
     if session.tuner_state.best_cost is not None:
@@ -159,26 +175,20 @@ def predict_next(session: Session) -> CostPrediction | None:
     return tuner.predict(session.tuner_state, tuner.space.point_of(gains))
 
 
-def is_censored(session: Session, outcome: Outcome, cost: float) -> bool:
-    """Whether the trial only marks its gains as unsafe or declined: the guard `eta < eta_max`.
+def is_safe(phase: Phase, outcome: Outcome, cost: float, eta_max: float) -> bool:
+    """Whether the trial has a cost, of at most `eta_max`: the guard `eta < eta_max`.
 
-    A cost that is not above zero is invalid: (35) is positive.
+    A cost that is not above zero is invalid: (35) is positive. An excitation has none.
     """
-    return not is_safe(outcome, cost, session.eta_max)
+    if outcome is not Outcome.DONE or phase is Phase.EXCITE:
+        return outcome is Outcome.DONE
+    return 0.0 < cost <= eta_max and not math.isinf(cost)
 
 
-def is_safe(outcome: Outcome, cost: float, eta_max: float) -> bool:
-    """Whether the trial has a cost, of at most `eta_max`."""
-    return outcome is Outcome.DONE and 0.0 < cost <= eta_max and not math.isinf(cost)
-
-
-def is_unsafe(session: Session, outcome: Outcome, cost: float) -> bool:
-    """Whether the trial was unsafe: censored although it was run."""
-    return (
-        is_censored(session, outcome, cost)
-        and outcome is not Outcome.DECLINED
-        and not outcome.is_void
-    )
+def is_unsafe(phase: Phase, outcome: Outcome, cost: float, eta_max: float) -> bool:
+    """Whether the trial was unsafe: it was run, and was not safe."""
+    was_run = outcome is not Outcome.DECLINED and not outcome.is_void
+    return was_run and not is_safe(phase, outcome, cost, eta_max)
 
 
 def after_trial(
@@ -197,7 +207,9 @@ def after_trial(
     """
     if outcome.is_void:
         return replace(session, attempt=session.attempt + 1)
-    phase, censored = session.phase, is_censored(session, outcome, cost)
+    phase = session.phase
+    assert phase is not None  # noqa: S101  a trial was asked for
+    censored = not is_safe(phase, outcome, cost, session.eta_max)
     changed: dict[str, Any]
     if phase is Phase.BASELINE and censored:
         changed = {"failure": _unsafe_start(session, outcome, cost, reason)}
@@ -206,6 +218,8 @@ def after_trial(
         if isinstance(session.plan.tuner, RecordUsingTuner):
             told = Observation(cost, margin=margin, record=record)
             changed["tuner_state"] = session.plan.tuner.tell_start(session.tuner_state, told)
+    elif phase is Phase.EXCITE:
+        changed = _after_excitation(session, record)
     elif phase is Phase.SEARCH:
         observation = Observation(math.nan if censored else cost, censored, margin, record)
         changed = _after_search(session, observation)
@@ -222,7 +236,7 @@ def after_trial(
         session,
         number=session.number + 1,
         attempt=0,
-        unsafe=session.unsafe + is_unsafe(session, outcome, cost),
+        unsafe=session.unsafe + is_unsafe(phase, outcome, cost, session.eta_max),
         declined=session.declined + (outcome is Outcome.DECLINED),
         **changed,
     )
@@ -234,6 +248,8 @@ def _next_gains(session: Session) -> Gains | None:
         return None
     if phase is Phase.BASELINE:
         return plan.start
+    if session.excitation is not None:
+        return session.excitation.gains
     if phase is Phase.SEARCH:
         return plan.tuner.space.gains(plan.tuner.ask(session.tuner_state))
     repeats = session.choice if phase is Phase.CHOOSE else session.confirmation
@@ -257,26 +273,68 @@ def _after_search(session: Session, observation: Observation) -> dict[str, Any]:
     if changed["consecutive_censored"] >= CONSECUTIVE_CENSORED_MAX:
         censored = CONSECUTIVE_CENSORED_MAX
         end = f"the search ended after {censored} consecutive unsafe or declined trials"
-    elif convergence is not None and changed["consecutive_settled"] >= plan.settled_trials:
+    elif convergence is not None and changed["consecutive_settled"] >= plan.settled_trials(state):
         end = (
             "the search ended: the remaining improvement is at most "
             f"{convergence.remaining_improvement:.1%}, below the tolerance of "
             f"{100.0 * plan.tolerance:.3g}%"
         )
+    elif plan.would_repeat(state):
+        left = convergence.remaining_improvement if convergence else math.nan
+        most = f"; the remaining improvement is at most {left:.1%}" if left < 1.0 else ""
+        end = f"the search ended: the next trial would repeat an earlier one{most}"
     elif changed["search_trials"] >= plan.trials:
         end = f"the search used its {plan.trials} trial{'s' if plan.trials > 1 else ''}"
     else:
         return changed
-    changed["search_end"] = end
+    return changed | {"search_end": end} | _after_end(plan, state)
+
+
+def _after_end(plan: Plan, state: Any) -> dict[str, Any]:
+    """Fields of the session that the end of its search sets."""
+    tuner = plan.tuner
     # The recommendation rests on all trials; the best single trial may be luck, or may not.
     points = [tuner.recommend(state)]
-    if plan.needs_choice(state):
+    if not plan.is_predicted(state):
         points.append(state.best_point)
     gains = tuple(dict.fromkeys(map(tuner.space.gains, points)))
     if len(gains) > 1:
-        changed["choice"] = InterleavedRepeats.new(gains, plan.repeats)
-    else:
-        changed["confirmation"] = _confirmation(plan, gains[0])
+        return {"choice": InterleavedRepeats.new(gains, plan.repeats)}
+    return {"confirmation": _confirmation(plan, gains[0])}
+
+
+def with_excitation(session: Session, rig: RigDescription) -> Session:
+    """The session with an excitation next, where one would tell more of the loop.
+
+    Before each trial of the search, and before the confirmation of what it recommends; not twice
+    in a row, for a step trial in between may show enough, or better gains for another.
+    """
+    tuner, plan = session.plan.tuner, session.plan
+    confirmed = session.confirmation is not None and any(session.confirmation.costs)
+    if session.phase not in (Phase.SEARCH, Phase.CONFIRM) or confirmed:
+        return session
+    if session.number - 1 in session.excitations or len(session.excitations) >= EXCITATIONS_MAX:
+        return session
+    if not isinstance(tuner, RecordUsingTuner):
+        return session
+    unknown = tuner.unknown_loop(session.tuner_state)
+    made = None if unknown is None else excitation_trial(unknown, plan, rig)
+    return session if made is None else replace(session, excitation=made)
+
+
+def _after_excitation(session: Session, record: LoopRecord | None) -> dict[str, Any]:
+    """Fields of the session that an excitation changes; it is told nothing without a record."""
+    plan, state = session.plan, session.tuner_state
+    changed: dict[str, Any] = {
+        "excitation": None,
+        "excitations": (*session.excitations, session.number),
+    }
+    if record is None or not isinstance(plan.tuner, RecordUsingTuner):
+        return changed
+    changed["tuner_state"] = plan.tuner.tell_excitation(state, record)
+    if session.search_end:
+        changed |= {"confirmation": None, "choice": None}
+        changed |= _after_end(plan, changed["tuner_state"])
     return changed
 
 

@@ -39,7 +39,7 @@ class LoopSignals(NamedTuple):
 
 
 def loop_signals(record: TrialRecord, step: StepProfile, rig: RigDescription) -> LoopSignals:
-    """The signals of a step trial that identify the loop."""
+    """The signals of a step trial, or of an excitation, that identify the loop."""
     columns = (record.setpoint_N, record.tension_N, record.current_A)
     if record.outcome is not Outcome.DONE or not all(np.isfinite(c).all() for c in columns):
         return LoopSignals(None, "the trial did not end well")
@@ -54,7 +54,8 @@ def loop_signals(record: TrialRecord, step: StepProfile, rig: RigDescription) ->
             return LoopSignals(None, reason)
         # The first sample's level has its noise, which the derivative makes many times as large.
         effort = effort + float(np.median(logged - effort))
-    effort = effort + step.shape(record.sampling_Hz).loads(effort.size)
+    if record.profile == step.kind:  # an excitation has no load
+        effort = effort + step.shape(record.sampling_Hz).loads(effort.size)
     columns = effort, record.tension_N, record.setpoint_N
     return LoopSignals(LoopRecord(*columns, record.gains, at_rest=True))
 

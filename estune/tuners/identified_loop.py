@@ -5,11 +5,11 @@ The next trial is the optimum of the cost it predicts,
 
     x(k) = argmin m(x),     m the logarithm of the predicted cost,
 
-within limits of sensitivity and overshoot, a box about the best trial, and what is safe by all
-likely models. Where the model leaves a misfit, a surface of what the trials measured beyond its
-predictions is added to them (`residual_surface`). Where the predictions fail, the fallback tuner
-proposes, which is told every trial. The improvement that remains is estimated by draws from the
-posterior of the model. Measured costs decide what is kept.
+within limits of sensitivity and overshoot and a box about the best trial. Where the model leaves
+a misfit, a surface of what the trials measured beyond its predictions is added to them
+(`residual_surface`). Where the predictions fail, the fallback tuner proposes, which is told every
+trial. The improvement that remains is estimated by draws from the posterior of the model. Measured
+costs decide what is kept.
 """
 
 import math
@@ -19,10 +19,9 @@ from typing import Any, Literal
 
 import numpy as np
 
-from estune.core.quantities import FloatArray
 from estune.loop_model.drawn_optima import draw_optima
+from estune.loop_model.excitation import UnknownLoop
 from estune.loop_model.fitting import fit_loop
-from estune.loop_model.intervals import parameter_deviations
 from estune.loop_model.loop_fit import LoopFit
 from estune.loop_model.model import LoopModel, robustness
 from estune.loop_model.optimum import TOLERANCE, Optimum, RegionSearch, RobustnessLimits
@@ -31,6 +30,7 @@ from estune.loop_model.records import LoopRecord
 from estune.tuners.identified_loop_state import IdentifiedLoopState
 from estune.tuners.interface import ConvergenceEstimate, CostPrediction
 from estune.tuners.observation import Observation, log_cost
+from estune.tuners.predictions import cost_noise, difference, log_of_cost, measured_overshoot
 from estune.tuners.residual_surface import ResidualSurface
 from estune.tuners.safe_bayesian import SafeBayesianTuner
 from estune.tuners.search_space import Coordinates, Point, SearchSpace
@@ -44,11 +44,6 @@ above it by the model."""
 PREDICTION_FAILED = 0.5
 """Median error of the last three predictions of the log cost from which the fallback proposes."""
 
-SAFE_DEVIATIONS = 2.5
-SAFE_RATIO = 1.3
-"""A trial is safe if all models this many standard deviations away predict at most so many times
-the cost of the first trial."""
-
 ITERATIONS = 40
 FIRST_ITERATIONS = 12
 CLOSE_FROM = 2
@@ -61,13 +56,6 @@ SCATTERED = 16
 FORESEEN = 0.1
 """Error of the last prediction of the log cost below which the last optimum is enough to start
 from."""
-
-SMOOTHED = 5
-"""Samples of the means by which a record's overshoot is measured: with 0.4 % noise of the step
-its largest sample is 1 % too high, its largest mean 0.5 %."""
-
-NOISE_EXPECTED = 0.03
-"""Relative standard deviation of the cost before enough predictions were compared."""
 
 WORTH_DRAWING = 0.1
 """Improvement of the model's optimum over the best trial, in the log cost, below which the
@@ -102,11 +90,6 @@ class IdentifiedLoopTuner:
         check_above_zero(self.name, "reach", self.reach)
         check_above_zero(self.name, "memory", self.memory)
 
-    @property
-    def settled_trials(self) -> int:
-        """Trials in a row with little improvement left that end a search."""
-        return 2
-
     def for_trial(
         self, trial: StepTrial, limits: RobustnessLimits | None
     ) -> "IdentifiedLoopTuner":
@@ -119,6 +102,7 @@ class IdentifiedLoopTuner:
         return IdentifiedLoopState(
             fallback=fallback,
             records=(),
+            excitations=(),
             points=(),
             costs=(),
             overshoots=(),
@@ -149,6 +133,26 @@ class IdentifiedLoopTuner:
         """Whether the identified loop proposes, not the fallback."""
         return state.fit is not None and not state.fallen_back
 
+    def unknown_loop(self, state: IdentifiedLoopState) -> UnknownLoop | None:
+        """The loop at the next point, where more excitation would tell more of it."""
+        if state.fit is None or self.trial is None or not state.fit.responds:
+            return None
+        unknown = UnknownLoop(
+            fit=state.fit,
+            records=(*state.records, *state.excitations),
+            gains=self.space.gains(state.proposal),
+            tried=self.space.gains(self.space.point(state.base)),
+            controller=self.trial.controller,
+        )
+        return None if unknown.is_known else unknown
+
+    def tell_excitation(
+        self, state: IdentifiedLoopState, record: LoopRecord
+    ) -> IdentifiedLoopState:
+        """The state after a trial that excites the loop, which has no cost."""
+        state = state._replace(excitations=(*state.excitations, record))
+        return self._decided(self._fitted(state))
+
     def tell(self, state: IdentifiedLoopState, observation: Observation) -> IdentifiedLoopState:
         """The state after the trial last asked for."""
         point = state.proposal
@@ -162,11 +166,13 @@ class IdentifiedLoopTuner:
         )
         if observation.record is not None and self.trial is not None:
             state = self._learn(state, point, observation, observation.record)
+        return self._decided(state)
+
+    def _decided(self, state: IdentifiedLoopState) -> IdentifiedLoopState:
+        """The state with the next trial: the model's, or the fallback's where that fails."""
         recent = [abs(error) for error in state.errors[-3:]]
         failed = len(recent) == 3 and float(np.median(recent)) > PREDICTION_FAILED  # not with NaN
-        if state.fit is None or state.best_cost is None or failed:
-            return self._fall_back(state)
-        if state.fit.misfit > MISFIT_MAX:
+        if state.fit is None or state.best_cost is None or failed or state.fit.misfit > MISFIT_MAX:
             return self._fall_back(state)
         return self._propose(state, state.fit)
 
@@ -179,7 +185,7 @@ class IdentifiedLoopTuner:
         if most is None or record is None or self.trial is None or observation.censored:
             return observation.margin
         least = self._fallback.constraint_margin_min
-        share = _overshoot(record, self.trial) / most
+        share = measured_overshoot(record, self.trial) / most
         return min(observation.margin, 1.0 - (1.0 - least) * share)
 
     def recommend(self, state: IdentifiedLoopState) -> Point:
@@ -195,6 +201,14 @@ class IdentifiedLoopTuner:
     def may_end(self, state: IdentifiedLoopState, tolerance: float) -> bool:
         """Whether the remaining improvement may be below the tolerance."""
         return not state.fallen_back or self._fallback.may_end(state.fallback, tolerance)
+
+    def would_repeat(self, state: IdentifiedLoopState, tolerance: float) -> bool:
+        """Whether the model predicts of the next trial what it predicts of one that was run."""
+        if state.fit is None or state.fallen_back:
+            return False
+        following = self._at(state, state.fit, self.space.coordinates(state.proposal))
+        run = state.points[-self.memory :]
+        return any(difference(self._at(state, state.fit, x), following) < tolerance for x in run)
 
     def predict(self, state: IdentifiedLoopState, point: Point) -> CostPrediction:
         """The predicted cost of a point, by the fallback's model of the cost."""
@@ -222,10 +236,8 @@ class IdentifiedLoopTuner:
         fit, base = state.fit, np.array(state.base)
         if fit is None or not fit.responds:
             return proposal
-        wanted, settings = (
-            np.array(self.space.coordinates(proposal)),
-            self._trial(state).controller,
-        )
+        wanted = np.array(self.space.coordinates(proposal))
+        settings = self._trial(state).controller
 
         def is_stable(point: Point) -> bool:
             found = robustness(fit.model, self.space.gains(point), settings)
@@ -233,9 +245,8 @@ class IdentifiedLoopTuner:
 
         if not is_stable(self.space.point(tuple(base.tolist()))):
             return proposal
-        shares = (1.0, 0.7, 0.45, 0.25, 0.1)
-        on_the_way = [base + share * (wanted - base) for share in shares]
-        points = [proposal, *(self.space.point(tuple(x.tolist())) for x in on_the_way[1:])]
+        on_the_way = [base + share * (wanted - base) for share in (0.7, 0.45, 0.25, 0.1)]
+        points = [proposal, *(self.space.point(tuple(x.tolist())) for x in on_the_way)]
         return next(filter(is_stable, points), points[-1])
 
     def _learn(
@@ -248,23 +259,24 @@ class IdentifiedLoopTuner:
         """The state with the model fitted to one more record, of an unsafe trial too."""
         assert self.trial is not None  # noqa: S101  checked by the caller
         x, last = self.space.coordinates(point), state.fit
-        predicted = _log_cost(self._at(state, last, x)) if last else math.nan
-        records = (*state.records, record)[-self.memory :]
-        fit = fit_loop(
-            records,
-            self.trial.controller.sampling_Hz,
-            self.trial.cost.settling_time_s,
-            last,
-        )
-        state = state._replace(records=records, fit=fit, surface=None)
+        predicted = log_of_cost(self._at(state, last, x)) if last else math.nan
+        state = state._replace(records=(*state.records, record)[-self.memory :])
         if not observation.censored:
             cost = log_cost(observation)
             state = state._replace(
                 points=(*state.points, x),
                 costs=(*state.costs, cost),
-                overshoots=(*state.overshoots, _overshoot(record, self.trial)),
+                overshoots=(*state.overshoots, measured_overshoot(record, self.trial)),
                 errors=(*state.errors, cost - predicted),
             )
+        return self._fitted(state)
+
+    def _fitted(self, state: IdentifiedLoopState) -> IdentifiedLoopState:
+        """The state with the model fitted to all its records."""
+        trial = self._trial(state)
+        rate, asked_s = trial.controller.sampling_Hz, trial.cost.settling_time_s
+        fit = fit_loop((*state.records, *state.excitations), rate, asked_s, state.fit)
+        state = state._replace(fit=fit, surface=None)
         if not state.points:
             return state
         state = state._replace(surface=self._surface(state, fit))
@@ -280,11 +292,11 @@ class IdentifiedLoopTuner:
         measured = zip(state.costs[recent], state.overshoots[recent], strict=True)
         predicted = [self._at(state, fit, x) for x in state.points[recent]]
         differences = [
-            (cost - _log_cost(p), overshoot - p.overshoot)
+            (cost - log_of_cost(p), overshoot - p.overshoot)
             for (cost, overshoot), p in zip(measured, predicted, strict=True)
         ]
         return ResidualSurface.fitted(
-            state.points[recent], differences, fit.misfit, self._noise(state)
+            state.points[recent], differences, fit.misfit, cost_noise(state.errors)
         )
 
     def _best_kept(
@@ -298,11 +310,6 @@ class IdentifiedLoopTuner:
         best = min(kept, key=costs.__getitem__)
         return {"best_point": self.space.point(best), "best_cost": math.exp(costs[best])}
 
-    def _noise(self, state: IdentifiedLoopState) -> float:
-        """Relative standard deviation of the cost, by the errors of the last predictions."""
-        recent = [error for error in state.errors[-8:] if math.isfinite(error)]
-        return float(np.std(recent)) if len(recent) > 3 else NOISE_EXPECTED
-
     def _propose(self, state: IdentifiedLoopState, fit: LoopFit) -> IdentifiedLoopState:
         """The next trial and the centre by the model."""
         best = np.array(state.base)
@@ -315,10 +322,10 @@ class IdentifiedLoopTuner:
         )
         if not math.isfinite(optimum.prediction.cost):
             return self._fall_back(state)
-        proposal = self._made_safe(state, fit, best, optimum.coordinates)
+        centre = tuple(optimum.coordinates.tolist())
         return state._replace(
-            centre=tuple(optimum.coordinates.tolist()),
-            proposal=self.space.point(tuple(proposal.tolist())),
+            centre=centre,
+            proposal=self.space.point(centre),
             estimate=self._convergence(state, fit, optimum),
             fallen_back=False,
         )
@@ -338,27 +345,6 @@ class IdentifiedLoopTuner:
             corrected=state.surface.corrected if state.surface else None,
         )
 
-    def _made_safe(
-        self, state: IdentifiedLoopState, fit: LoopFit, safe: FloatArray, wanted: FloatArray
-    ) -> FloatArray:
-        """The furthest point on the way to a proposal that is safe by all likely models."""
-        for share in (1.0, 0.7, 0.45, 0.25):
-            x = safe + share * (wanted - safe)
-            if self._is_safe(state, fit, x):
-                return x
-        return safe + 0.1 * (wanted - safe)
-
-    def _is_safe(self, state: IdentifiedLoopState, fit: LoopFit, x: FloatArray) -> bool:
-        """Whether all likely models predict a safe trial."""
-        theta, trial = fit.model.parameters, self._trial(state)
-        away = SAFE_DEVIATIONS * parameter_deviations(fit).T
-        likely = (
-            fit.model.with_parameters(theta + s * column) for column in away for s in (-1, 1)
-        )
-        limit = SAFE_RATIO * math.exp(state.costs[0])
-        gains = self.space.gains(self.space.point(tuple(x.tolist())))
-        return all(predict(model, trial, gains, fit.noise_N).cost < limit for model in likely)
-
     def _convergence(
         self,
         state: IdentifiedLoopState,
@@ -366,7 +352,7 @@ class IdentifiedLoopTuner:
         optimum: Optimum,
     ) -> ConvergenceEstimate | None:
         """Remaining improvement within the limits, by draws from the posterior of the model."""
-        best = _log_cost(self._at(state, fit, state.base))
+        best = log_of_cost(self._at(state, fit, state.base))
         close = best - math.log(optimum.prediction.cost) < WORTH_DRAWING
         if len(state.costs) < CLOSE_FROM or not (close and optimum.feasible):
             return None
@@ -380,7 +366,7 @@ class IdentifiedLoopTuner:
         high = np.minimum(high, self.space.coordinates_high)
         beyond = state.surface.deviation(optimum.coordinates) if state.surface else 0.0
         return ConvergenceEstimate(
-            noise=self._noise(state),
+            noise=cost_noise(state.errors),
             remaining_improvement=-math.expm1(-float(np.quantile(draws.gains, 0.95)) - beyond),
             expected_improvement=-math.expm1(-float(np.mean(draws.gains))),
             intervals=tuple(
@@ -409,14 +395,3 @@ class IdentifiedLoopTuner:
         gains = self.space.gains(self.space.point(x))
         found = predict(fit.model, self._trial(state), gains, fit.noise_N)
         return state.surface.corrected(np.array(x), found) if state.surface else found
-
-
-def _log_cost(prediction: Prediction) -> float:
-    return math.log(prediction.cost)
-
-
-def _overshoot(record: LoopRecord, trial: StepTrial) -> float:
-    """Overshoot of a record, as a share of the step, by means of `SMOOTHED` samples."""
-    after = record.measurement_N[record.step_index : trial.end] - trial.preload_N
-    smooth = np.convolve(after, np.full(SMOOTHED, 1.0 / SMOOTHED), mode="valid")
-    return max(float(np.max(smooth / trial.step.size_N)) - 1.0, 0.0)

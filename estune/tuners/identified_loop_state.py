@@ -14,7 +14,8 @@ class IdentifiedLoopState(NamedTuple):
 
     Attributes:
         fallback: State of the fallback tuner.
-        records: Last records of the loop.
+        records: Last records of the loop in step trials.
+        excitations: Records of its excitations.
         points: Coordinates of all trials with a record.
         costs: Logarithms of their costs.
         overshoots: Their overshoots, as shares of the step.
@@ -33,6 +34,7 @@ class IdentifiedLoopState(NamedTuple):
 
     fallback: Any
     records: tuple[LoopRecord, ...]
+    excitations: tuple[LoopRecord, ...]
     points: tuple[Coordinates, ...]
     costs: tuple[float, ...]
     overshoots: tuple[float, ...]

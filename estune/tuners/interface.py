@@ -6,8 +6,10 @@ the same state and observations give the same proposals bit for bit, in any proc
 
 from typing import Any, NamedTuple, Protocol, Self, TypeVar, runtime_checkable
 
+from estune.loop_model.excitation import UnknownLoop
 from estune.loop_model.optimum import RobustnessLimits
 from estune.loop_model.prediction import StepTrial
+from estune.loop_model.records import LoopRecord
 from estune.tuners.observation import Observation
 from estune.tuners.search_space import Point, SearchSpace
 
@@ -130,8 +132,7 @@ class EndingTuner(Protocol):
 class RecordUsingTuner(Protocol):
     """A tuner that learns from the signals of each record, not from its cost alone.
 
-    Its observations carry the record; its search ends after `settled_trials` consecutive trials
-    with little improvement left.
+    Its observations carry the record.
     """
 
     @property
@@ -139,13 +140,20 @@ class RecordUsingTuner(Protocol):
         """Limits that its gains keep."""
         ...
 
-    @property
-    def settled_trials(self) -> int:
-        """Consecutive trials with little improvement left that end a search."""
+    def would_repeat(self, state: Any, tolerance: float) -> bool:
+        """Whether the next trial would tell what an earlier one told, by the identified loop."""
         ...
 
     def tell_start(self, state: Any, observation: Observation) -> Any:
         """The state after a trial of the initial gains, before the first proposal."""
+        ...
+
+    def unknown_loop(self, state: Any) -> UnknownLoop | None:
+        """The loop at the next point, where more excitation would tell more of it; else None."""
+        ...
+
+    def tell_excitation(self, state: Any, record: LoopRecord) -> Any:
+        """The state after a trial that excites the loop, which has no cost."""
         ...
 
     def is_predicted(self, state: Any) -> bool:

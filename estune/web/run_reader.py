@@ -178,7 +178,7 @@ class RunReader(Reader):
         self, journal: Journal, added: Sequence[JournalEntry], *, restart: bool
     ) -> None:
         eta_max = self._eta_max
-        safe = [e for e in added if e.outcome and is_safe(e.outcome, e.cost, eta_max)]
+        safe = [e for e in added if e.outcome and is_safe(e.phase, e.outcome, e.cost, eta_max)]
         if self._rows + len(added) > 2 * HISTORY_MAX:  # a page may be open for days
             added, restart = self._entries, True
         shown = _thinned(added) if restart else added
@@ -298,7 +298,7 @@ DONE, UNSAFE, VOID = 0, 1, 2
 def _kind(entry: JournalEntry, eta_max: float) -> int:
     if entry.outcome is None or entry.outcome.is_void or entry.outcome is Outcome.DECLINED:
         return VOID
-    return DONE if is_safe(entry.outcome, entry.cost, eta_max) else UNSAFE
+    return DONE if is_safe(entry.phase, entry.outcome, entry.cost, eta_max) else UNSAFE
 
 
 def _cost(entry: JournalEntry) -> float:

@@ -1,142 +1,129 @@
-"""One model-based search, its trials against the true constrained optimum, and its claim."""
+"""One whole run of the model-based tuner, its trials against the truth, and what it claims."""
 
 import math
-from collections.abc import Callable
+import time
 from typing import NamedTuple
 
 import numpy as np
 
-import plants
 from estune.core.gains import Gains
-from estune.loop_model.claim import claim
-from estune.loop_model.fitting import fit_loop
-from estune.loop_model.prediction import StepTrial
-from estune.loop_model.records import LoopRecord
-from estune.tuners import Observation, SearchSpace
-from estune.tuners.identified_loop import IdentifiedLoopTuner
+from estune.run.ending import RunEnding
+from estune.run.journal import JournalEntry
+from estune.run.loop import TuningRun, keep_record, start
+from estune.run.planning import make_plan
+from estune.run.results.result import from_tuning
+from estune.run.session import Phase, after_trial, next_request, with_excitation
+from estune.trial import TrialRecord
+from estune.trial.loop_records import loop_signals
+from estune.trial.scoring import constraint_margin, cost_of
 from experiments.loop_claims.cases import LoopCase
-from experiments.loop_claims.truth import TrueLoop, Truth
-from experiments.sample_efficiency.problems import BOUNDS_FACTOR
-from plants.simulation.noise import NoiseSource
-
-TOLERANCE = 0.02
-WITHIN = 0.05
-"""Excess over the true constrained optimum that counts as having found it."""
-
-REPEATS = 3
-"""Trials of the initial gains and of the recommended ones, which the claim is made by, too."""
+from experiments.loop_claims.truth import TrueLoop, Truth, true_sensitivity
+from plants.simulation.simulated_rig import SimulatedRig
 
 LIMITS_KEPT = (1.65, 0.06)
 """True Ms and overshoot up to which the limits of 1.6 and 5 % count as kept."""
 
 
 class Searched(NamedTuple):
-    """A search and its claim.
+    """A run and its claim.
 
     Attributes:
-        found: First trial after which the recommendation was within `WITHIN` of the constrained
-            optimum, the limits kept; infinite if never.
-        stays: First trial from which it stayed there.
-        trials: Trials to its own stop.
-        ended: Whether it stopped by itself.
-        unsafe: Trials more than 1.5 times as costly as the initial gains.
-        excess: Cost of the recommended gains at the stop over the constrained optimum, minus 1.
-        gains: Those gains.
+        trials: All its trials.
+        search: Those of the search.
+        excitations: Excitations of the loop.
+        unsafe: Trials whose true closed loop is unstable.
+        ending: How it ended.
+        why: What keeps it from being tuned within limits; empty where nothing does.
+        excess: True cost of the gains over the constrained optimum, minus 1.
+        gains: The gains to use.
         at: What is true of them.
         claimed: Interval of Ms that is claimed; NaN where none is.
-        misfit: rho near the recommended gains.
+        misfit: rho near the gains.
+        cpu_s: Computing time of the run.
     """
 
-    found: float
-    stays: float
     trials: int
-    ended: bool
+    search: int
+    excitations: int
     unsafe: int
+    ending: RunEnding
+    why: str
     excess: float
     gains: Gains
     at: Truth
     claimed: tuple[float, float]
     misfit: float
+    cpu_s: float
 
     @property
     def kept(self) -> bool:
         """Whether the limits hold at the end."""
-        return _kept(self.at)
+        return not (self.at.sensitivity > LIMITS_KEPT[0] or self.at.overshoot > LIMITS_KEPT[1])
 
 
 def search(case: LoopCase, optimum: Truth, noise: float, seed: int, trials_max: int) -> Searched:
-    """One model-based search with repeats of what it recommends."""
-    plant, cost, step = case.plant, case.cost, case.plant.profile
-    rate = plant.controller.sampling_Hz
-    trial = StepTrial(plant.controller, cost, step.preload_N, step.shape(rate), step.samples(rate))
-    true = TrueLoop(plant, cost)
-    rng, run = np.random.default_rng(seed), _trials(case, seed)
-    space = SearchSpace.around(case.start, BOUNDS_FACTOR)
-    tuner = IdentifiedLoopTuner(space, trial)
-    start_cost, first = run(case.start, 0)
-    told = start_cost * math.exp(noise * rng.standard_normal())
-    state = tuner.tell_start(tuner.start(), Observation(told, record=first))
-    unsafe = settled = k = 0
-    near: list[bool] = []
-    while k < trials_max and settled < tuner.settled_trials:
-        k += 1
-        gains = space.gains(tuner.ask(state))
-        eta, record = run(gains, k)
-        unsafe += eta > 1.5 * start_cost
-        noisy = eta * math.exp(noise * rng.standard_normal())
-        censored = not eta < 3.0 * start_cost
-        state = tuner.tell(state, Observation(noisy, censored, record=record))
-        at = true.at(space.gains(tuner.recommend(state)))
-        near.append(at.cost < (1.0 + WITHIN) * optimum.cost and _kept(at))
-        estimate = tuner.convergence(state)
-        left = math.inf if estimate is None else estimate.remaining_improvement
-        settled = settled + 1 if left < TOLERANCE else 0
-    gains = space.gains(tuner.recommend(state))
-    at = true.at(gains)
-    repeats = [run(gains, k + n)[1] for n in range(1, REPEATS + 1)]
-    before = [run(case.start, trials_max + REPEATS + n)[1] for n in range(1, REPEATS + 1)]
-    added = [record for record in [*before, *repeats] if record is not None]
-    records = [*state.records, *added]
-    claimed, misfit = (math.nan, math.nan), math.nan
-    if records:
-        last = state.fit
-        fit = fit_loop(records, rate, cost.settling_time_s, last)
-        made = claim(fit, records, trial, gains)
-        misfit = made.misfit
-        if made.margins:
-            claimed = made.margins.sensitivity.low, made.margins.sensitivity.high
-    stays = len(near) - near[::-1].index(False) + 1 if False in near else 1
+    """One run, of whose costs each is multiplied by noise of this relative standard deviation.
+
+    The search has at most `trials_max` trials, the confirmation as many as it needs.
+    """
+    began_s = time.process_time()
+    rig = SimulatedRig(case.plant, seed=seed, gains=case.start)
+    description = rig.describe()
+    plan = make_plan(
+        description,
+        f"seed{seed}",
+        tuner="model_based",
+        start=case.start,
+        bounds=None,
+        step=None,
+        cost=case.cost,
+        trials=trials_max,
+    )
+    run = start(plan, description, None)
+    rng = np.random.default_rng(seed)
+    while (request := next_request(run.session)) is not None:
+        record = rig.run(request)
+        factor = math.exp(noise * rng.standard_normal())
+        advance(run, record, factor)
+    rig.close()
+    result = from_tuning(run)
+    margins = result.claim.margins
+    cpu_s = time.process_time() - began_s
+    at = TrueLoop(case.plant, case.cost).at(result.gains)
+    tried = {entry.gains for entry in run.entries}
+    unsafe = {g for g in tried if not math.isfinite(true_sensitivity(case.plant, g))}
+    phases = [entry.phase for entry in run.entries]
     return Searched(
-        found=near.index(True) + 1 if True in near else math.inf,
-        stays=stays if near[-1] else math.inf,
-        trials=k,
-        ended=settled >= tuner.settled_trials,
-        unsafe=unsafe,
+        trials=len(phases),
+        search=phases.count(Phase.SEARCH),
+        excitations=phases.count(Phase.EXCITE),
+        unsafe=sum(entry.gains in unsafe for entry in run.entries),
+        ending=result.ending,
+        why=result.limits.reason if result.limits else result.message,
         excess=at.cost / optimum.cost - 1.0,
-        gains=gains,
+        gains=result.gains,
         at=at,
-        claimed=claimed,
-        misfit=misfit,
+        claimed=(margins.sensitivity.low, margins.sensitivity.high)
+        if margins
+        else (math.nan, math.nan),
+        misfit=result.claim.misfit,
+        cpu_s=cpu_s,
     )
 
 
-def _kept(at: Truth) -> bool:
-    return not (at.sensitivity > LIMITS_KEPT[0] or at.overshoot > LIMITS_KEPT[1])
-
-
-def _trials(case: LoopCase, seed: int) -> Callable[[Gains, int], tuple[float, LoopRecord | None]]:
-    """A function that runs the trial of some gains with its number."""
-    plant, step, source = case.plant, case.plant.profile, NoiseSource(seed)
-    rate = plant.controller.sampling_Hz
-    samples = step.samples(rate)
-
-    def run(gains: Gains, number: int) -> tuple[float, LoopRecord | None]:
-        noise = source.draw(number, samples, plant.noise_rms_N)
-        r = plants.simulate(plant, gains, noise_N=noise)
-        if r.diverged_at is not None:
-            return math.inf, None
-        columns = r.setpoint_N, r.tension_N, r.effort_N
-        eta = float(case.cost.evaluate(rate, step.shape(rate), *columns))
-        return eta, LoopRecord(r.effort_N, r.tension_N, r.setpoint_N, gains, at_rest=True)
-
-    return run
+def advance(run: TuningRun, record: TrialRecord, factor: float) -> None:
+    """Takes a trial into a run without a journal, its cost times a factor."""
+    plan, rig, before = run.plan, run.description, run.session
+    phase, request = before.phase, next_request(before)
+    assert phase is not None and request is not None  # noqa: S101, PT018  it was run
+    cost, margin = math.nan, constraint_margin(record, rig)
+    if phase is not Phase.EXCITE:
+        cost = factor * cost_of(record, plan.step, plan.cost, rig.newtons_per_ampere)
+    signals = loop_signals(record, plan.step, rig).record
+    run.session = with_excitation(after_trial(before, record.outcome, cost, margin, signals), rig)
+    entry = JournalEntry(
+        *(request.number, request.attempt, request.trial_id, phase, request.gains.as_tuple()),
+        *(record.outcome, record.reason, cost, margin),
+    )
+    run.entries.append(entry)
+    keep_record(run, entry, record)

@@ -138,6 +138,7 @@ def from_tuning(tuning: TuningRun) -> TuneResult:
         unsafe=summary.unsafe,
         session=session,
         recent_records=tuple(tuning.recent_records),
+        excitations=tuple(tuning.excitations),
     )
     if verdict.loop is not None:
         result.__dict__["identified"] = verdict.loop  # the cached property

@@ -39,11 +39,11 @@ from estune.run.robustness import (
     limit_price,
     robustness_cells,
 )
-from estune.run.session import Phase, Session, is_safe
+from estune.run.session import Phase, Session, is_safe, is_unsafe
 from estune.run.start import left_out
 from estune.run.trial_quality import quality_remarks
 from estune.support.quantity_text import change_text
-from estune.trial import Outcome, Rig, RigDescription, TrialRecord
+from estune.trial import Rig, RigDescription, TrialRecord
 from estune.trial.scoring import constraint_margin
 
 if TYPE_CHECKING:
@@ -88,7 +88,8 @@ class RunResult(OptimizeResult):  # type: ignore[misc]  # scipy ships no type in
             interval; None if they were not compared.
         unsafe: Unsafe trials of the run.
         session: Session at the end of the run.
-        recent_records: Records of the last trials.
+        recent_records: Records of the last step trials.
+        excitations: Records of the excitations.
     """
 
     x: "np.ndarray[tuple[int], np.dtype[np.float64]]"
@@ -114,6 +115,7 @@ class RunResult(OptimizeResult):  # type: ignore[misc]  # scipy ships no type in
     unsafe: int
     session: Session
     recent_records: tuple[TrialRecord, ...]
+    excitations: tuple[TrialRecord, ...]
 
     @cached_property
     def claim(self) -> Claim:
@@ -123,7 +125,7 @@ class RunResult(OptimizeResult):  # type: ignore[misc]  # scipy ships no type in
     @cached_property
     def identified(self) -> IdentifiedLoop:
         """The loop identified from the last records."""
-        return identify(self.recent_records, self.plan, self.rig)
+        return identify(self.recent_records, self.excitations, self.plan, self.rig)
 
     @cached_property
     def start(self) -> Performance:
@@ -182,7 +184,8 @@ class RunResult(OptimizeResult):  # type: ignore[misc]  # scipy ships no type in
             return ()
         at, session, space = self.tuned or self.start, self.session, self.plan.tuner.space
         eta_max = session.eta_max
-        safe = [e for e in self.entries if e.outcome and is_safe(e.outcome, e.cost, eta_max)]
+        entries = (e for e in self.entries if e.phase is not Phase.EXCITE)
+        safe = [e for e in entries if e.outcome and is_safe(e.phase, e.outcome, e.cost, eta_max)]
         best = space.point_of(at.gains)
         repeated = [r.costs for r in (session.choice, session.confirmation) if r is not None]
         flat = result_warnings.flat_directions(
@@ -217,6 +220,7 @@ class RunResult(OptimizeResult):  # type: ignore[misc]  # scipy ships no type in
         counts = Counter(e.phase for e in self.entries if e.outcome and not e.outcome.is_void)
         repeats = counts[Phase.CHOOSE] + counts[Phase.CONFIRM]
         parts = [(counts[Phase.BASELINE], "initial"), (counts[Phase.SEARCH], "search")]
+        parts += [(counts[Phase.EXCITE], "excitation")]
         parts += [(repeats, "repeats"), (void, "void")]
         listed = ", ".join(f"{count} {what}" for count, what in parts if count)
         total = len(self.entries)
@@ -338,11 +342,8 @@ class RunResult(OptimizeResult):  # type: ignore[misc]  # scipy ships no type in
 
 
 def _is_unsafe(entry: JournalEntry, eta_max: float) -> bool:
-    """`is_unsafe` with a known limit, for runs of many trials."""
-    if entry.outcome is None or entry.outcome.is_void:
-        return False
-    declined = entry.outcome is Outcome.DECLINED
-    return not declined and not is_safe(entry.outcome, entry.cost, eta_max)
+    """Whether a trial was unsafe; `eta_max` takes a mean over the baseline, of many trials."""
+    return entry.outcome is not None and is_unsafe(entry.phase, entry.outcome, entry.cost, eta_max)
 
 
 def _start_remarks(result: RunResult) -> Iterator[str]:

@@ -36,7 +36,8 @@ def tuning_data(result: RunResult) -> dict[str, Any] | None:
     loop, plan, rig = result.identified, result.plan, result.rig
     if loop.fit is None:
         return None
-    rest_N = float(np.mean([signals.rest_effort_N for signals in loop.signals]))
+    steps = loop.signals[: len(loop.tried)]
+    rest_N = float(np.mean([signals.rest_effort_N for signals in steps]))
     trial = replace(step_trial(rig, plan.step, plan.cost), effort_N=rest_N)
     models = [loop.fit.model, *_draws(loop.fit, trial.samples)]
     limits = plan.limits or RobustnessLimits()

@@ -202,7 +202,7 @@ def _trace(result: "TuneResult") -> FloatArray:
     rows = [
         (
             *(e.phase is Phase.SEARCH, *e.gains.as_tuple(), e.cost),
-            is_unsafe(result.session, e.outcome, e.cost),
+            is_unsafe(e.phase, e.outcome, e.cost, result.session.eta_max),
         )
         for e in result.entries
         if e.outcome is not None and not e.outcome.is_void
