@@ -220,7 +220,7 @@ class RunResult(OptimizeResult):  # type: ignore[misc]  # scipy ships no type in
         counts = Counter(e.phase for e in self.entries if e.outcome and not e.outcome.is_void)
         repeats = counts[Phase.CHOOSE] + counts[Phase.CONFIRM]
         parts = [(counts[Phase.BASELINE], "initial"), (counts[Phase.SEARCH], "search")]
-        parts += [(counts[Phase.EXCITE], "excitation")]
+        parts += [(counts[Phase.EXCITE], "exciting")]
         parts += [(repeats, "repeats"), (void, "void")]
         listed = ", ".join(f"{count} {what}" for count, what in parts if count)
         total = len(self.entries)
