@@ -4,7 +4,15 @@ Nothing here knows the code under test, nor is known to it: other coordinates (f
 and metres of cable), another integrator, other laws for the same effects, other noise.
 """
 
-from experiments.hidden_machines.cases import VARIANTS, Case, Secret, draw, family
+from experiments.hidden_machines.batteries import RecordPlan
+from experiments.hidden_machines.cases import (
+    VARIANTS,
+    Case,
+    Secret,
+    draw,
+    family,
+    further_record,
+)
 from experiments.hidden_machines.effects import CATALOGUE
 from experiments.hidden_machines.machine import NoCompiler
 from experiments.hidden_machines.records import MachineRecord, write
@@ -17,8 +25,10 @@ __all__ = [
     "Case",
     "MachineRecord",
     "NoCompiler",
+    "RecordPlan",
     "Secret",
     "draw",
     "family",
+    "further_record",
     "write",
 ]

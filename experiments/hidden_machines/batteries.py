@@ -21,12 +21,14 @@ class RecordPlan(NamedTuple):
         loop: `open`, or `closed` by a tension or angle controller.
         setpoint: Force or tension, N; angle, rad, for a closed loop without a cable.
         repeats: Number of the plan of which this is a repeat, or None.
+        fed: Force fed in at the drum beside the controller's, N, or None.
     """
 
     profile: str
     loop: str
     setpoint: Column
     repeats: int | None = None
+    fed: Column | None = None
 
 
 def tensioned(rng: Rng, base: Base) -> list[RecordPlan]:

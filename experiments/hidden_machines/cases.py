@@ -131,6 +131,42 @@ def draw(
         effect: Slug to hide instead of one drawn; several joined by +.
         only: Of the effects drawn the one that acts, all else as it is with the others.
     """
+    rng, own, names, bench = _bench(seed, variant, effect, only)
+    hidden, believed, actual = bench.hidden, bench.believed, bench.actual
+    lengths = _lengths(rng, believed, names)
+    plans = _battery(rng, variant, believed, names)
+    again = copy.deepcopy((rng, own))
+    records = _taken((rng, own), bench, plans, lengths)
+    case = Case(variant, believed.kind, believed.given(), records)
+    there = tuple(sorted(one.name for one in hidden))
+    accepted = _accepted(there, believed.kind)
+    if "backlash" in there and believed.kind == "reel":
+        closed = replace(bench, hidden=tuple(map(_without_play, hidden)))
+        if not _differ(records, _taken(again, closed, plans, lengths), bench):
+            accepted = (*accepted, ("coulomb_friction",))
+    secret = Secret(
+        there,
+        {one.name: _measurable(one.truth, actual) for one in hidden},
+        bases.facts(actual),
+        named=all(one.name not in OUTSIDE for one in hidden),
+        accepted=accepted,
+    )
+    return case, secret
+
+
+def further_record(
+    seed: int, effect: str, length_m: float | None, plan: batteries.RecordPlan
+) -> MachineRecord:
+    """One record more of the machine of a plain case; its noise depends on the seed alone."""
+    *_, bench = _bench(seed, "plain", effect, None)
+    chance = np.random.default_rng([seed, 2]), np.random.default_rng([seed, 3])
+    return record(chance, bench, plan, length_m, number=0, warmth=0.0)[0]
+
+
+def _bench(
+    seed: int, variant: str, effect: str | None, only: str | None
+) -> tuple[Rng, Rng, tuple[str, ...], CaseProperties]:
+    """Both sources of chance, the names that were drawn, and the machine; see `draw`."""
     if variant not in VARIANTS:
         raise ValueError(f"{variant!r} is none of {VARIANTS}")
     # What is hidden has chance of its own: with another effect all else stays the same.
@@ -159,25 +195,7 @@ def draw(
         outside_gauge=believed.kind == "reel" and rng.random() < 0.15,
         measured_current=believed.kind == "reel" and rng.random() < 0.15,
     )
-    lengths = _lengths(rng, believed, names)
-    plans = _battery(rng, variant, believed, names)
-    again = copy.deepcopy((rng, own))
-    records = _taken((rng, own), bench, plans, lengths)
-    case = Case(variant, believed.kind, believed.given(), records)
-    there = tuple(sorted(one.name for one in hidden))
-    accepted = _accepted(there, believed.kind)
-    if "backlash" in there and believed.kind == "reel":
-        closed = replace(bench, hidden=tuple(map(_without_play, hidden)))
-        if not _differ(records, _taken(again, closed, plans, lengths), bench):
-            accepted = (*accepted, ("coulomb_friction",))
-    secret = Secret(
-        there,
-        {one.name: _measurable(one.truth, actual) for one in hidden},
-        bases.facts(actual),
-        named=all(one.name not in OUTSIDE for one in hidden),
-        accepted=accepted,
-    )
-    return case, secret
+    return rng, own, names, bench
 
 
 def _taken(

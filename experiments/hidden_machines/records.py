@@ -96,7 +96,8 @@ def record(
         + instruments.gauge_noise(rng, samples, rms)
         + _instrument(own, bench, samples),
         disturbance=instruments.disturbance(rng, samples, 0.3 * rms, base.rate_Hz)
-        + _jolts(own, bench, samples),
+        + _jolts(own, bench, samples)
+        + (0.0 if plan.fed is None else plan.fed),
         scale=_scale(bench, samples),
     )
     rest = float(plan.setpoint[0]) if length_m is not None else 0.0

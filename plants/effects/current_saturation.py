@@ -49,10 +49,13 @@ class CurrentSaturation(Effect):
         )
 
     @classmethod
-    def remedies(cls, _p: Values, _plant: PlantScale) -> tuple[Remedy, ...]:
+    def remedies(cls, p: Values, _plant: PlantScale) -> tuple[Remedy, ...]:
         """What can be done about it."""
         return (
-            limit("set limits.current_max_A to the drive's limit, and ask for 97 % of it at most"),
+            limit(
+                f"set limits.current_max_A to {p.limit_A:.3g} by hand: the controller then "
+                "does not wind up; ask for 97 % of it at most"
+            ),
         )
 
     @staticmethod
