@@ -64,19 +64,20 @@ def run_view_when_there(folder):
 
 RANGES_WITHIN_A_TRIAL = """async () => {
   const { sections } = await import("./static/page.js");
-  const trial = () => document.getElementById("trial-text").textContent;
-  for (let at = trial(), seen = new Set(), lengths = new Set(); ;) {
+  const trial = () => sections().values.live?.trial_id;
+  for (let at = null, drawn = []; ;) {
     await new Promise(requestAnimationFrame);
-    if (at !== trial()) {
-      if (lengths.size > 1) return [...seen];
-      [at, seen, lengths] = [trial(), new Set(), new Set()];
+    const { charts, tables } = sections(), { x, y } = charts.response.plot.scales;
+    const count = tables.samples.length;
+    if (trial() !== at) {
+      if (drawn.length > 2) return drawn;
+      [at, drawn] = [trial(), []];
     }
-    const { min, max } = sections().charts.response.plot.scales.x;
-    seen.add(`${min} ${max}`);
-    lengths.add(sections().tables.samples.length);
+    if (!at || drawn.at(-1)?.count === count) continue;
+    drawn.push({ count, x: `${x.min} ${x.max}`, y: [y.min, y.max] });
   }
 }"""
-"""Ranges of the time axis until the end of the first trial that the page showed growing."""
+"""Axes at each number of samples of the first trial that was drawn three times or more."""
 
 
 def serious(page) -> list[str]:
@@ -121,8 +122,12 @@ def test_axes_hold_still_within_a_trial(chromium, run):
     _, server, _ = run
     with opened(chromium, server.address) as page:
         expect(page.locator("#trial-text")).to_contain_text("live-")
-        ranges = page.evaluate(RANGES_WITHIN_A_TRIAL)
-        assert len(ranges) == 1, ranges
+        drawn = page.evaluate(RANGES_WITHIN_A_TRIAL)
+        assert len(drawn) > 2  # a trial that grew before the reader's eyes
+        assert drawn[-1]["count"] > drawn[0]["count"] > 0
+        assert len({frame["x"] for frame in drawn}) == 1, drawn
+        spans = [high - low for low, high in (frame["y"] for frame in drawn)]
+        assert spans == sorted(spans), drawn  # wider for a value beyond the axis, never narrower
 
 
 def test_stop_is_shown_as_done_when_the_rig_confirms_and_a_dead_rig_as_no_link(chromium, run):

@@ -1,0 +1,106 @@
+"""A newcomer's path on the page alone: tune, drag, try, apply, stop; and a rig that dies."""
+
+import json
+
+import pytest
+from axe_playwright_python.sync_playwright import Axe
+from playwright.sync_api import expect
+
+from estune.remote import zenoh
+from estune.web.server import PageServer
+from estune.web.views import rig_view
+from tests.serve_rig import served
+from tests.support_browser import browser, needs_browser, opened
+
+pytestmark = needs_browser
+
+FORMS = {
+    "wide and light": {"viewport": {"width": 1280, "height": 900}, "color_scheme": "light"},
+    "narrow and dark": {"viewport": {"width": 400, "height": 800}, "color_scheme": "dark"},
+}
+
+
+@pytest.fixture(scope="module")
+def chromium():
+    with browser() as made:
+        yield made
+
+
+@pytest.fixture
+def emulated(tmp_path):
+    """A simulated reel in a process of its own, and the server of its page."""
+    with served("paced simulated") as rig:
+        view = rig_view(rig.endpoint, "reel", runs=tmp_path)
+        server = PageServer(lambda: [view], may_command=True)
+        try:
+            yield rig, server, tmp_path
+        finally:
+            server.close()
+
+
+def is_right(page) -> None:
+    """No serious fault of accessibility, and nothing wider than the window."""
+    found = Axe().run(page).response["violations"]
+    assert [v["id"] for v in found if v["impact"] in ("serious", "critical")] == []
+    assert page.evaluate("document.documentElement.scrollWidth <= innerWidth")
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_by_keyboard_alone_a_rig_is_tuned_dragged_tried_and_applied(chromium, emulated, form):
+    rig, server, folder = emulated
+    with (
+        opened(chromium, server.address, **FORMS[form]) as page,
+        zenoh.connect(rig.endpoint) as there,
+    ):
+        before = there.describe().gains
+        page.get_by_role("button", name="Start a tuning").press("Enter")
+        page.get_by_label("trials", exact=True).press_sequentially("8")
+        page.get_by_label("repeats").press_sequentially("2")
+        page.get_by_role("button", name="Start", exact=True).press("Enter")
+        expect(page.locator("#events")).to_contain_text("the tuning has ended with code")
+        page.locator("#tuning summary").press("Enter")
+        slider = page.get_by_role("slider", name="P, N/N")
+        shown = page.locator("#tuner output[for=tune-P]").inner_text()
+        slider.press("ArrowLeft")
+        expect(page.locator("#tuner output[for=tune-P]")).not_to_have_text(shown)
+        is_right(page)
+        page.get_by_role("button", name="Try these gains once").press("Enter")
+        expect(page.locator("#answer")).to_contain_text("the rig has its live gains again")
+        assert there.describe().gains == before
+        asked = []
+        page.once("dialog", lambda dialog: (asked.append(dialog.message), dialog.accept()))
+        page.get_by_role("button", name="Apply").press("Enter")
+        expect(page.locator("#answer")).to_contain_text("these gains are live")
+        after = there.describe().gains
+        assert after != before
+        assert f"{before.P:.4g} \u2192 {after.P:.4g}" in asked[0]
+    actions = [json.loads(line) for line in (folder / "actions.jsonl").read_text().splitlines()]
+    assert {one["action"] for one in actions} == {"tune", "try", "apply"}
+
+
+def test_tuning_stopped_from_the_page_restores_the_rig_and_can_be_resumed(chromium, emulated):
+    rig, server, folder = emulated
+    with opened(chromium, server.address) as page, zenoh.connect(rig.endpoint) as there:
+        before = there.describe().gains
+        page.get_by_role("button", name="Start a tuning").click()
+        page.get_by_label("trials", exact=True).fill("400")
+        page.get_by_label("tolerance").fill("0")
+        page.get_by_role("button", name="Start", exact=True).click()
+        expect(page.locator("#facts")).to_contain_text("done, about")
+        page.get_by_role("button", name="Stop the tuning").click()
+        expect(page.locator("#events")).to_contain_text("the tuning has ended with code 130")
+        assert there.describe().gains == before
+        assert len([*folder.glob("page-*/run.sqlite")]) == 1
+
+
+def test_rig_killed_during_a_tuning_is_shown_as_gone_and_refuses_by_a_sentence(chromium, emulated):
+    rig, server, _ = emulated
+    with opened(chromium, server.address) as page:
+        page.get_by_role("button", name="Start a tuning").click()
+        page.get_by_label("trials", exact=True).fill("400")
+        page.get_by_role("button", name="Start", exact=True).click()
+        expect(page.locator("#facts")).to_contain_text("done, about")
+        rig.process.kill()
+        expect(page.locator("#state")).to_have_text("no link to the rig")
+        expect(page.locator("#age")).to_contain_text("old")
+        is_right(page)
