@@ -15,8 +15,9 @@ from estune.errors import InvalidInput, JournalError, RigError
 from estune.remote import zenoh
 from estune.run.journal import Journal
 from estune.support.user import user_at_host
+from estune.web.board import Board
 from estune.web.server import PageServer
-from estune.web.views import folder_views, rig_view, run_view
+from estune.web.views import View, folder_views, rig_view, run_view
 from tests.serve_rig import served
 from tests.support_browser import browser, needs_browser, opened
 from tests.support_daemon import daemon, rig_served, rig_table
@@ -62,22 +63,22 @@ def run_view_when_there(folder):
             continue
 
 
-RANGES_WITHIN_A_TRIAL = """async () => {
-  const { sections } = await import("./static/page.js");
-  const trial = () => sections().values.live?.trial_id;
-  for (let at = null, drawn = []; ;) {
+AXES = """async (batches) => {
+  const { Sections } = await import("./static/sections.js");
+  const sections = new Sections(), drawn = [];
+  const description = { measurement: "tension, N", command: "effort, N",
+    per_ampere: 20, step_at_s: 0.2, duration_s: 1, measurement_limits: [null, null], command_limits: [null, null] };
+  sections.take({ values: { description, live: { trial_id: "run-1" } }, tables: {} });
+  for (const rows of batches) {
+    sections.take({ values: {}, tables: { samples: { restart: !drawn.length, rows } } });
+    sections.draw();
     await new Promise(requestAnimationFrame);
-    const { charts, tables } = sections(), { x, y } = charts.response.plot.scales;
-    const count = tables.samples.length;
-    if (trial() !== at) {
-      if (drawn.length > 2) return drawn;
-      [at, drawn] = [trial(), []];
-    }
-    if (!at || drawn.at(-1)?.count === count) continue;
-    drawn.push({ count, x: `${x.min} ${x.max}`, y: [y.min, y.max] });
+    const { x, y } = sections.charts.response.plot.scales;
+    drawn.push({ x: [x.min, x.max], y: [y.min, y.max] });
   }
+  return drawn;
 }"""
-"""Axes at each number of samples of the first trial that was drawn three times or more."""
+"""Axes of the chart after each batch of samples of one trial."""
 
 
 def serious(page) -> list[str]:
@@ -118,16 +119,25 @@ def test_page_of_a_rig_shows_the_run_that_is_under_way_there(chromium, run):
         server.close()
 
 
-def test_axes_hold_still_within_a_trial(chromium, run):
-    _, server, _ = run
-    with opened(chromium, server.address) as page:
-        expect(page.locator("#trial-text")).to_contain_text("live-")
-        drawn = page.evaluate(RANGES_WITHIN_A_TRIAL)
-        assert len(drawn) > 2  # a trial that grew before the reader's eyes
-        assert drawn[-1]["count"] > drawn[0]["count"] > 0
-        assert len({frame["x"] for frame in drawn}) == 1, drawn
-        spans = [high - low for low, high in (frame["y"] for frame in drawn)]
-        assert spans == sorted(spans), drawn  # wider for a value beyond the axis, never narrower
+def test_axes_move_within_a_trial_only_for_a_value_beyond_them(chromium):
+    tension = [15.0, 15.1, 15.0, 19.0, 45.6, 44.9, 47.1, 45.0, 45.0, 86.2]
+    batches = [[[0.1 * k, 15.0, y, 0.75]] for k, y in enumerate(tension)]
+    view = View("reel", "rig", Board(), [])
+    server = PageServer(lambda: [view])
+    try:
+        with opened(chromium, server.address) as page:
+            expect(page.locator("#title")).to_have_text("reel")
+            drawn = page.evaluate(AXES, batches)
+    finally:
+        server.close()
+    assert len(drawn) == len(batches)
+    assert all(one["x"] == pytest.approx([-0.2, 0.8]) for one in drawn)
+    moved = 0
+    for before, after, value in zip(drawn, drawn[1:], tension[1:], strict=False):
+        low, high = before["y"]
+        assert (after["y"] == before["y"]) == (low <= value <= high), (before, after, value)
+        moved += after["y"] != before["y"]
+    assert 0 < moved < 5
 
 
 def test_stop_is_shown_as_done_when_the_rig_confirms_and_a_dead_rig_as_no_link(chromium, run):
