@@ -1,17 +1,15 @@
 """The live page in a real browser: a run in processes of its own, and a daemon."""
 
-import json
 import shutil
 import subprocess
 import sys
-from functools import partial
 
 import pytest
 from axe_playwright_python.sync_playwright import Axe
 from playwright.sync_api import expect
 
 from estune import tune
-from estune.errors import InvalidInput, JournalError, RigError
+from estune.errors import JournalError
 from estune.remote import zenoh
 from estune.run.journal import Journal
 from estune.support.user import user_at_host
@@ -67,7 +65,8 @@ AXES = """async (batches) => {
   const { Sections } = await import("./static/sections.js");
   const sections = new Sections(), drawn = [];
   const description = { measurement: "tension, N", command: "effort, N",
-    per_ampere: 20, step_at_s: 0.2, duration_s: 1, measurement_limits: [null, null], command_limits: [null, null] };
+    per_ampere: 20, step_at_s: 0.2, duration_s: 1,
+    measurement_limits: [null, null], command_limits: [null, null] };
   sections.take({ values: { description, live: { trial_id: "run-1" } }, tables: {} });
   for (const rows of batches) {
     sections.take({ values: {}, tables: { samples: { restart: !drawn.length, rows } } });
@@ -201,71 +200,3 @@ def test_list_of_runs_is_sorted_and_filtered_by_keyboard(chromium, tmp_path):
         expect(page.locator("#title")).to_have_text("old")
         assert serious(page) == []
     server.close()
-
-
-NEW_GAINS = {"P": 0.5, "I": 14.0, "D": 0.011, "setpoint_filter_s": 0.02}
-
-
-@pytest.fixture
-def emulated(tmp_path):
-    """A reel that answers at once, and the server of its page with the right to command."""
-    with served("paced simulated") as rig:
-        view = rig_view(rig.endpoint, "reel", runs=tmp_path)
-        server = PageServer(lambda: [view], may_command=True)
-        try:
-            yield rig, server, tmp_path
-        finally:
-            server.close()
-
-
-def test_tuning_is_started_tried_and_applied_from_the_page_and_noted(chromium, emulated):
-    rig, server, folder = emulated
-    with opened(chromium, server.address) as page, zenoh.connect(rig.endpoint) as there:
-        before = there.describe().gains
-        page.get_by_role("button", name="Start a tuning").click()
-        page.get_by_label("repeats").fill("2")
-        page.get_by_label("trials", exact=True).fill("8")
-        assert serious(page) == []
-        page.get_by_role("button", name="Start", exact=True).click()
-        expect(page.locator("#answer")).to_contain_text("begins --trials=8 --repeats=2")
-        expect(page.locator("#facts")).to_contain_text("done, about")
-        expect(page.locator("#events")).to_contain_text("the tuning has ended with code")
-        page.locator("#tuning summary").click()
-        page.get_by_role("button", name="Try these gains once").click()
-        expect(page.locator("#answer")).to_contain_text("the rig has its live gains again")
-        assert there.describe().gains == before
-        page.on("dialog", lambda dialog: dialog.accept())
-        page.get_by_role("button", name="Apply").click()
-        expect(page.locator("#answer")).to_contain_text("these gains are live")
-        assert there.describe().gains != before
-    notes = [json.loads(line) for line in (folder / "actions.jsonl").read_text().splitlines()]
-    assert [n["action"] for n in notes] == ["tune", "tune", "try", "try", "apply", "apply"]
-    assert {n["who"] for n in notes} == {f"{user_at_host()} on the live page", "estune"}
-
-
-def test_actions_are_refused_while_another_holds_the_rig_and_when_its_gains_have_changed(emulated):
-    rig, server, _ = emulated
-    act = {
-        name: partial(execute, "somebody") for name, execute in server._views()[0].commands.items()
-    }
-    with zenoh.connect(rig.endpoint) as other:
-        other.acquire()
-        with pytest.raises(RigError, match="held"):
-            act["try"]({"gains": NEW_GAINS})
-    with pytest.raises(RigError, match="have changed meanwhile"):
-        act["apply"]({"gains": NEW_GAINS, "instead_of": NEW_GAINS})
-    with pytest.raises(InvalidInput, match="give a number"):
-        act["try"]({"gains": {"P": "x"}})
-    with pytest.raises(InvalidInput, match="no setting 'trails'"):
-        act["tune"]({"settings": {"trails": "3"}})
-    with pytest.raises(InvalidInput, match="no tuning was started"):
-        act["stop"]({})
-    with zenoh.connect(rig.endpoint) as other:
-        assert pytest.approx(0.4) == other.describe().gains.P
-
-
-def test_page_without_the_key_has_no_button_that_acts(chromium, emulated):
-    _, server, _ = emulated
-    with opened(chromium, server.address.partition("#")[0]) as page:
-        expect(page.locator("#state")).to_have_text("idle")
-        expect(page.get_by_role("button")).to_have_count(0)

@@ -1,12 +1,15 @@
 """A newcomer's path on the page alone: tune, drag, try, apply, stop; and a rig that dies."""
 
 import json
+from functools import partial
 
 import pytest
 from axe_playwright_python.sync_playwright import Axe
 from playwright.sync_api import expect
 
+from estune.errors import InvalidInput, RigError
 from estune.remote import zenoh
+from estune.support.user import user_at_host
 from estune.web.server import PageServer
 from estune.web.views import rig_view
 from tests.serve_rig import served
@@ -75,7 +78,8 @@ def test_by_keyboard_alone_a_rig_is_tuned_dragged_tried_and_applied(chromium, em
         assert after != before
         assert f"{before.P:.4g} \u2192 {after.P:.4g}" in asked[0]
     actions = [json.loads(line) for line in (folder / "actions.jsonl").read_text().splitlines()]
-    assert {one["action"] for one in actions} == {"tune", "try", "apply"}
+    assert [one["action"] for one in actions] == ["tune", "tune", "try", "try", "apply", "apply"]
+    assert {one["who"] for one in actions} == {f"{user_at_host()} on the live page", "estune"}
 
 
 def test_tuning_stopped_from_the_page_restores_the_rig_and_can_be_resumed(chromium, emulated):
@@ -104,3 +108,34 @@ def test_rig_killed_during_a_tuning_is_shown_as_gone_and_refuses_by_a_sentence(c
         expect(page.locator("#state")).to_have_text("no link to the rig")
         expect(page.locator("#age")).to_contain_text("old")
         is_right(page)
+
+
+NEW_GAINS = {"P": 0.5, "I": 14.0, "D": 0.011, "setpoint_filter_s": 0.02}
+
+
+def test_actions_are_refused_while_another_holds_the_rig_and_when_its_gains_have_changed(emulated):
+    rig, server, _ = emulated
+    act = {
+        name: partial(execute, "somebody") for name, execute in server._views()[0].commands.items()
+    }
+    with zenoh.connect(rig.endpoint) as other:
+        other.acquire()
+        with pytest.raises(RigError, match="held"):
+            act["try"]({"gains": NEW_GAINS})
+    with pytest.raises(RigError, match="have changed meanwhile"):
+        act["apply"]({"gains": NEW_GAINS, "instead_of": NEW_GAINS})
+    with pytest.raises(InvalidInput, match="give a number"):
+        act["try"]({"gains": {"P": "x"}})
+    with pytest.raises(InvalidInput, match="no setting 'trails'"):
+        act["tune"]({"settings": {"trails": "3"}})
+    with pytest.raises(InvalidInput, match="no tuning was started"):
+        act["stop"]({})
+    with zenoh.connect(rig.endpoint) as other:
+        assert pytest.approx(0.4) == other.describe().gains.P
+
+
+def test_page_without_the_key_has_no_button_that_acts(chromium, emulated):
+    _, server, _ = emulated
+    with opened(chromium, server.address.partition("#")[0]) as page:
+        expect(page.locator("#state")).to_have_text("idle")
+        expect(page.get_by_role("button")).to_have_count(0)
