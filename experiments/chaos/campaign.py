@@ -210,5 +210,6 @@ class Campaign:
             LinkFault.NAMESAKE: stand.namesake,
             LinkFault.RIVAL: lambda: stand.rival(rival),
             LinkFault.SLOW: stand.slow,
+            LinkFault.FLOOD: stand.flood,
         }
         return states[kind]()

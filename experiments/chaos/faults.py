@@ -54,6 +54,7 @@ class LinkFault(StrEnum):
     TWIN = "a second process on the rig's ledger"
     RIVAL = "a second client gives commands"
     SLOW = "a slow consumer floods the rig with queries"
+    FLOOD = "bare and garbled connections flood the rig's port"
     RIG_DISK = "the rig's disk is full"
     CLIENT_DISK = "the client's disk is full"
 

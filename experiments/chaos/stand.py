@@ -1,13 +1,14 @@
 """The test stand: a rig process, the wires to it, and further processes on the network."""
 
 import contextlib
+import socket
 import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Self
 
-from estune.remote.zenoh.endpoints import with_port
+from estune.remote.zenoh.endpoints import host_and_port, with_port
 from experiments.chaos.faults import frozen
 from experiments.chaos.motions import Log
 from experiments.chaos.processes import end, started
@@ -15,6 +16,8 @@ from experiments.chaos.wire import Wire
 
 NAME = "reel"
 BOOT_WITHIN_S = 60.0
+FLOOD = 300
+"""Connections of a flood; at `tcp/` Zenoh lets 512 wait (docs/how-to/security.md)."""
 
 
 class Stand:
@@ -85,6 +88,19 @@ class Stand:
     def rival(self, name: str) -> contextlib.AbstractContextManager[object]:
         """A second client that submits a trial of that name."""
         return self.other("rival", self.direct, name)
+
+    @contextlib.contextmanager
+    def flood(self) -> Iterator[None]:
+        """Connections to the rig's port that never become a session: half of them send noise."""
+        with contextlib.ExitStack() as opened:
+            for number in range(FLOOD):
+                with contextlib.suppress(OSError):
+                    bare = opened.enter_context(
+                        socket.create_connection(host_and_port(self.direct), timeout=1.0)
+                    )
+                    if number % 2:
+                        bare.sendall(bytes(range(256)) * 4)
+            yield
 
     @contextlib.contextmanager
     def slow(self) -> Iterator[None]:
