@@ -123,6 +123,27 @@ def test_angle_that_may_be_in_turns_is_told_and_used():
     assert "turns" in issue.sentence
 
 
+@pytest.mark.parametrize(
+    ("setpoint", "told"),
+    [
+        (lambda x: x, "it is the position in the unit of the position"),
+        (lambda x: np.gradient(x, 1e-3), "it is the velocity in the unit of the position"),
+        (lambda x: 1e3 * np.gradient(x, 1e-3), "it is the velocity in thousandths"),
+    ],
+)
+def test_setpoint_of_an_inner_loop_is_said_to_be_one(setpoint, told):
+    m = stage_record()
+    assert m.angle_rad is not None
+    late = 8  # the loop follows after 8 ms
+    asked = np.concatenate([m.angle_rad[late:], np.full(late, m.angle_rad[-1])])
+    noise = np.random.default_rng(0).normal(0.0, 0.02, m.samples)
+    command = setpoint(asked) * (1.0 + noise)
+    good = stage_record(source="good")
+    (issue,) = findings(replace(m, loop="closed", setpoint_N=None, current_A=command), STAGE, good)
+    assert (issue.level, issue.column) == ("refused", "current_A")
+    assert told in issue.sentence
+
+
 def test_noisy_command_that_moves_a_drive_is_not_called_still():
     m = stage_record()
     noise = np.random.default_rng(0).normal(0.0, m.current_A.std(), m.samples)

@@ -98,7 +98,7 @@ UNDECLARED = {"elastic_belt", "knocks", "warming"}
 
 
 @dataclass(frozen=True)
-class Drive:
+class IndependentDrive:
     """One drive with what is hidden in it.
 
     Attributes:
@@ -116,7 +116,7 @@ class Drive:
     believed_viscous: float
 
 
-def draw(kind: str, case: int, seed: int) -> Drive:
+def draw(kind: str, case: int, seed: int) -> IndependentDrive:
     """The drive of a case of a kind, by chance."""
     k, rng = KINDS[kind], np.random.default_rng([seed, case, *kind.encode()])
     inertia = k.inertia * rng.uniform(0.7, 1.4)
@@ -137,7 +137,7 @@ def draw(kind: str, case: int, seed: int) -> Drive:
     for name in k.hidden[case]:
         p |= EFFECTS[name](Chance(inertia, k.travel, speed, effort, rng))
     believed = inertia * rng.uniform(0.92, 1.08), viscous * rng.uniform(0.8, 1.2)
-    return Drive(kind, k.hidden[case], p, *believed)
+    return IndependentDrive(kind, k.hidden[case], p, *believed)
 
 
 class Chance(NamedTuple):

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from estune.recordings.column_map import ColumnMap
-from experiments.independent_drives.drives import KINDS, Column, Drive, DriveInputs, run
+from experiments.independent_drives.drives import KINDS, Column, DriveInputs, IndependentDrive, run
 
 SECONDS = (14.0, 10.0)
 """Length of the records."""
@@ -59,7 +59,7 @@ class Logger(NamedTuple):
         factor = {"mNm": 1e-3, "kN": 1e3}.get(self.torque_unit, 1.0)
         return ColumnMap().with_options(sources, {"angle": units["angle"]}, {"current": factor})
 
-    def write(self, drive: Drive, folder: Path, rng: np.random.Generator) -> None:
+    def write(self, drive: IndependentDrive, folder: Path, rng: np.random.Generator) -> None:
         """Writes the model file, and the logs into `logs`."""
         (folder / "logs").mkdir(parents=True)
         k = KINDS[drive.kind]
@@ -82,7 +82,7 @@ class Logger(NamedTuple):
             self._save(folder / "logs" / f"run{n}.csv", k.rate_Hz, columns, rng)
 
     def _measured(
-        self, drive: Drive, reference: Column, rng: np.random.Generator
+        self, drive: IndependentDrive, reference: Column, rng: np.random.Generator
     ) -> tuple[Column, Column]:
         k = KINDS[drive.kind]
         still = np.zeros(reference.size)
@@ -130,7 +130,9 @@ def coloured(samples: int, cutoff: float, rng: np.random.Generator) -> Column:
     return np.asarray(noise)
 
 
-def _reference(record: int, t: Column, drive: Drive, rng: np.random.Generator) -> Column:
+def _reference(
+    record: int, t: Column, drive: IndependentDrive, rng: np.random.Generator
+) -> Column:
     """What a drive is asked to follow: waves of several speeds, or moves with pauses."""
     k = KINDS[drive.kind]
     if record == 0:

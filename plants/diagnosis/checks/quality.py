@@ -12,6 +12,7 @@ from estune.core.quantities import FloatArray
 from estune.errors import InvalidInput
 from estune.recordings.issue import DataIssue
 from estune.trial import SATURATED
+from plants.diagnosis.checks.inner_loop import inner_loop
 from plants.diagnosis.checks.sensors import faults, frozen_angle, shift_between
 from plants.diagnosis.checks.units import mistaken_units
 from plants.diagnosis.data.measured_record import OUTPUTS, ROUNDING, MeasuredRecord
@@ -121,7 +122,9 @@ def _issues(
         return
     for look in (_too_short, _mislabelled, _at_limit):
         yield from look(m, b)
-    yield from mistaken_units(m, b, rate_Hz)
+    inside = list(inner_loop(m, b))
+    # A setpoint of another kind is in no unit of a torque.
+    yield from inside or mistaken_units(m, b, rate_Hz)
     if b.stiffness_N_m is None or m.angle_rad is None or m.tension_N is None:
         return
     per_N = 1.0 / b.tension_per_angle_N_rad
