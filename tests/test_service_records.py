@@ -189,6 +189,26 @@ def test_a_log_whose_columns_are_not_clear_is_refused_with_the_remedy(tmp_path, 
         estune.suggest(path, gains=Gains(1.0, 0.0, 0.0, 0.0))
 
 
+def test_records_lists_the_stretches_and_why_some_show_nothing(tmp_path, capsys):
+    setpoint = np.concatenate([np.zeros(200), np.repeat([1.0, -1.0, 0.5], 100), np.zeros(100)])
+    measured = np.convolve(setpoint, np.full(20, 0.05))[: setpoint.size]
+    measured += 0.01 * np.random.default_rng(1).standard_normal(setpoint.size)
+    effort = 2.0 * (setpoint - measured)
+    effort[400:450] = 1.25  # by hand
+    time = np.arange(setpoint.size) * 0.1
+    write(tmp_path / "log.csv", {"t": time, "r": setpoint, "y": measured, "u": effort})
+    with pytest.raises(SystemExit):
+        main(["records", str(tmp_path / "log.csv"), "--json"])
+    rows = json.loads(capsys.readouterr().out)["service"]
+    (by_hand,) = [row for row in rows if "another mode" in row["reason"]]
+    assert by_hand["start_s"] == pytest.approx(40.0)
+    assert by_hand["stop_s"] == pytest.approx(44.9)
+    assert not rows[0]["reason"]
+    with pytest.raises(SystemExit):
+        main(["records", str(tmp_path / "log.csv")])
+    assert "usable" in capsys.readouterr().out
+
+
 def test_unknown_gains_are_refused_where_no_effort_shows_them(busy):
     (part,) = busy.parts
     without = {name: values for name, values in part.items() if name != "effort"}

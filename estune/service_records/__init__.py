@@ -5,6 +5,7 @@ is needed, nor rest, nor a chosen window. The steps, one file each:
 
     sources        logs below a path, in any format of `estune.recordings`, or of a run
     stretches      parts in which the controller's equation holds: no limit, no gap, automatic
+    usable         the same of whole folders, before anything is fitted
     replay         the logged effort against that of the stated gains, before anything else
     identification the loop by a direct fit with a model of load, drift and noise
     judgement      whether the records show the margins of the gains in use
@@ -13,6 +14,7 @@ is needed, nor rest, nor a chosen window. The steps, one file each:
     judged_records what all of it found, as a value
     suggestion     the steps in their order
     page           the report
+    watched_loop   the same record by record: margins, and whether the plant has changed
 
 What was not obvious:
 

@@ -226,8 +226,9 @@ def main() -> int:
     parser.add_argument("--seeds", type=int, default=2, help="records of each loop and kind")
     parser.add_argument("--seed0", type=int, default=1, help="first seed: see seeds.md")
     parser.add_argument("--random", type=int, default=15, help="number of random loops")
+    parser.add_argument("--kinds", default=",".join(SETPOINTS), help="kinds of service")
     options = parser.parse_args()
-    cases, kinds = [*families()], list(SETPOINTS)
+    cases, kinds = [*families()], options.kinds.split(",")
     lengths: tuple[float, ...] = (80.0, 300.0)
     if options.quick:
         cases, kinds, lengths = cases[:4:2], ["still", "dither 1 %", "busy"], (80.0,)

@@ -1,6 +1,7 @@
 """`estune records`: how recorded data are understood, and the same data in estune's own form."""
 
 import json as json_text
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -8,9 +9,12 @@ from rich.text import Text
 
 from estune.cli import output
 from estune.cli.values import Flag, Values, command_line
+from estune.errors import InvalidInput
 from plants.commands.columns import Sources, column_map
 
 if TYPE_CHECKING:
+    from estune.recordings.issue import DataIssue
+    from estune.service_records.usable import JudgedStretch
     from plants.diagnosis.data.measured_record import MeasuredRecord
     from plants.diagnosis.data.preview import Preview
     from plants.diagnosis.data.records import ColumnSource
@@ -33,6 +37,8 @@ def records(
     json: Flag = False,
 ) -> None:
     """Show how recorded data are understood: columns, units, rate, gaps, trials and signs.
+
+    Of logs of a running loop it also shows which stretches estune suggest can use.
 
     Args:
         data: A file or a folder of them: CSV with any separators, Parquet, MATLAB, ROS 1 and 2
@@ -58,7 +64,14 @@ def records(
         import plants  # noqa: PLC0415  slow to import
 
         drum = drum_of(plants.load_model(model))
-    contents = read_measurements(data, columns, drum)
+    stretches = _stretches(data)
+    try:
+        contents = read_measurements(data, columns, drum)
+    except InvalidInput as error:
+        if not stretches or out is not None:
+            raise
+        _show_service(stretches, str(error), json=json)
+        return
     previews = [preview(m) for m in contents.measurements]
     signs = {p.name: warnings(p) for p in previews}
     if out is not None:
@@ -72,20 +85,46 @@ def records(
                 "findings": contents.findings,
                 "signs": signs,
                 "stop": _stop(data),
+                "service": stretches,
             }
         )
         return
     _show(previews, contents.sources)
     _show_stop(_stop(data))
-    for issue in contents.findings:
-        _line(issue.level, str(issue))
-    for name, sentences in signs.items():
-        for sentence in sentences:
-            _line("warning", f"{name}: {sentence}")
+    _show_doubts(contents.findings, signs)
+    if stretches:
+        print()
+        _show_stretches(stretches)
     if out is not None:
         output.show_next(
             {"records": out, "explain": command_line("explain", model="MODEL", data=out)}
         )
+
+
+def _stretches(data: Path) -> list["JudgedStretch"]:
+    """Stretches of a running loop; none where the data are no such log."""
+    from estune.service_records.usable import judged_stretches  # noqa: PLC0415  slow to import
+
+    try:
+        return judged_stretches(data)
+    except InvalidInput:
+        return []
+
+
+def _show_service(stretches: list["JudgedStretch"], why: str, *, json: bool) -> None:
+    """Shows logs of a loop that are no records of a reel or a drive."""
+    if json:
+        output.print_json({"service": stretches, "not_for_explain": why})
+        return
+    _show_stretches(stretches)
+    _line("warning", f"for estune suggest only: {why}")
+
+
+def _show_stretches(stretches: list["JudgedStretch"]) -> None:
+    rows = (
+        (s.log, f"{s.start_s:.4g}", f"{s.stop_s:.4g}", s.reason or "usable") for s in stretches
+    )
+    output.show_table(("log", "from s", "to s", "estune suggest"), rows)
 
 
 def _stop(data: Path) -> dict[str, Any]:
@@ -143,6 +182,14 @@ def _show(previews: list["Preview"], sources: tuple["ColumnSource", ...]) -> Non
     for p in previews:
         signs = ", ".join(f"{pair} {value:+.2f}" for pair, value in p.signs.items())
         _line("signs", f"{p.name}: {signs}")
+
+
+def _show_doubts(findings: Iterable["DataIssue"], signs: Mapping[str, Iterable[str]]) -> None:
+    for issue in findings:
+        _line(issue.level, str(issue))
+    for name, sentences in signs.items():
+        for sentence in sentences:
+            _line("warning", f"{name}: {sentence}")
 
 
 def _range(ends: tuple[float, float] | None) -> str:
