@@ -20,6 +20,7 @@ from estune.remote import zenoh
 from estune.run.toml_tables import SearchTable
 from estune.studies.sweep.cells import expand_cells
 from estune.studies.sweep.design import SweepDesign, SweptRig, read_design
+from estune.studies.sweep.figures import draw_integral
 from estune.studies.sweep.outcome import CellOutcome, failed
 from estune.studies.sweep.result import SweepResult
 from estune.studies.sweep.sweep import show_outcomes
@@ -208,6 +209,12 @@ def test_law_excludes_and_lists_unsafe_and_unconverged_tunings(tmp_path):
     unsafe = run_sweep(tmp_path / "unsafe", {**SMALL, "eta_max": 1.0})
     assert all("the start gains" in o.excluded for o in unsafe.outcomes)
     assert not any(o.safe for o in unsafe.outcomes)
+
+
+def test_integral_gain_is_drawn_over_searches_that_end_within_few_trials(tmp_path):
+    swept = run_sweep(tmp_path / "short", {**SMALL, "trials": 4})
+    (ax,) = draw_integral(swept.outcomes).axes
+    assert [len(line.get_xdata()) for line in ax.lines] == [4] * len(SMALL["lengths_m"])
 
 
 def test_sweep_command_writes_laws_report_and_cells(tmp_path, capsys, monkeypatch):

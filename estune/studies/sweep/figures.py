@@ -29,7 +29,8 @@ from estune.support.quantity_text import axis_label
 
 _COST, _UNSAFE = TRACE.index("cost"), TRACE.index("unsafe")
 _SMOOTHED = 8
-"""Trials in the running mean that removes the dither from a gain."""
+"""Trials in the running mean that removes the dither from a gain; of a search that ends within few
+trials, which has no dither, a quarter of them."""
 _LABELS = {"P": "P", "I": "I", "D": "D", "setpoint_filter_s": "setpoint filter"}
 _CURVE_POINTS = 200
 _MOST_IN_LEGEND = 10
@@ -56,9 +57,10 @@ def draw_integral(outcomes: LazySequence[CellOutcome]) -> Figure:
     figure, (ax,) = stacked(1, 3.0)
     column = TRACE.index("I")
     for length, color, gains in _by_length(outcomes, lambda search: search[:, column].copy()):
-        median = _median([_running_mean(gain) for gain in gains])
-        trial = np.arange(_SMOOTHED, _SMOOTHED + median.size)
-        ax.plot(trial, median, color=color, label=f"{length:g} m", lw=1.1)
+        width = min(_SMOOTHED, max(1, min(gain.size for gain in gains) // 4))
+        median = _median([_running_mean(gain, width) for gain in gains])
+        trial = np.arange(width, width + median.size)
+        ax.plot(trial, median, ".-", color=color, label=f"{length:g} m", lw=1.1, ms=3.0)
     finish(ax, axis_label("I", outcomes[0].cell.signals.gain_units["I"]), "search trial")
     _legend(ax)
     return figure
@@ -144,11 +146,11 @@ def _median(rows: Sequence[FloatArray]) -> FloatArray:
     return np.array([np.median(costs) if costs.size else np.nan for costs in safe])
 
 
-def _running_mean(values: FloatArray) -> FloatArray:
-    """Means of `_SMOOTHED` consecutive values."""
-    if values.size < _SMOOTHED:
+def _running_mean(values: FloatArray, width: int) -> FloatArray:
+    """Means of `width` consecutive values."""
+    if values.size < width:
         return values[:0]
-    return np.convolve(values, np.full(_SMOOTHED, 1.0 / _SMOOTHED), mode="valid")
+    return np.convolve(values, np.full(width, 1.0 / width), mode="valid")
 
 
 def _legend(ax: Axes) -> None:
