@@ -4,6 +4,7 @@ import math
 import re
 from dataclasses import replace
 
+import control
 import numpy as np
 import pytest
 
@@ -109,6 +110,36 @@ def test_claimed_sensitivity_holds_the_true_one(tuned):
     truth = true_sensitivity(plants.reference_reel(0.8), tuned.gains)
     assert claimed.low <= truth * 1.01
     assert truth <= claimed.high * 1.01
+
+
+def test_intervals_contain_the_gains_of_this_and_of_other_runs():
+    results = [tune(plants.reference_reel(0.5).rig(seed=seed)) for seed in (1, 2, 3)]
+    for one in results:
+        intervals = one.tuned.intervals
+        assert set(intervals) == {"P", "I", "D", "setpoint_filter_s"}
+        for other in results:
+            for name, (low, high) in intervals.items():
+                assert low <= getattr(other.gains, name) <= high
+        assert sum("interval of a gain" in remark for remark in one.remarks()) == 1
+
+
+def test_headline_says_that_the_bounds_ended_the_search():
+    gains = plants.reference_reel(0.8).rig().describe().gains
+    start = Gains(gains.P / 50, gains.I / 50, gains.D / 50, gains.setpoint_filter_s)
+    result = tune(plants.reference_reel(0.8), start=start)
+    assert "the search ended at its bounds of P and I" in result.heading()
+
+
+def test_integrator_has_no_period_to_be_told():
+    plant = plants.linear_plant(
+        control.tf([2.0], [0.05, 1.0, 0.0]),
+        sampling_Hz=200.0,
+        gains=Gains(0.5, 0.2, 0.005, 0.05),
+        profile=StepProfile(0.0, 1.0, 0.2, 2.2),
+        settling_time_s=0.5,
+        noise_rms_N=0.003,
+    )
+    assert not [remark for remark in tune(plant).remarks() if "with a period of" in remark]
 
 
 def test_other_limits_are_kept():

@@ -19,6 +19,14 @@ ITERATIONS = 3
 0.02 to 0.19 % on five families."""
 
 
+RISE = 0.02
+"""Rise of the predicted cost, as a share of it, within which gains are as good: the default of
+the tolerance of a search."""
+
+CURVATURE_STEP = 0.05
+"""Distance in a logarithm by which slope and curvature of the cost are measured."""
+
+
 class DrawnOptima(NamedTuple):
     """Optima of drawn models.
 
@@ -42,6 +50,26 @@ class DrawnOptima(NamedTuple):
             return self.centre, self.centre
         half = float(stdtrit(count - 1, 0.975)) * np.std(self.optima, axis=0, ddof=1)
         return self.centre - half, self.centre + half
+
+
+def equal_range(search: RegionSearch, optimum: Optimum) -> tuple[FloatArray, FloatArray]:
+    """Range of each coordinate by itself within which the predicted cost rises by `RISE`.
+
+    By a parabola on either side; to the end of the region where the cost does not rise.
+    """
+    x, here = optimum.coordinates, math.log(optimum.prediction.cost)
+    low, high = np.array(search.low, dtype=float), np.array(search.high, dtype=float)
+    for i, axis in enumerate(CURVATURE_STEP * np.eye(x.size)):
+        rises = [math.log(search.predicted(x + side * axis).cost) - here for side in (-1.0, 1.0)]
+        bend = (rises[0] + rises[1]) / (2.0 * CURVATURE_STEP**2)
+        if not 0.0 < bend < math.inf:
+            continue
+        for side, end in ((-1.0, low), (1.0, high)):
+            # Towards a limit the cost may fall; the limit ends the way there.
+            slope = max(side * (rises[1] - rises[0]) / (2.0 * CURVATURE_STEP), 0.0)
+            away = (math.sqrt(slope**2 + 4.0 * bend * RISE) - slope) / (2.0 * bend)
+            end[i] = min(max(x[i] + side * away, low[i]), high[i])
+    return low, high
 
 
 def draw_optima(

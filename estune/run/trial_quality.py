@@ -106,7 +106,9 @@ def quality_remarks(
             "are less robust than at a higher sampling rate"
         )
     period_s = math.inf if fit is None else fit.model.natural_period / rig.controller.sampling_Hz
-    if math.isfinite(period_s) and plan.cost.settling_time_s < SETTLING_LEAST * period_s:
+    # A slower plant is not told from one with a pole at the origin, which has no period.
+    shown = period_s < plan.step.duration_s - plan.step.step_at_s
+    if shown and plan.cost.settling_time_s < SETTLING_LEAST * period_s:
         remarks.append(
             f"the settling time asked for, {plan.cost.settling_time_s:.2g} s, is short for a "
             f"plant with a period of {period_s:.2g} s: the gains trade robustness for speed"

@@ -19,7 +19,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from estune.loop_model.drawn_optima import draw_optima
+from estune.loop_model.drawn_optima import draw_optima, equal_range
 from estune.loop_model.excitation import UnknownLoop
 from estune.loop_model.fitting import fit_loop
 from estune.loop_model.loop_fit import LoopFit
@@ -361,7 +361,8 @@ class IdentifiedLoopTuner:
         draws = draw_optima(
             fit, lambda model: self._search(state, model), optimum, seed=len(state.costs)
         )
-        low, high = draws.interval
+        equal = equal_range(self._search(state, fit.model), optimum)
+        low, high = np.fmin(draws.interval[0], equal[0]), np.fmax(draws.interval[1], equal[1])
         low = np.maximum(low, self.space.coordinates_low)
         high = np.minimum(high, self.space.coordinates_high)
         beyond = state.surface.deviation(optimum.coordinates) if state.surface else 0.0

@@ -31,7 +31,13 @@ from estune.run.labels import ListedNumbers
 from estune.run.limit_verdict import LimitVerdict, measured_overshoot
 from estune.run.plan import Plan
 from estune.run.results import result_warnings
-from estune.run.results.summary import Performance, RunSummary, rise_text, share_text
+from estune.run.results.summary import (
+    INTERVALS_ARE,
+    Performance,
+    RunSummary,
+    rise_text,
+    share_text,
+)
 from estune.run.robustness import (
     IdentifiedLoop,
     claim_from,
@@ -242,7 +248,8 @@ class RunResult(OptimizeResult):  # type: ignore[misc]  # scipy ships no type in
         if self.ending.is_tuned:
             start, cost = self.verdict.start_cost, self.verdict.cost
             change = f"cost {start:.3g} → {cost:.3g}, {self.improvement}"
-            shown = ", ".join((*_response_changes(self.start, self.tuned), _robustness(self)))
+            said = (*_response_changes(self.start, self.tuned), _robustness(self), *_bounded(self))
+            shown = ", ".join(said)
             return f"{self.ending.upper()}: {self.rig.name}, {shown}; {change}; {self.trials_text}"
         if self.improvement is not None:
             change = f"cost {self.improvement}, keep the initial gains"
@@ -270,6 +277,7 @@ class RunResult(OptimizeResult):  # type: ignore[misc]  # scipy ships no type in
             *(f"{n} trial{'s were' if n > 1 else ' was'} {what}" for n, what in counts if n),
             *(finding.sentence for finding in self.findings),
             *behaviour_remarks(self.behaviour),
+            *((INTERVALS_ARE,) if self.tuned and self.tuned.intervals else ()),
             *(_robustness_remarks(self) if self.verdict.complete else ()),
         )
         return tuple(f"{sentence[:1].upper()}{sentence[1:]}." for sentence in sentences)
@@ -369,6 +377,18 @@ def _response_changes(start: Performance, tuned: Performance | None) -> Iterator
         yield f"rise {change_text(rise_text(before), rise_text(after))}"
         overshoots = share_text(before.overshoot), share_text(after.overshoot)
         yield f"overshoot {change_text(*overshoots)}"
+
+
+def _bounded(result: RunResult) -> Iterator[str]:
+    """The bounds that ended the search, for without them the cost may be lower."""
+    at = [
+        name
+        for finding in result.findings
+        if finding.kind == "bound"
+        for name in finding.parameters
+    ]
+    if at:
+        yield f"the search ended at its bounds of {' and '.join(at)}"
 
 
 def _robustness(result: RunResult) -> str:

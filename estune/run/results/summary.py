@@ -17,6 +17,11 @@ from estune.trial import RigDescription, TrialRecord
 from estune.trial.profiles import StepProfile
 from estune.trial.scoring import load_metrics_of, metrics_of
 
+INTERVALS_ARE = (
+    "the interval of a gain contains the optimum with 95 % confidence and, where the loop is "
+    "identified, the values of this gain alone whose predicted cost is at most 2 % higher"
+)
+
 
 @dataclass(frozen=True, slots=True)
 class RunSummary:
@@ -30,8 +35,8 @@ class RunSummary:
         start_cost_error: Standard error of `start_cost`.
         change: Relative change of the cost from the initial to the tuned gains, with its 95 %
             confidence interval, from interleaved repeats; None if they were not compared.
-        intervals: 95 % confidence interval of the optimum of each tuned parameter, by the tuner's
-            cost model: name, lower and upper end in the parameter's unit. May be empty.
+        intervals: Interval of each tuned parameter, by the tuner's cost model: name, lower and
+            upper end in the parameter's unit. May be empty. `INTERVALS_ARE` says what it is.
         unsafe: Unsafe trials of the run.
         declined: Declined trials of the run.
         improved: Whether the interval of the change lies below zero, or the initial gains break a
@@ -137,8 +142,10 @@ def _intervals(session: Session) -> tuple[tuple[str, float, float], ...]:
     convergence = session.plan.convergence(session.tuner_state)
     if convergence is None:
         return ()
-    names = session.plan.tuner.space.names
-    return tuple((n, *ends) for n, ends in zip(names, convergence.intervals, strict=True))
+    space = session.plan.tuner.space
+    used = space.point_of(session.candidate or session.plan.start)
+    rows = zip(space.names, used, convergence.intervals, strict=True)
+    return tuple((name, min(low, at), max(high, at)) for name, at, (low, high) in rows)
 
 
 def _mean(costs: tuple[float, ...]) -> tuple[float, float]:
