@@ -33,7 +33,7 @@ static long one_trial(long samples, long delay, double bound, double preload, do
   /* CasADi may write outputs before it has read all inputs: they must not share memory. */
   double constants[CONSTANTS], state[STATES], moved[STATES], pidf[PIDF_STATES];
   double following[PIDF_STATES], drive, excess, forward, off;
-  long i, k, n, now = delay + 1, before = 0, after = 1;
+  long i, k, n, sensed, now = delay + 1, before = 0, after = 1;
   {
     const double *arg[2];
     double *res[4];
@@ -54,17 +54,18 @@ static long one_trial(long samples, long delay, double bound, double preload, do
       res[0] = moved; res[1] = tension + k; res[2] = angle + k;
       res[3] = following; res[4] = effort + k; res[5] = ring + now; res[6] = &excess;
       res[7] = reference ? reference + k : 0;  /* a null pointer: not written */
-      estune_sense(arg, res, 0, 0, 0);
-      if (compensate) {
-        double *now = terms + TERMS * k;
+      /* One call in the text: the compiler expands it in place. */
+      for (sensed = 0;; sensed = 1) {
+        estune_sense(arg, res, 0, 0, 0);
+        if (!compensate || sensed) break;
         compensate(compensation, k * period, tension[k], angle[k],
-                   open ? NAN : pidf[FILTERED_SETPOINT], 0.0, now);
-        if (open) now[GRAVITY] = now[NOTCH] = 0.0;
-        forward = now[FRICTION] + now[INERTIA] + now[MAP];
-        off = now[GRAVITY] + now[NOTCH];
+                   open ? NAN : pidf[FILTERED_SETPOINT], 0.0, terms);
+        if (open) terms[GRAVITY] = terms[NOTCH] = 0.0;
+        forward = terms[FRICTION] + terms[INERTIA] + terms[MAP];
+        off = terms[GRAVITY] + terms[NOTCH];
+        terms += TERMS;
         if (k == 0) pidf[INTEGRAL] -= forward;
         arg[9] = &forward; arg[10] = &off;
-        estune_sense(arg, res, 0, 0, 0);
       }
     }
     /* This form also ends the trial on NaN. */
