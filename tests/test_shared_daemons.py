@@ -84,7 +84,7 @@ def test_daemon_that_never_met_the_other_reverts_to_the_true_original_gains(
         with daemon(tmp_path / "one", table, top="shared = true") as one:
             accepted = one.until_mode("watching").gains["accepted"]
         with daemon(tmp_path / "two", table, top="shared = true") as two:
-            two.until(lambda status: bool(status.gains))
+            two.until(lambda status: bool(status.live))  # announced to others by then
             two.command("revert")
             two.until(lambda status: status.live == "original")
         assert rig.describe().gains == (ORIGINAL if keeps else accepted)
