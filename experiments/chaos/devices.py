@@ -64,7 +64,7 @@ def rig_file(kind: str, address: str) -> str:
     return text
 
 
-class Service:
+class RestartedRig:
     """`estune serve-hardware`, started anew whenever it ends.
 
     Attributes:
@@ -96,7 +96,7 @@ class Service:
         self._log.close()
 
 
-class Trials:
+class PersistentClient:
     """Trials of a client that connects again after every error.
 
     Attributes:
@@ -147,9 +147,9 @@ def campaign(kind: str, count: int, seed: int, folder: Path) -> dict[str, Any]:
         file = folder / "rig.toml"
         file.write_text(rig_file(kind, next_line(device)), "utf-8")
         endpoint = with_port("tcp/127.0.0.1:0")
-        service = Service(file, endpoint)
+        service = RestartedRig(file, endpoint)
         opened.callback(service.end)
-        trials = Trials(endpoint)
+        trials = PersistentClient(endpoint)
         if not trials.until_done()[0]:
             said = file.with_suffix(".log").read_text("utf-8")[-1000:]
             raise RigError(f"the rig behind {kind} does not run: {trials.last}; its log: {said}")
