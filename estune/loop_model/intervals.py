@@ -84,8 +84,9 @@ def predict_with_intervals(fit: LoopFit, trial: StepTrial, gains: Gains) -> Pred
         low, high = np.fmin(low, ends[0]), np.fmax(high, ends[1])
     low, high = np.fmin(low, centre), np.fmax(high, centre)
     error = math.hypot(MODEL_ERROR, FRICTION_ERROR if fit.model.friction_N else 0.0)
-    low[2] = centre[2] - math.hypot(centre[2] - low[2], error)
-    high[2] = centre[2] + math.hypot(high[2] - centre[2], error)
+    if math.isfinite(centre[2]):  # an unstable loop has no Ms to widen
+        low[2] = centre[2] - math.hypot(centre[2] - low[2], error)
+        high[2] = centre[2] + math.hypot(high[2] - centre[2], error)
     cost, Ms = (tuple(np.exp([centre[i], low[i], high[i]]).tolist()) for i in (0, 2))
     return PredictedMargins(
         Interval(*cost),
