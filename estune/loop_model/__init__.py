@@ -23,7 +23,7 @@ white.
   than three times the worst of theirs.
 - `plant_error` bounds what the true plant may differ from G by, in each band; `intervals` holds
   the uncertainty of the parameters; `claim` says what of the loop is known, or which band is
-  not.
+  not, and `excitation` how large a multisine on the setpoint would make it known.
 - `optimum`, `drawn_optima`, `limit_price`, `prediction`, `sampled_loop`: the best gains within
   limits, by the model.
 

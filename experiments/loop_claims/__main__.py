@@ -141,6 +141,7 @@ def main() -> int:
     for number, case in enumerate(cases, 1):
         print(f"{case.name}, {number} of {len(cases)}", file=sys.stderr, flush=True)
         rows.append(measure(case, options.noise, seeds, evaluations))
+        print(rows[-1], file=sys.stderr, flush=True)
     reached = targets_of(rows)
     return print_results({"rows": rows}, reached, as_json=options.json, tables=True)
 
