@@ -3,7 +3,6 @@
 import itertools
 import math
 from collections import Counter
-from collections.abc import Iterator
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
@@ -31,12 +30,16 @@ from estune.run.labels import ListedNumbers
 from estune.run.limit_verdict import LimitVerdict, measured_overshoot
 from estune.run.plan import Plan
 from estune.run.results import result_warnings
+from estune.run.results.sentences import (
+    bounds_reached,
+    claimed_robustness,
+    response_changes,
+    start_remarks,
+)
 from estune.run.results.summary import (
     INTERVALS_ARE,
     Performance,
     RunSummary,
-    rise_text,
-    share_text,
 )
 from estune.run.robustness import (
     IdentifiedLoop,
@@ -46,9 +49,7 @@ from estune.run.robustness import (
     robustness_cells,
 )
 from estune.run.session import Phase, Session, is_safe, is_unsafe
-from estune.run.start import left_out
 from estune.run.trial_quality import quality_remarks
-from estune.support.quantity_text import change_text
 from estune.trial import Rig, RigDescription, TrialRecord
 from estune.trial.scoring import constraint_margin
 
@@ -248,7 +249,8 @@ class RunResult(OptimizeResult):  # type: ignore[misc]  # scipy ships no type in
         if self.ending.is_tuned:
             start, cost = self.verdict.start_cost, self.verdict.cost
             change = f"cost {start:.3g} → {cost:.3g}, {self.improvement}"
-            said = (*_response_changes(self.start, self.tuned), _robustness(self), *_bounded(self))
+            said = [*response_changes(self.start, self.tuned)]
+            said += [claimed_robustness(self.claim, self.limits), *bounds_reached(self.findings)]
             shown = ", ".join(said)
             return f"{self.ending.upper()}: {self.rig.name}, {shown}; {change}; {self.trials_text}"
         if self.improvement is not None:
@@ -273,7 +275,7 @@ class RunResult(OptimizeResult):  # type: ignore[misc]  # scipy ships no type in
         counts = ((self.unsafe, "unsafe"), (self.verdict.declined, "declined and not run"))
         sentences = (
             self.message,
-            *_start_remarks(self),
+            *start_remarks(self.plan, self.start_gains, self.fitted_form),
             *(f"{n} trial{'s were' if n > 1 else ' was'} {what}" for n, what in counts if n),
             *(finding.sentence for finding in self.findings),
             *behaviour_remarks(self.behaviour),
@@ -352,54 +354,6 @@ class RunResult(OptimizeResult):  # type: ignore[misc]  # scipy ships no type in
 def _is_unsafe(entry: JournalEntry, eta_max: float) -> bool:
     """Whether a trial was unsafe; `eta_max` takes a mean over the baseline, of many trials."""
     return entry.outcome is not None and is_unsafe(entry.phase, entry.outcome, entry.cost, eta_max)
-
-
-def _start_remarks(result: RunResult) -> Iterator[str]:
-    """Origin of initial gains that are not the rig's, and gains that were not tuned."""
-    if result.plan.start_source:
-        source = result.plan.start_source
-        yield f"the search began at {source}, which are not live on the rig yet"
-    if result.fitted_form is not None:
-        yield (
-            f"the logged effort is that of another form of the controller ({result.fitted_form}), "
-            "by which the loop was identified; declare it as form in the rig's controller settings"
-        )
-    space = result.plan.tuner.space
-    left = left_out(result.start_gains, space.names, result.plan.cost.settling_time_s)
-    if left and space.form == "parallel":
-        yield left
-
-
-def _response_changes(start: Performance, tuned: Performance | None) -> Iterator[str]:
-    """Rise time and overshoot of the initial and of the tuned gains."""
-    if tuned is not None and start.metrics is not None and tuned.metrics is not None:
-        before, after = start.metrics, tuned.metrics
-        yield f"rise {change_text(rise_text(before), rise_text(after))}"
-        overshoots = share_text(before.overshoot), share_text(after.overshoot)
-        yield f"overshoot {change_text(*overshoots)}"
-
-
-def _bounded(result: RunResult) -> Iterator[str]:
-    """The bounds that ended the search, for without them the cost may be lower."""
-    at = [
-        name
-        for finding in result.findings
-        if finding.kind == "bound"
-        for name in finding.parameters
-    ]
-    if at:
-        yield f"the search ended at its bounds of {' and '.join(at)}"
-
-
-def _robustness(result: RunResult) -> str:
-    """The claims about the tuned gains in a few words, and what stands against their limits."""
-    margins, limits = result.claim.margins, result.limits
-    if margins is None and (limits is None or result.claim.reason not in limits.reason):
-        broken = [limits.reason] if limits is not None and limits.reason else []
-        return " and ".join((*broken, f"no margins are claimed: {result.claim.reason}"))
-    if margins is None or (limits is not None and limits.reason):
-        return limits.reason if limits else ""
-    return f"Ms {margins.sensitivity.value:.2f}, at most {margins.sensitivity.high:.2f}"
 
 
 def _robustness_remarks(result: RunResult) -> tuple[str, ...]:

@@ -1,0 +1,58 @@
+"""Sentences of a result: where it began, what it changed, what is claimed of it."""
+
+from collections.abc import Iterable, Iterator
+
+from estune.core.controller_form import ControllerForm
+from estune.core.gains import Gains
+from estune.loop_model.claim import Claim
+from estune.run.limit_verdict import LimitVerdict
+from estune.run.plan import Plan
+from estune.run.results.result_warnings import ResultWarning
+from estune.run.results.summary import Performance, rise_text, share_text
+from estune.run.start import left_out
+from estune.support.quantity_text import change_text
+
+
+def start_remarks(
+    plan: Plan, start_gains: Gains, fitted_form: ControllerForm | None
+) -> Iterator[str]:
+    """Origin of initial gains that are not the rig's, and gains that were not tuned."""
+    if plan.start_source:
+        source = plan.start_source
+        yield f"the search began at {source}, which are not live on the rig yet"
+    if fitted_form is not None:
+        yield (
+            f"the logged effort is that of another form of the controller ({fitted_form}), "
+            "by which the loop was identified; declare it as form in the rig's controller settings"
+        )
+    space = plan.tuner.space
+    left = left_out(start_gains, space.names, plan.cost.settling_time_s)
+    if left and space.form == "parallel":
+        yield left
+
+
+def response_changes(start: Performance, tuned: Performance | None) -> Iterator[str]:
+    """Rise time and overshoot of the initial and of the tuned gains."""
+    if tuned is not None and start.metrics is not None and tuned.metrics is not None:
+        before, after = start.metrics, tuned.metrics
+        yield f"rise {change_text(rise_text(before), rise_text(after))}"
+        overshoots = share_text(before.overshoot), share_text(after.overshoot)
+        yield f"overshoot {change_text(*overshoots)}"
+
+
+def bounds_reached(findings: Iterable[ResultWarning]) -> Iterator[str]:
+    """The bounds that ended the search, for without them the cost may be lower."""
+    at = [name for finding in findings if finding.kind == "bound" for name in finding.parameters]
+    if at:
+        yield f"the search ended at its bounds of {' and '.join(at)}"
+
+
+def claimed_robustness(claim: Claim, limits: LimitVerdict | None) -> str:
+    """The claims about the tuned gains in a few words, and what stands against their limits."""
+    margins = claim.margins
+    if margins is None and (limits is None or claim.reason not in limits.reason):
+        broken = [limits.reason] if limits is not None and limits.reason else []
+        return " and ".join((*broken, f"no margins are claimed: {claim.reason}"))
+    if margins is None or (limits is not None and limits.reason):
+        return limits.reason if limits else ""
+    return f"Ms {margins.sensitivity.value:.2f}, at most {margins.sensitivity.high:.2f}"
