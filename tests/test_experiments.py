@@ -31,6 +31,7 @@ SAMPLED = {
     "hidden_effects",
     "hidden_remedies",
     "loop_prior",
+    "margin_watch",
     "sample_efficiency",
     "service_records",
 }

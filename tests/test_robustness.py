@@ -23,6 +23,7 @@ from estune.loop_model.prediction import StepTrial
 from estune.loop_model.records import LoopRecord
 from estune.run.ending import RunEnding
 from estune.run.planning import step_trial
+from estune.run.robustness import not_robust
 from estune.trial.profiles import StepProfile
 from experiments.sample_efficiency.problems import PROBLEMS
 
@@ -76,6 +77,27 @@ def test_response_that_ends_farther_from_its_setpoint_than_before_is_not_robust(
     result = tune(Drooping(plants.reference_reel().rig()), trials=3)
     assert ("off its setpoint" in result.message) == (not with_any_gains)
     assert with_any_gains or result.ending is RunEnding.NOT_ROBUST
+
+
+@pytest.mark.parametrize(("swing_N", "says"), [(0.0, ""), (1.0, "not settled")])
+def test_response_settles_about_the_value_it_ends_at(swing_N, says):
+    """2 % off, as with the initial gains, in noise of 1 %: no sample of it decides."""
+    result = tune(plants.reference_reel())
+    noise = np.random.default_rng(1)
+
+    def ending_off(record):
+        time_s, step = record.time_s, result.plan.step
+        swing = swing_N * np.sin(2.0 * np.pi * 25.0 * time_s) * (record.gains == result.gains)
+        ends = step.preload_N + step.step_N + 0.02 * step.step_N + swing
+        before = np.arange(time_s.size) < step.step_index(record.sampling_Hz)
+        exact = np.where(before, step.preload_N, ends)
+        noisy = exact + 0.01 * step.step_N * noise.standard_normal(time_s.size)
+        return replace(record, tension_N=noisy)
+
+    records = [ending_off(record) for record in result.recent_records]
+    why = not_robust(records, result.plan, result.claim, result.gains, result.rig)
+    assert says in why
+    assert bool(why) == bool(says)
 
 
 def test_price_of_limits_is_small_on_a_reel_and_names_softer_limits_where_dear(fast):

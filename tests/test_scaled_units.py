@@ -81,7 +81,7 @@ def test_units_change_neither_trials_nor_gains_nor_claims(tuner, transfer, knows
         others = tuned(transfer, measurement, effort, knows=knows, **search)
         assert len(others[0]) == len(gains)
         assert others[0] == pytest.approx(gains, rel=1e-3)
-        assert others[1] == pytest.approx(costs, rel=1e-3)
+        assert others[1] == pytest.approx(costs, rel=1e-3, nan_ok=True)  # of an excitation
         if transfer is LAG:  # how slow a pole at the origin is, rounding decides
             assert others[3] == ending
             assert others[2] == pytest.approx(said, rel=1e-2)

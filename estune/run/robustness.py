@@ -194,13 +194,6 @@ def not_robust(
     step, first = plan.step, repeats[0]
     index, final_N = step.step_index(first.sampling_Hz), step.preload_N + step.step_N
     responses = np.array([record.tension_N for record in repeats])
-    metrics = step_metrics(
-        first.time_s,
-        responses.mean(axis=0),
-        step_time_s=float(first.time_s[index]),
-        initial=step.preload_N,
-        final=final_N,
-    )
     error_N, allowed_N = _end_error(responses[:, index:], final_N)
     allowed_N = max(allowed_N, END_ERROR * abs(step.step_N))
     if before := [r.tension_N[index:] for r in done if r.gains == plan.start]:
@@ -209,6 +202,14 @@ def not_robust(
     if abs(error_N) > allowed_N:
         ends = f"{error_N:+.2g} {rig.measurement_unit}".rstrip()
         return f"the response ends {ends} off its setpoint (allowed {rig.measured(allowed_N, 2)})"
+    # About the value it ends at: how far that is from the setpoint is judged above.
+    metrics = step_metrics(
+        first.time_s,
+        responses.mean(axis=0),
+        step_time_s=float(first.time_s[index]),
+        initial=step.preload_N,
+        final=final_N + error_N,
+    )
     if math.isnan(metrics.settling_time_s):
         return "the response has not settled at the end of the trial"
     return ""
