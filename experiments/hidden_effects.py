@@ -3,9 +3,6 @@
 Command: `python -m experiments.hidden_effects --cases 380 --seed0 70200`.
 Target: 95 % named exactly, 98 % by family, at most 3 % false alarms and 5 % wrong names.
 
-Command: `python -m experiments.hidden_effects --cases 380 --seed0 70200`.
-Target: 95 % named exactly, 98 % by family, at most 3 % false alarms and 5 % wrong names.
-
 Cases come from `experiments.hidden_machines`. Each is diagnosed from its records alone; then the
 answer is compared with what was hidden. Counted are cases whose prediction error is at least 1.5
 times the noise floor, unless it says otherwise. Misnaming is any name, in a verdict of whatever

@@ -38,7 +38,7 @@ FITS = (
     OscillationFit(0.75, 1, 0.7, 3.0),
     OscillationFit(0.5, 1, 0.7, 3.0),
 )
-"""Of 705 trials of the random loops of tests/test_oscillation.py these name 150 of 176 unstable
+"""Of 705 trials of the random loops of tests/test_oscillation.py these name 149 of 176 unstable
 ones and none of the others. Without the last two, 20 slow oscillations of one to three periods are
 missed."""
 
