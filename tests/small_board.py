@@ -10,18 +10,18 @@ import math
 import os
 import secrets
 import socket
-import struct
 import sys
 import threading
 import time
-import zlib
 from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 
 import zenoh
 
-RATE_HZ, LEASE_S, PART = 100.0, 1.0, 1024
+from tests.small_board_frames import RATE_HZ, Refused, answer, finite, parse, part, record
+
+LEASE_S = 1.0
 NAME, FILE = sys.argv[1], Path(sys.argv[2])
 INSTANCE = secrets.token_hex(4)
 ROOT = f"reel/v1/{NAME}"
@@ -39,10 +39,6 @@ FIELDS = {
     "P": ({"P", "I", "D", "setpoint_filter_s"}, set()),
     "step": ({"kind", "preload_N", "step_N", "step_at_s", "duration_s"}, {"loop", "ramp_s"}),
 }
-
-
-class Refused(Exception):
-    """Refusal, with the kind of error."""
 
 
 def load():
@@ -89,23 +85,10 @@ def holds(token):
     return bool(token) and token == lease["token"] and time.monotonic() < lease["until"]
 
 
-def answer(verdict, trial_id="", error="", sentence=""):
-    reply = {"verdict": verdict, "trial_id": trial_id, "error": error, "sentence": sentence}
-    return json.dumps(reply).encode()
-
-
 def lease_refusal():
     if holds(lease["token"]):
         return answer("held", sentence=f"held by {lease['holder']}")
     return answer("no_lease", sentence="the lease has run out")
-
-
-def finite(*values):
-    for value in values:
-        if isinstance(value, bool) or not isinstance(value, int | float):
-            raise Refused("ProtocolError", f"{value!r} is no number")
-        if not math.isfinite(value):
-            raise Refused("ProtocolError", f"{value!r} is not finite")
 
 
 def check_fields(what, message):
@@ -310,23 +293,6 @@ def description():
     }
 
 
-def part(whole, offset, length):
-    piece = whole[offset : offset + min(length or PART, PART)]
-    if not piece:
-        raise Refused("ProtocolError", "no such part")
-    head = struct.pack("<4sII", b"RTP1", len(whole), offset)
-    return head + struct.pack("<I", zlib.crc32(head + bytes(4) + piece)) + piece
-
-
-def parse(payload):
-    if len(payload) > 2048:
-        raise Refused("ProtocolError", "longer than 2048 bytes")
-    try:
-        return json.loads(payload)
-    except (ValueError, RecursionError) as error:
-        raise Refused("ProtocolError", str(error)) from error
-
-
 def serve(key, query):
     """Replies to a query; a command needs a query on exactly its own key."""
     requested_key = str(query.key_expr)
@@ -376,7 +342,7 @@ def run():
             profile, gains = now.trial["profile"], now.trial["gains"]
         columns = follow(gains, profile)
         with lock:
-            now.frame = now.trial["id"], record(now.trial, columns)
+            now.frame = now.trial["id"], record(NAME, now.trial, columns, now.stop)
             entry["state"] = "ended"
             save()
             now.trial, now.stop, now.ended = None, "", now.ended + 1
@@ -408,32 +374,6 @@ def follow(gains, profile):
         rows.append((k / RATE_HZ, setpoint, tension, effort / 20.0, 0.1 * tension))
         tension += 0.2 * (effort - tension)
     return rows
-
-
-def record(done, rows):
-    header = {
-        "columns": ["time_s", "setpoint_N", "tension_N", "current_A", "angle_rad"],
-        "samples": len(rows),
-        "trial_id": done["id"],
-        "rig": NAME,
-        "sampling_Hz": RATE_HZ,
-        "cable_length_m": 0.8,
-        "preload_N": float(done["profile"][0]),
-        "gains": done["gains"],
-        "outcome": "cancelled" if now.stop else "done",
-        "reason": now.stop,
-        "started_at": "2009-05-04T12:00:00+00:00",
-        "software": "small board 1",
-        "loop": "closed",
-        "profile": "step",
-    }
-    text = json.dumps(header).encode()
-    text += b" " * (-len(text) % 8)
-    body = b"".join(struct.pack(f"<{len(c)}d", *c) for c in zip(*rows, strict=True))
-    body += bytes(len(rows))
-    head = struct.pack("<4sII", b"RTR1", len(text), len(body))
-    checksum = zlib.crc32(head + bytes(4) + text + body)
-    return head + struct.pack("<I", checksum) + text + body
 
 
 with socket.create_server(("127.0.0.1", 0)) as probe:

@@ -4,9 +4,7 @@ import logging
 import random
 import threading
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager, suppress
-from functools import partial
+from contextlib import suppress
 from typing import Any
 
 from estune.core.control_chart import ChartSignal
@@ -17,6 +15,7 @@ from estune.daemon.faults import FAULT, FaultCode
 from estune.daemon.progress_watch import ProgressWatch
 from estune.daemon.rig_access import HeldByOtherDaemon, RigAccess, TooManyVoidTrials
 from estune.daemon.shared_resources import SharedResources
+from estune.daemon.supervised_connection import TRIAL_MODES, SupervisedConnection
 from estune.daemon.supervised_rig import Preempted, SupervisedRig
 from estune.daemon.supervisor_state import SupervisorEvent, SupervisorMode
 from estune.daemon.tuning_runs import RunDecision
@@ -35,7 +34,6 @@ from estune.run.session import Phase
 
 _POLL_S = 0.5
 _JITTER = 0.5
-_TRIAL_MODES = (SupervisorMode.TUNING, SupervisorMode.CONFIRMING, SupervisorMode.WATCHING)
 _log = logging.getLogger(__name__)
 
 
@@ -53,16 +51,14 @@ class RigSupervisor:
         self._settings = settings
         self._rig = rig
         self._shared = shared
-        self._access: RigAccess | None = None
-        self._void_trials = rig_access.VoidTrialCounter()
+        self._connection = SupervisedConnection(settings, rig, shared, self._wait)
         self._consecutive_failures = 0  # since a trial or a check of the live gains succeeded
-        self._in_trial = False
         self._disk: DiskForecast | None = None
         self._stopping_since_s: float | None = None
         self._progress = ProgressWatch()
         name = f"supervisor {self.name}"
         self._thread = threading.Thread(target=self._run, name=name, daemon=True)
-        rig.abort_trial = self._abort_trial
+        rig.abort_trial = self._connection.abort_trial
 
     def start(self) -> None:
         """Starts the thread."""
@@ -76,7 +72,7 @@ class RigSupervisor:
     @property
     def is_stuck(self) -> bool:
         """Whether it has made no progress for longer than any step may take."""
-        access = self._access
+        access = self._connection.access
         longest_s = access.description.limits.duration_max_s if access is not None else 0.0
         begun = self._thread.ident is not None
         return begun and self._thread.is_alive() and self._progress.is_stuck(longest_s)
@@ -111,7 +107,7 @@ class RigSupervisor:
         except RigError as error:
             self._handle_rig_error(error)
         except InvalidInput as error:
-            if self._access is None:
+            if self._connection.access is None:
                 self._fail(str(error), FaultCode.SETTINGS)
             else:  # the file does not suit the rig: trying again does not help
                 self._pause_for_operator(str(error), FaultCode.SETTINGS)
@@ -158,7 +154,9 @@ class RigSupervisor:
 
     def _handle_rig_error(self, error: RigError) -> None:
         """The rig is lost or held by others; after an emergency stop an operator is needed."""
-        estop_reason = self._access.estop_reason() if self._access is not None else ""
+        estop_reason = (
+            self._connection.access.estop_reason() if self._connection.access is not None else ""
+        )
         if estop_reason and self._rig.mode is not SupervisorMode.STOPPING:
             self._pause_for_operator(
                 f"rig {self.name} is in its safe state after an emergency stop ({estop_reason}); "
@@ -191,7 +189,7 @@ class RigSupervisor:
         if full:
             self._rest(self._settings.look_every_s)
             return
-        access = self._connect()
+        access = self._connection.open()
         if self._shared.are_rigs_shared:
             others = [other for other in access.daemons() if other != self._shared.instance]
             if holder := access.other_daemon() or (others and f"daemon {others[0]}"):
@@ -199,20 +197,8 @@ class RigSupervisor:
         sentence = f"rig {self.name} answers"
         self._rig.apply_event(SupervisorEvent.FOUND, sentence, EventKind.FOUND)
 
-    def _connect(self) -> RigAccess:
-        self._disconnect()
-        shared = self._shared
-        shared.admission.take_place(self.name)
-        with shared.admission.connecting(self._settings.answer_within_s):
-            self._access = rig_access.open_rig(
-                *(self._settings, shared.holder, self._void_trials, shared.network),
-                turn=partial(shared.admission.trial, self._wait),
-                counts=self._rig.counts,
-            )
-        return self._access
-
     def _apply_nominal_gains(self) -> None:
-        access, home = self._access or self._connect(), self._rig.state.home
+        access, home = self._connection.access or self._connection.open(), self._rig.state.home
         with self._shared.admission.connecting(self._settings.answer_within_s):
             shared = self._shared.are_rigs_shared
             obstacle = rig_access.apply_nominal_gains(self._rig, access, home, shared=shared)
@@ -229,7 +215,7 @@ class RigSupervisor:
 
     def _tune(self) -> None:
         """Continues the tuning run from the end of its journal, and applies its result."""
-        access = self._connected()
+        access = self._connection.required()
         with self._shared.admission.computing:
             decision = self._complete(self._rig.tuning_runs.open(access.description), access)
         self._rig.apply_decision(decision, accept=self._settings.accept == "auto")
@@ -242,7 +228,7 @@ class RigSupervisor:
             sentence = f"run {run.plan.run}: trials {run.session.number} to {run.plan.max_trials}"
             self._rig.log_event(EventKind.TUNING, sentence)
             self._follow_phase(run)
-            with self._trials():
+            with self._connection.trials():
                 loop.run(run, access, [self._on_trial])
             self._follow_phase(run)
             decision = self._rig.tuning_runs.decide(run)
@@ -283,7 +269,7 @@ class RigSupervisor:
 
     def _watch(self) -> None:
         """Waits for the next check trial, runs it, and evaluates the control chart."""
-        rig, access, home = self._rig, self._connected(), self._rig.state.home
+        rig, access, home = self._rig, self._connection.required(), self._rig.state.home
         if rig.checks.chart(home) is None:
             reason = "there is no baseline for the check trials"
             rig.apply_event(SupervisorEvent.DRIFTED, reason, EventKind.DRIFTED)
@@ -292,7 +278,7 @@ class RigSupervisor:
         if (next_s := min(wait_s, rig.margins.wait_s)) > 0.0:
             self._monitor_gains(min(next_s, self._settings.look_every_s))
             return
-        with self._shared.admission.computing, self._trials():
+        with self._shared.admission.computing, self._connection.trials():
             about = access.description
             check = None if wait_s else rig.checks.run(access, about, home, gains)
             rig.handle_margins(rig.margins.take(check and check.record, access, about, gains))
@@ -314,7 +300,7 @@ class RigSupervisor:
         if self._rest(seconds):
             return
         home = self._rig.state.home
-        live = self._connected().describe().gains
+        live = self._connection.required().describe().gains
         self._consecutive_failures = 0
         if live != self._rig.store.gains()[home]:
             reason = f"the rig runs {live} instead of the {home} gains"
@@ -322,7 +308,7 @@ class RigSupervisor:
 
     def _stay_paused(self) -> None:
         """Leaves the rig to other clients; only checks that it answers."""
-        access = self._connected()
+        access = self._connection.required()
         access.release()
         if not self._rest(self._settings.look_every_s):
             access.describe()
@@ -335,7 +321,7 @@ class RigSupervisor:
         home, fault = rig.store.gains().get(name), ""
         if home is not None:
             try:
-                access = self._access or self._connect()
+                access = self._connection.access or self._connection.open()
                 shared = self._shared.are_rigs_shared
                 fault = rig_access.restore_nominal_gains(rig, access, home, shared=shared)
             except EstuneError as error:
@@ -353,47 +339,18 @@ class RigSupervisor:
         event, kind = SupervisorEvent.ENDED, EventKind.STOPPED
         rig.apply_event(event, fault, kind, sentence=fault or ended, **facts)
 
-    def _connected(self) -> RigAccess:
-        if self._access is None:
-            raise RigError(f"rig {self.name} is not connected")
-        return self._access
-
     def _disconnect(self) -> None:
-        access, self._access = self._access, None
         if not self.confirmed:  # gains that were confirmed at the end are no longer changed
             self._rig.live = None
-        if access is not None:
-            with suppress(EstuneError):
-                access.close()
-        self._shared.admission.leave_place(self.name)
-        if self._shared.fleet is not None:
-            self._shared.fleet.withdraw(self.name)
+        self._connection.close()
 
     def _wait(self, reason: str) -> None:
         """While a trial waits for its turn."""
         self._progress.mark()
         self._rig.waits_for = reason
-        if reason and self._rig.mode not in _TRIAL_MODES:
+        if reason and self._rig.mode not in TRIAL_MODES:
             self._rig.waits_for = ""
             raise Preempted
-
-    @contextmanager
-    def _trials(self) -> Iterator[None]:
-        """Block of trials, which a stop ends at once."""
-        self._in_trial = True
-        try:
-            if self._rig.mode not in _TRIAL_MODES:
-                raise Preempted
-            yield
-        finally:
-            self._in_trial = False
-
-    def _abort_trial(self) -> None:
-        """Ends the trial under way, if any, without waiting."""
-        access = self._access
-        if self._in_trial and access is not None:
-            abort, while_ = access.abort_trials, lambda: self._in_trial
-            threading.Thread(target=abort, args=(while_,), daemon=True).start()
 
     def _rest(self, seconds: float) -> bool:
         """Waits; whether the state changed before the time was over."""

@@ -21,7 +21,8 @@ from estune.remote.state_machine.events import RigAction
 from estune.remote.state_machine.reply_codes import ReplyCode
 from estune.remote.state_machine.state import Mode, RigState, Transition
 from estune.remote.zenoh.listening_session import ListeningSession, Reply
-from estune.remote.zenoh.request_handler import Handled, RequestHandler
+from estune.remote.zenoh.message_dispatcher import Handled
+from estune.remote.zenoh.request_handler import RequestHandler
 from estune.trial import Rig, TrialRecord, TrialRequest
 
 Step = Callable[[RigState, Any, float], Transition]

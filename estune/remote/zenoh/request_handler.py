@@ -1,4 +1,4 @@
-"""Server side of one rig: decodes commands and queries, executes them, and encodes the replies.
+"""Server side of one rig: executes the commands to it, and answers what is asked of it.
 
 The thread that brings a submit runs the trial; another thread must then be free for the next
 command. Every command is answered within milliseconds, with one exception that saves a quick rig
@@ -11,14 +11,12 @@ import logging
 import time
 from collections.abc import Callable
 from functools import partial
-from typing import NamedTuple
 
 from estune.errors import EstuneError, ProtocolError, RigError, StaleSetpoint
 from estune.remote import messages
 from estune.remote.ledger import Ledger, LedgerEntry
 from estune.remote.messages import (
     HOLDER_MAX,
-    VERBS,
     Answer,
     Description,
     Following,
@@ -28,13 +26,13 @@ from estune.remote.messages import (
     commands,
     refusal,
 )
-from estune.remote.messages.codec import Message
 from estune.remote.state_machine import events
 from estune.remote.state_machine.events import RigAction
 from estune.remote.state_machine.reply_codes import OF_TRIAL, ReplyCode
 from estune.remote.state_machine.setpoint_age import SetpointAge
 from estune.remote.state_machine.state import Transition
 from estune.remote.state_machine.trials import TrialEvent, TrialState
+from estune.remote.zenoh.message_dispatcher import CommandListener, Handled, MessageDispatcher
 from estune.remote.zenoh.trial_execution import (
     ActiveTrial,
     SharedRigState,
@@ -48,25 +46,10 @@ from estune.trial import SETPOINT_S, Rig, Telemetry, TelemetrySource
 PROMPT_S = 0.01
 CLOSE_WITHIN_S = 10.0
 
-CommandListener = Callable[[str, bytes, bytes], None]
-"""Takes the verb, payload and reply of a command; must return at once and not raise."""
-
 _log = logging.getLogger(__name__)
 
 
-class Handled(NamedTuple):
-    """Reply to a command.
-
-    Attributes:
-        answer: The reply; bytes are a record's frame.
-        afterwards: Work to be done once the reply was sent.
-    """
-
-    answer: Answer | bytes
-    afterwards: Callable[[], object] | None = None
-
-
-class RequestHandler:
+class RequestHandler(MessageDispatcher):
     """Executes the commands to one rig. Independent of the transport; any thread may call.
 
     Each verb of the protocol is executed by the method of the same name.
@@ -93,8 +76,8 @@ class RequestHandler:
             part_bytes: Size of the parts of records; 0 sends them whole.
             heard: Called after the reply to each command.
         """
+        super().__init__(heard)
         self._rig = rig
-        self._heard = heard
         self._ledger = ledger
         self._instance = instance
         self._part_bytes = part_bytes
@@ -105,53 +88,6 @@ class RequestHandler:
             rig.estop(ledger.latched)
         self._shared = SharedRigState(rig, ledger.latched, changed)
         self._executor = TrialExecutor(rig, ledger, self._shared, description)
-
-    # --- bytes in, bytes out ---
-
-    def command(self, verb: str, payload: bytes, reply: Callable[[bytes], None]) -> None:
-        """Executes a command, however malformed; `reply` is called once and must not raise."""
-        handled = Handled(b"")
-
-        def execute() -> Answer | bytes:
-            nonlocal handled
-            returned = getattr(self, verb)(self._decode(verb, payload))
-            handled = returned if isinstance(returned, Handled) else Handled(returned)
-            return handled.answer
-
-        def reply_and_tell(data: bytes) -> None:
-            reply(data)
-            self._heard(verb, payload, data)
-
-        self.query(execute, reply_and_tell, verb)
-        try:
-            if handled.afterwards is not None:
-                handled.afterwards()
-        except BaseException:  # noqa: BLE001  the thread must serve further commands
-            _log.exception("after %s", verb)
-
-    def query(
-        self,
-        answer: Callable[[], Message | bytes],
-        reply: Callable[[bytes], None],
-        activity: str = "a query",
-    ) -> None:
-        """Replies with a message or a frame, or with the error that prevents it."""
-        try:
-            made = answer()
-            data = made if isinstance(made, bytes) else messages.encode(made)
-        except BaseException as error:  # noqa: BLE001  even SystemExit: a client waits for it
-            data = messages.encode(refusal(to_estune_error(error, activity)))
-        reply(data)
-
-    @staticmethod
-    def _decode(verb: str, payload: bytes) -> Message:
-        try:
-            return messages.decode(VERBS[verb].message, payload)
-        except ProtocolError as error:
-            if VERBS[verb].message is not commands.Estop:
-                raise
-            # An emergency stop is obeyed even if its reason cannot be read.
-            return commands.Estop(f"(its reason could not be read: {error})")
 
     # --- commands ---
 

@@ -16,7 +16,8 @@ from estune.remote.ledger import FileLedger, Ledger, MemoryLedger
 from estune.remote.messages import VERBS, Inquire, Keys
 from estune.remote.security import OPEN, Security
 from estune.remote.zenoh.listening_session import ListeningSession, Reply
-from estune.remote.zenoh.request_handler import CommandListener, RequestHandler
+from estune.remote.zenoh.message_dispatcher import CommandListener
+from estune.remote.zenoh.request_handler import RequestHandler
 from estune.trial import Rig
 
 SHOW_S = 0.05
