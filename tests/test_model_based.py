@@ -15,6 +15,8 @@ from estune.errors import InvalidInput
 from estune.loop_model.optimum import RobustnessLimits
 from estune.run.ending import RunEnding
 from estune.run.loop import Stopped
+from estune.run.results.result import TuneResult
+from estune.run.results.tuning_data import tuning_data
 from estune.run.robustness import claim_from, identify
 from estune.run.session import Phase
 from estune.trial import Outcome, TrialRequest
@@ -64,27 +66,51 @@ def test_run_excites_the_loop_once_at_least_and_counts_no_cost_of_it(tuned):
     assert before is None or after.sensitivity.high < before.sensitivity.high
 
 
-def test_rig_that_refuses_the_excitation_is_tuned_and_claims_less(tuned):
-    class StepsOnly:
-        def __init__(self, rig):
-            self._rig = rig
+class StepsOnly:
+    """A rig that refuses every other profile."""
 
-        def __getattr__(self, name):
-            return getattr(self._rig, name)
+    def __init__(self, rig):
+        self._rig = rig
 
-        def run(self, request):
-            if not isinstance(request.profile, StepProfile):
-                raise InvalidInput("this board runs steps only")
-            return self._rig.run(request)
+    def __getattr__(self, name):
+        return getattr(self._rig, name)
 
-    result = tune(StepsOnly(plants.reference_reel(0.8).rig()))
+    def run(self, request):
+        if not isinstance(request.profile, StepProfile):
+            raise InvalidInput("this board runs steps only")
+        return self._rig.run(request)
+
+
+def steps_only():
+    return StepsOnly(plants.reference_reel(0.8).rig())
+
+
+def test_rig_that_refuses_the_excitation_is_asked_once_and_claims_less(tuned, tmp_path):
+    def stop(progress):
+        if progress.session.number == 3:
+            raise KeyboardInterrupt
+
+    result = tune(steps_only())
+    with pytest.raises(Stopped):
+        tune(steps_only(), journal=True, folder=tmp_path, run="cut", watch=stop)
+    resumed = estune.resume(tmp_path / "cut", steps_only(), watch=None)
     assert result.improvement.is_decrease
-    assert not result.excitations
-    declined = [entry for entry in result.entries if entry.outcome is Outcome.DECLINED]
-    assert declined
-    assert "this board runs steps only" in declined[0].reason
+    for run in (result, resumed):
+        assert not run.excitations
+        (declined,) = [entry for entry in run.entries if entry.outcome is Outcome.DECLINED]
+        assert "this board runs steps only" in declined.reason
     margins = result.claim.margins
     assert margins is None or margins.sensitivity.high > tuned.claim.margins.sensitivity.high
+
+
+def test_page_shows_each_trial_with_its_own_record_where_one_was_refused(tuned):
+    first, *others = tuned.recent_records
+    late = replace(first, current_A=np.roll(first.current_A, 1))
+    shown = tuning_data(TuneResult(**tuned | {"recent_records": (late, *others)}))["tried"]
+    assert len(shown) > 1
+    for one in shown:
+        record = [r for r in others if list(r.gains.as_tuple()) == list(one["gains"].values())][-1]
+        assert one["y"] == pytest.approx(record.tension_N[:: one["every"]], rel=1e-4)
 
 
 @pytest.mark.parametrize("cut_after", [1, 2, 3])

@@ -115,12 +115,14 @@ def _session(session: Session, entries: list[JournalEntry], journal: Journal) ->
     counted = [e for e in entries if e.outcome is done or (e.outcome and not e.outcome.is_void)]
     search = [e for e in counted if e.phase is Phase.SEARCH]
     others = [e for e in counted if e.phase is not Phase.SEARCH]
+    excited = [e for e in others if e.phase is Phase.EXCITE]
     session = replace(
         session,
         number=len(counted),
         baseline=tuple(e.cost for e in others if e.phase is Phase.BASELINE),
         search_trials=len(search),
-        excitations=tuple(e.number for e in others if e.phase is Phase.EXCITE),
+        excitations=tuple(e.number for e in excited if e.outcome is not Outcome.DECLINED),
+        excitation_refused=any(e.outcome is Outcome.DECLINED for e in excited),
         search_end=journal.fact("search_end") or f"the search took {len(search)} trials",
     )
     eta_max = session.eta_max

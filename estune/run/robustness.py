@@ -38,24 +38,41 @@ END_ERROR = 0.005
 """Error at the end of a trial, as a share of the step, that is always allowed."""
 
 
+class StepRecord(NamedTuple):
+    """A step trial whose record identifies the loop.
+
+    Attributes:
+        record: Its record.
+        signals: The same as the fit takes it.
+        cost: Its cost.
+    """
+
+    record: TrialRecord
+    signals: LoopRecord
+    cost: float
+
+
 class IdentifiedLoop(NamedTuple):
     """The loop identified from the records of a run.
 
     Attributes:
         fit: The fit; None where no record can be used.
-        tried: Gains of the step trials that were fitted, in their order.
         reason: Why there is no fit; empty where there is one.
-        signals: The records that were fitted: step trials, then excitations.
-        costs: Costs of the step trials.
+        steps: The step trials that were fitted.
+        excitations: The excitations that were fitted.
         remarks: Why others were not, a sentence for each reason.
     """
 
     fit: LoopFit | None
-    tried: tuple[Gains, ...] = ()
     reason: str = ""
-    signals: tuple[LoopRecord, ...] = ()
-    costs: tuple[float, ...] = ()
+    steps: tuple[StepRecord, ...] = ()
+    excitations: tuple[LoopRecord, ...] = ()
     remarks: tuple[str, ...] = ()
+
+    @property
+    def signals(self) -> tuple[LoopRecord, ...]:
+        """The records in the order of the fit: step trials, then excitations."""
+        return (*(step.signals for step in self.steps), *self.excitations)
 
 
 @one_blas_thread()
@@ -67,30 +84,26 @@ def identify(
 ) -> IdentifiedLoop:
     """The loop identified from the last step trials of a run and its excitations."""
     records = records[-RECORDS_MAX:]
-    signals, kept, reasons = list[LoopRecord](), list[TrialRecord](), Counter[str]()
+    steps, reasons = list[StepRecord](), Counter[str]()
     for record in records:
         made = loop_signals(record, plan.step, rig)
         if made.record is None:
             reasons[made.reason] += 1
         else:
-            signals.append(made.record)
-            kept.append(record)
+            cost = cost_of(record, plan.step, plan.cost, rig.newtons_per_ampere)
+            steps.append(StepRecord(record, made.record, cost))
     remarks = tuple(
         f"{count} of the last {len(records)} records cannot identify the loop: {reason}"
         for reason, count in reasons.items()
     )
-    if not signals:
+    if not steps:
         reason = next(iter(reasons), "there are no records of it")
-        return IdentifiedLoop(None, reason=reason, remarks=remarks)
-    excited = (loop_signals(record, plan.step, rig).record for record in excitations)
-    signals += [record for record in excited if record is not None]
-    return IdentifiedLoop(
-        fit_loop(signals, rig.controller.sampling_Hz, plan.cost.settling_time_s),
-        tuple(record.gains for record in kept),
-        signals=tuple(signals),
-        costs=tuple(cost_of(r, plan.step, plan.cost, rig.newtons_per_ampere) for r in kept),
-        remarks=remarks,
-    )
+        return IdentifiedLoop(None, reason, remarks=remarks)
+    made_of = (loop_signals(record, plan.step, rig).record for record in excitations)
+    excited = tuple(record for record in made_of if record is not None)
+    signals = [*(step.signals for step in steps), *excited]
+    fit = fit_loop(signals, rig.controller.sampling_Hz, plan.cost.settling_time_s)
+    return IdentifiedLoop(fit, "", tuple(steps), excited, remarks)
 
 
 @one_blas_thread()
@@ -98,14 +111,15 @@ def claim_from(loop: IdentifiedLoop, plan: Plan, rig: RigDescription, gains: Gai
     """The margins of some gains by an identified loop."""
     if loop.fit is None:
         return Claim(None, loop.reason, math.nan)
-    here = [other == gains for other in loop.tried]
+    here = [step.record.gains == gains for step in loop.steps]
     earlier = here.index(True) if any(here) else 0
     check = None
     if earlier:
         rate, asked_s = rig.controller.sampling_Hz, plan.cost.settling_time_s
-        known = (*loop.signals[:earlier], *loop.signals[len(loop.tried) :])
+        known = (*(step.signals for step in loop.steps[:earlier]), *loop.excitations)
         before = fit_loop(known, rate, asked_s, loop.fit)
-        check = CostCheck(before, tuple(c for c, at in zip(loop.costs, here, strict=True) if at))
+        costs = [step.cost for step, at in zip(loop.steps, here, strict=True) if at]
+        check = CostCheck(before, tuple(costs))
     return claim(loop.fit, loop.signals, step_trial(rig, plan.step, plan.cost), gains, check)
 
 

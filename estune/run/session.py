@@ -64,7 +64,8 @@ class Session:
         consecutive_settled: Last search trials with a remaining improvement below the tolerance.
         baseline: Costs of the initial gains.
         excitation: The trial that excites the loop next; None for a step trial.
-        excitations: Numbers of the completed trials of this kind, declined ones too.
+        excitations: Numbers of the completed trials of this kind.
+        excitation_refused: Whether the rig refused one: it is not asked for another.
         search_end: Why the search ended; empty while it continues.
         choice: Repeats of the candidates; None before there are two.
         confirmation: Repeats of the initial and of the tuned gains, in this order; None before
@@ -84,6 +85,7 @@ class Session:
     baseline: tuple[float, ...] = ()
     excitation: ExcitationTrial | None = None
     excitations: tuple[int, ...] = ()
+    excitation_refused: bool = False
     search_end: str = ""
     choice: InterleavedRepeats | None = None
     confirmation: InterleavedRepeats | None = None
@@ -218,6 +220,8 @@ def after_trial(
         if isinstance(session.plan.tuner, RecordUsingTuner):
             told = Observation(cost, margin=margin, record=record)
             changed["tuner_state"] = session.plan.tuner.tell_start(session.tuner_state, told)
+    elif phase is Phase.EXCITE and outcome is Outcome.DECLINED:
+        changed = {"excitation": None, "excitation_refused": True}
     elif phase is Phase.EXCITE:
         changed = _after_excitation(session, record)
     elif phase is Phase.SEARCH:
@@ -313,9 +317,9 @@ def with_excitation(session: Session, rig: RigDescription) -> Session:
     confirmed = session.confirmation is not None and any(session.confirmation.costs)
     if session.phase not in (Phase.SEARCH, Phase.CONFIRM) or confirmed:
         return session
-    if session.number - 1 in session.excitations or len(session.excitations) >= EXCITATIONS_MAX:
+    if session.excitation_refused or len(session.excitations) >= EXCITATIONS_MAX:
         return session
-    if not isinstance(tuner, RecordUsingTuner):
+    if session.number - 1 in session.excitations or not isinstance(tuner, RecordUsingTuner):
         return session
     unknown = tuner.unknown_loop(session.tuner_state)
     made = None if unknown is None else excitation_trial(unknown, plan, rig)

@@ -36,14 +36,13 @@ def tuning_data(result: RunResult) -> dict[str, Any] | None:
     loop, plan, rig = result.identified, result.plan, result.rig
     if loop.fit is None:
         return None
-    steps = loop.signals[: len(loop.tried)]
-    rest_N = float(np.mean([signals.rest_effort_N for signals in steps]))
+    rest_N = float(np.mean([step.signals.rest_effort_N for step in loop.steps]))
     trial = replace(step_trial(rig, plan.step, plan.cost), effort_N=rest_N)
     models = [loop.fit.model, *_draws(loop.fit, trial.samples)]
     limits = plan.limits or RobustnessLimits()
     space = plan.tuner.space
     gain = loop.fit.model.static_gain
-    records = dict(zip(loop.tried, result.recent_records, strict=False))
+    records = {step.record.gains: step.record for step in loop.steps}
     return problem(models, trial, loop.fit.noise_N) | {
         "known": _known(result),
         "settling_s": plan.cost.settling_time_s,
