@@ -131,9 +131,16 @@ def test_effect_of_a_real_drive_is_identified_in_a_hidden_machine(seed, variant,
     assert held.value == pytest.approx(held.true, rel=0.05)
 
 
-def test_lag_and_dead_time_of_a_drive_that_explain_as_much_are_told_together():
+def test_lag_and_dead_time_of_a_drive_that_differ_by_less_than_the_noise_are_told_together():
     skip_without_compiler()
-    row = diagnose(DiagnosisTask(31003, "unloaded", "current_lag"))
+    row = diagnose(DiagnosisTask(31005, "unloaded", "dead_time"))
     assert (row.verdict, set(row.ambiguous)) == ("ambiguous", {"current_lag", "dead_time"})
+
+
+@pytest.mark.parametrize("truth", ["current_lag", "dead_time"])
+def test_lag_and_dead_time_of_a_drive_that_differ_by_half_the_noise_are_told_apart(truth):
+    skip_without_compiler()
+    row = diagnose(DiagnosisTask(31003, "unloaded", truth))
+    assert (row.verdict, row.found) == ("named", (truth,))
     (held,) = row.intervals
     assert held.value == pytest.approx(held.true, rel=0.05)
