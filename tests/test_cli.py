@@ -9,6 +9,7 @@ import signal
 import subprocess
 import sys
 from collections.abc import Iterator
+from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
 
@@ -17,6 +18,7 @@ import pytest
 import estune
 from estune.cli import app, run
 from estune.hardware import read_config
+from estune.run.targets import open_target
 from estune.tuners import TUNERS
 
 COMMAND = [sys.executable, "-m", "estune"]
@@ -246,6 +248,17 @@ def test_apply_makes_gains_live_and_start_restores_the_old(tuned, endpoint, here
     assert result.rig.gains_text(result.gains) in here("discover", endpoint)
     here("apply", folder / "first", endpoint, "--start")
     assert result.rig.gains_text(result.start_gains) in here("discover", endpoint)
+
+
+def test_gains_that_were_live_are_restored_where_a_run_began_from_others(endpoint, here, tmp_path):
+    with open_target(endpoint) as rig:
+        live = rig.describe().gains
+        others = replace(live, P=0.9 * live.P)
+        estune.tune(rig, start=others, trials=2, run="others", folder=tmp_path, watch=None)
+        rig.apply(others)
+    here("apply", tmp_path / "others", endpoint, "--start")
+    with open_target(endpoint) as rig:
+        assert rig.describe().gains == live
 
 
 @pytest.mark.parametrize("form", ["csv", "parquet"])

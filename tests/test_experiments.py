@@ -44,6 +44,7 @@ NIGHTLY = {
     "faulty_rigs",
     "hidden_effects",
     "hidden_remedies",
+    "improvement",
     "jitter",
     "live_page",
     "paper",

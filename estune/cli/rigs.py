@@ -64,7 +64,7 @@ def apply(
     Args:
         run: The run: its name, or its folder; or a patch of estune remedy, NAME.remedy.json.
         target: Address of the rig, such as tcp/127.0.0.1:7447; for a patch the rig's file.
-        start: Restore the gains that the run began from.
+        start: Restore the gains that were live when the run began.
         yes: Apply gains that break a limit of the run without a prompt.
         backoff: Share by which P, I and D are lowered, such as 25%, for margin beside the optimum.
         rig: Name of the rig; the rig of the run by default.
@@ -81,7 +81,7 @@ def apply(
     _check_gains(result, start=start, share=share)
     if not (start or yes):
         _confirm_limits(result)
-    gains = result.start_gains if start else backed_off(result.gains, share)
+    gains = result.rig.gains if start else backed_off(result.gains, share)
     with open_target(target, rig, security_from(security)) as the_rig:
         before = the_rig.describe()
         if rig is None and before.name != result.rig.name:
@@ -104,7 +104,7 @@ def apply(
         print(_backed_off_sentence(result, gains, share))
     if not start and not result.success:
         print(f"they are the gains the run began from: {result.message}")
-    elif not start:
+    if not start and gains != result.rig.gains:
         back = command_line("apply", result.folder, target, rig=rig, security=security)
         print(f"restore the old ones with: {back} --start")
 

@@ -138,6 +138,8 @@ def improve_model(
         if can_be_tuned(improvement.model):
             facts["try it"] = command_line("tune", save)
     output.show_next(facts)
+    if improvement.conclusion:
+        output.console().print(Text(improvement.conclusion, style="bold"), soft_wrap=True)
 
 
 @contextmanager

@@ -36,6 +36,7 @@ class VirtualLoop:
         memory: Memory shared with the rig.
         notes: Nothing is requested of the system.
         board: The emulated hardware.
+        late: Number of samples from now on that come late.
     """
 
     notes: tuple[str, ...] = ()
@@ -57,7 +58,7 @@ class VirtualLoop:
         hybrid = make_hybrid(plan.hybrid, controller, plan.controller)
         self.machine = ReelStateMachine(plan, self.memory, controller, compensation, hybrid)
         self.board = make_board(plan.driver_settings, 0.0)
-        self._samples = 0
+        self.late = self._samples = 0
         self._powered = False
 
     def check(self) -> None:
@@ -97,7 +98,8 @@ class VirtualLoop:
         self._samples += 1
         now = self._samples / self._plan.sampling_Hz  # from zero: two runs are equal to the bit
         reading = Reading(now, *self.board.read(now))
-        self.board.write(now, self.machine.sample(reading, 0.0, late=False))
+        self.board.write(now, self.machine.sample(reading, 0.0, late=self.late > 0))
+        self.late = max(0, self.late - 1)
         if self.machine.powered is not self._powered:
             self._powered = self.machine.powered
             self.board.power(now, on=self._powered)

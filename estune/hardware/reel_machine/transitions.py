@@ -157,8 +157,9 @@ def trip_in_take_up(reel: ReelState, trip: GuardTrip, _time_s: float, _tension_N
 
 def _refuse(reel: ReelState, trip: GuardTrip) -> None:
     reel.memory.reason = trip.sentence
-    by_gains = trip.reason.is_caused_by_gains
-    reel.refuse_trial(Outcome.GUARD if by_gains else Outcome.INTERRUPTED, trip.sentence)
+    # Nothing has moved by the trial's gains: where the cause has passed it may be asked for again.
+    outcome = Outcome.CANCELLED if trip.reason in _TRANSIENT else Outcome.INTERRUPTED
+    reel.refuse_trial(outcome, trip.sentence)
 
 
 def _holds(reel: ReelState, trip: GuardTrip) -> bool:

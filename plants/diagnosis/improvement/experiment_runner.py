@@ -1,7 +1,6 @@
 """Trials of an improvement: run on the rig once, kept on disk, read back after an interruption."""
 
 import json
-import math
 from collections.abc import Callable, Sequence
 from datetime import datetime
 from pathlib import Path
@@ -12,6 +11,7 @@ import numpy as np
 from estune import api
 from estune.core.cost import StepCost
 from estune.core.gains import Gains
+from estune.core.quantities import FloatArray
 from estune.errors import Interrupted, InvalidInput, RigError
 from estune.run.failed_trials import run_trial
 from estune.run.loop import CONSECUTIVE_VOID_MAX
@@ -79,17 +79,14 @@ class ExperimentRunner:
         left = [one for one in candidate_experiments(self.about) if one.profile not in self.done]
         return left[:: max(1, len(left) // count)][:count] if left else []
 
-    def costs(self, name: str, gains: Gains, cost: StepCost, repeats: int) -> list[float]:
-        """Costs of some gains on the rig's own step; nan where a trial failed."""
-        step, per_ampere = self.about.step, self.about.newtons_per_ampere
-        records = [self.trial(name, gains, step) for _ in range(repeats)]
-        return [cost_of(record, step, cost, per_ampere) for record in records]
+    def trials(self, name: str, gains: Gains, repeats: int) -> list[TrialRecord]:
+        """Trials of some gains on the rig's own step."""
+        return [self.trial(name, gains, self.about.step) for _ in range(repeats)]
 
-    def measured(self, gains: Gains, cost: StepCost, repeats: int) -> tuple[float, float]:
-        """Mean cost of some gains on the rig's own step, and its standard error."""
-        costs = np.array(self.costs("start", gains, cost, repeats))
-        error = float(costs.std(ddof=1)) / math.sqrt(repeats) if repeats > 1 else 0.0
-        return float(costs.mean()), error
+    def costs(self, records: Sequence[TrialRecord], cost: StepCost) -> FloatArray:
+        """Costs of trials of the rig's own step; nan where a trial failed."""
+        step, per_ampere = self.about.step, self.about.newtons_per_ampere
+        return np.array([cost_of(record, step, cost, per_ampere) for record in records])
 
     def trial(self, name: str, gains: Gains, profile: AnyProfile) -> TrialRecord:
         """The record of a trial; one that carries no information is repeated.

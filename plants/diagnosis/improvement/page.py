@@ -13,7 +13,10 @@ def page(improvement: Improvement) -> Page:
         (", ".join(one.experiments) or "all records anew", one.diagnosis.heading())
         for one in improvement.rounds
     ]
-    costs = [Table(COLUMNS, improvement.rows(), numeric=(1, 2, 3))] if improvement.costs else []
+    costs = [
+        Table(COLUMNS, improvement.rows(), numeric=(1, 2, 3)),
+        Paragraph(f"{improvement.conclusion[:1].upper()}{improvement.conclusion[1:]}."),
+    ]
     sections = [
         Section("Diagnoses", (Table(("Experiments", "Verdict of all records so far"), rounds),)),
         *_chapter("The last diagnosis", diagnosis),
@@ -23,7 +26,11 @@ def page(improvement: Improvement) -> Page:
     return Page(
         f"Model of {improvement.rig.name}",
         diagnosis.headline,
-        (Paragraph(f"{improvement.heading()}.", "lead"), *costs, Warnings(improvement.remarks)),
+        (
+            Paragraph(f"{improvement.heading()}.", "lead"),
+            *(costs if improvement.costs else ()),
+            Warnings(improvement.remarks),
+        ),
         sections,
     )
 

@@ -14,6 +14,10 @@ from plants.diagnosis.report.json_form import finite_json
 from plants.diagnosis.report.summary import TextTable
 
 COLUMNS = ("gains", "model as given", "improved model", "measured")
+OWN, REACHED, TUNED = "the rig's own", "reached with the model", "tuned on the rig"
+"""Which gains a cost is of."""
+CERTAIN = 2.0
+"""Standard errors of a measured cost by which another is beyond doubt."""
 
 
 class ImprovementRound(NamedTuple):
@@ -102,6 +106,24 @@ class Improvement:
         found = ", ".join(self.added) or "no effect"
         return f"{self.rig.name}: {found} added; then {self.diagnosis.heading()}"
 
+    @property
+    def conclusion(self) -> str:
+        """What model and tuning brought, by measured costs; empty where nothing was tuned."""
+        if not self.costs:
+            return ""
+        by_label = {costs.label: costs for costs in self.costs}
+        own, reached = by_label[OWN], by_label.get(REACHED, by_label[OWN])
+        tuned = by_label.get(TUNED)
+        if reached is own:
+            said = "no gains of the model could be reached from the rig's own"
+        elif reached.measured + CERTAIN * math.hypot(own.error, reached.error) < own.measured:
+            said = f"the model's gains cut the measured cost by {_cut(own, reached)}"
+        else:
+            said = "the model's gains do not cut the measured cost beyond its error"
+        if tuned is None:
+            return f"{said}; tuning on the rig found nothing better"
+        return f"{said}; tuning on the rig cut it by {_cut(own, tuned)} in all"
+
     def rows(self) -> tuple[tuple[str, ...], ...]:
         """The costs as the cells of a table with `COLUMNS`."""
         return tuple(
@@ -119,7 +141,7 @@ class Improvement:
             self.heading(),
             good=self.diagnosis.verdict in {"named", "none"},
             tables=[(COLUMNS, *self.rows())] if self.costs else [],
-            sentences=self.remarks,
+            sentences=tuple(filter(None, (*self.remarks, self.conclusion))),
         )
 
     def __repr__(self) -> str:
@@ -130,7 +152,7 @@ class Improvement:
             lines.append(f"round {n} ({names}): {one.diagnosis.heading()}")
         if self.costs:
             lines += TextTable(COLUMNS, self.rows()).lines()
-        return "\n".join([*lines, *self.remarks])
+        return "\n".join(filter(None, [*lines, *self.remarks, self.conclusion]))
 
     def to_json(self) -> dict[str, Any]:
         """JSON values; numbers that are not finite are null."""
@@ -155,9 +177,14 @@ class Improvement:
             ],
             "tuned": self.tuning is not None and self.tuning.success,
             "remarks": list(self.remarks),
+            "conclusion": self.conclusion,
             "folder": str(self.folder),
         }
         return {key: finite_json(value) for key, value in whole.items()}
+
+
+def _cut(before: Costs, after: Costs) -> str:
+    return f"{1.0 - after.measured / before.measured:.0%}".replace("%", " %")
 
 
 def _cell(predicted: float, error: float) -> str:
