@@ -7,11 +7,13 @@ import threading
 import pytest
 from rich.console import Console
 
+import estune
 import plants
 from estune.cli import app, output, run
 from estune.cli.values import command_line
 from estune.remote import zenoh
 from estune.run.progress import showing_phases
+from estune.tuners import TUNERS
 
 
 @pytest.fixture
@@ -62,6 +64,17 @@ def test_shell_completes_commands_and_options(tmp_path, monkeypatch):
     )
     done = subprocess.run(["bash", "-c", "\n".join(lines)], capture_output=True, check=True)
     assert done.stdout.split() == [b"daemon-control", b"--tolerance"]
+
+
+def test_shell_completes_names_of_tuners_and_of_runs(tmp_path, capsys):
+    estune.tune(plants.reference_reel(), folder=tmp_path, run="monday", trials=1, watch=None)
+    for words, names in (
+        (["tune", "x", "--tuner", ""], list(TUNERS)),
+        (["resume", "--folder", str(tmp_path), ""], ["monday"]),
+    ):
+        run(["__complete", *words])
+        offered = capsys.readouterr().out.partition("begin\n")[2].splitlines()
+        assert [line.partition("\t")[0] for line in offered] == names
 
 
 def test_hint_after_a_stop_is_a_command_that_clears_it(endpoint, capsys):

@@ -33,9 +33,9 @@ GAINS = Gains(0.4, 6.0, 0.01, 0.02)
 NOISE_N = 0.004
 
 
-def linear(limit_N=1e6):
+def linear(limit_N=1e6, system=SYSTEM):
     return plants.linear_plant(
-        SYSTEM,
+        system,
         dead_time_s=2.0 / SAMPLING_HZ,
         sampling_Hz=SAMPLING_HZ,
         output_min_N=-limit_N,
@@ -142,9 +142,25 @@ def test_intervals_of_sensitivity_hold_the_true_value(seeds):
         gains = around(Gains(0.2, 4.0, 0.005, 0.05), 5, seed=seed)
         records = [record_of(plant, g, 100 * seed + n) for n, g in enumerate(gains)]
         fit = fit_loop(records, SAMPLING_HZ, COST.settling_time_s)
-        interval = predict_with_intervals(fit, trial_of(plant), GAINS).sensitivity
+        interval = predict_with_intervals(fit, trial_of(plant), GAINS, records).sensitivity
         covered += interval.low < truth < interval.high
     assert covered >= least_hits(seeds, 0.95)
+
+
+@pytest.mark.parametrize("seeds", [8, pytest.param(100, marks=pytest.mark.nightly)])
+def test_interval_of_a_plant_of_one_pole_holds_its_sensitivity_and_is_narrow(seeds):
+    covered = narrow = 0
+    for seed in range(seeds):
+        lag_s = float(np.exp(np.random.default_rng(seed).uniform(*np.log([0.02, 0.5]))))
+        plant = linear(system=control.tf([1.0], [lag_s, 1.0]))
+        gains = Gains(25.0 * lag_s, 25.0, 1e-4, 0.01)
+        records = [record_of(plant, gains, 100 * seed + n) for n in range(3)]
+        fit = fit_loop(records, SAMPLING_HZ, COST.settling_time_s)
+        interval = predict_with_intervals(fit, trial_of(plant), gains, records).sensitivity
+        covered += interval.low < true_sensitivity(plant, gains) < interval.high
+        narrow += interval.high < 1.3 * interval.low
+    assert covered >= least_hits(seeds, 0.95)
+    assert narrow >= least_hits(seeds, 0.95)
 
 
 def test_optimum_meets_its_limits_and_beats_all_sampled_gains():

@@ -82,7 +82,7 @@ def _version() -> str:
 
 app = App(
     name="estune",
-    help="Tunes a cable reel's PIDF controller by step trials. Begin with: estune demo",
+    help="Tunes a PIDF controller by step trials on its machine. Begin with: estune demo",
     version=_version,
     suppress_keyboard_interrupt=False,  # `run` reports the live gains of the rig
 )
@@ -109,7 +109,7 @@ def _group(place: int) -> Group:
 
 
 app.register_install_completion_command(
-    help="Let the shell complete commands and options: bash, zsh, fish.", group=GROUPS[-1]
+    help="Let the shell complete commands, options, tuners and runs: bash, zsh, fish.", group=GROUPS[-1]
 )
 for _flag in (*app.help_flags, *app.version_flags):
     app[_flag].group = GROUPS[-1]

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 from estune import api
 from estune.cli import output
 from estune.cli.runs import find_run
-from estune.cli.values import Flag, command_line, security_from, share_from
+from estune.cli.values import Flag, RunName, command_line, security_from, share_from
 from estune.core.gain_forms import backed_off
 from estune.core.gains import GAIN_NAMES, Gains
 from estune.errors import InvalidInput, RigError
@@ -48,7 +48,7 @@ def discover(endpoint: str, /, *, security: Path | None = None, json: Flag = Fal
 
 
 def apply(
-    run: str,
+    run: RunName,
     target: str,
     /,
     *,

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from estune import api
 from estune.cli import output
-from estune.cli.values import Flag, command_line
+from estune.cli.values import Flag, RunName, command_line
 from estune.core.gains import GAIN_NAMES
 from estune.errors import EstuneError, InvalidInput, JournalError
 from estune.run.ending import RunEnding
@@ -56,7 +56,7 @@ def list_runs(folder: Path = Path(api.RUNS), *, json: Flag = False) -> None:
 
 
 def show(
-    run: str,
+    run: RunName,
     /,
     *,
     folder: Path = Path(api.RUNS),
@@ -101,7 +101,7 @@ def show(
 
 
 def report(
-    run: str,
+    run: RunName,
     /,
     *,
     out: Path | None = None,
@@ -119,7 +119,7 @@ def report(
 
 
 def export(
-    run: str,
+    run: RunName,
     /,
     *,
     csv: Flag = False,

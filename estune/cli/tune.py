@@ -22,6 +22,7 @@ from estune.cli.options import (
 from estune.cli.runs import find_run, result_facts
 from estune.cli.values import (
     Flag,
+    RunName,
     TunerName,
     Values,
     check_folder_exists,
@@ -133,7 +134,7 @@ def tune(
 
 
 def resume(
-    run: str,
+    run: RunName,
     /,
     *,
     target: str | None = None,

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from estune import api
 from estune.cli.runs import find_run
-from estune.cli.values import Flag, security_from
+from estune.cli.values import Flag, RunName, security_from
 from estune.errors import RigError
 from estune.remote.security import Security
 from estune.run.journal import FILE_NAME
@@ -19,7 +19,7 @@ PORT = 8765
 
 
 def watch(
-    *what: str,
+    *what: RunName,
     rig: str | None = None,
     port: int = PORT,
     host: str = "127.0.0.1",

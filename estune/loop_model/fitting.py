@@ -17,7 +17,7 @@ from estune.loop_model.identification import (
 from estune.loop_model.least_squares import FitSignals, Solution, signals_of
 from estune.loop_model.loop_fit import NUISANCE, LoopFit, Residuals, summarise
 from estune.loop_model.model import LoopModel
-from estune.loop_model.order import criterion, select_order
+from estune.loop_model.order import at_least_two, criterion, select_order, without_spare_pole
 from estune.loop_model.records import LoopRecord
 
 STARTED_BY = 2
@@ -133,8 +133,26 @@ def _fit(
     again: bool,
 ) -> LoopFit:
     """The model of all records: of low order if that explains them, else by the criterion."""
-    signals = signals_of(records, settling := settling_time_s * sampling_Hz, round(settling))
+    settling = settling_time_s * sampling_Hz
+    signals = signals_of(records, settling, round(settling))
     first = searched_dead_time(signals, _starts(records, settling, last))
+    fit = _explaining(records, signals, first, last, again=again)
+    # In records of service a load takes the place of what a pole less leaves.
+    if fit.order != 2 or fit.model.friction_N or not fit.noise.is_white:
+        return fit
+    two = PoleFit(math.nan, np.array(fit.model.coordinates), fit.model.dead_samples)
+    return _summarised(records, signals, without_spare_pole(signals, two))
+
+
+def _explaining(
+    records: Sequence[LoopRecord],
+    signals: FitSignals,
+    first: PoleFit,
+    last: LoopFit | None,
+    *,
+    again: bool,
+) -> LoopFit:
+    """The model that explains all records, of two poles or more."""
     low = _summarised(records, signals, first)
     earlier = last if last is not None and last.model.friction_N else None
     # What did not help with a record less will hardly help now.
@@ -172,8 +190,8 @@ def _errors(fit: LoopFit, signals: FitSignals) -> FloatArray:
 def _starts(records: Sequence[LoopRecord], settling: float, last: LoopFit | None) -> list[PoleFit]:
     """The fits that a search begins from."""
     if last is not None:
-        model = last.model
-        return [PoleFit(0.0, np.array(model.coordinates), model.dead_samples, last.noise)]
+        poles = at_least_two(np.array(last.model.coordinates))
+        return [PoleFit(0.0, poles, last.model.dead_samples, last.noise)]
     samples = max(SAMPLES_STARTED_BY, round(SETTLING_TIMES_STARTED_BY * settling))
     few = [_shortened(r, samples) for r in records[:STARTED_BY]]
     signals = signals_of(few, settling, round(settling))

@@ -60,17 +60,49 @@ def parameter_deviations(fit: LoopFit) -> FloatArray:
     return INFLATION * _factor(fit.covariance)
 
 
-def _drawn(fit: LoopFit, factor: FloatArray, count: int, seed: int) -> tuple[LoopModel, ...]:
-    theta = fit.model.parameters
+def _drawn(
+    fit: LoopFit, factor: FloatArray, records: Sequence[LoopRecord], count: int, seed: int
+) -> tuple[LoopModel, ...]:
+    """Models drawn from the covariance F F' of a fit, whose numerators are about the best ones.
+
+    The best numerator at drawn poles is that of least squares: by the covariance it is linear in
+    the poles, which it is not where a zero cancels one of them.
+    """
+    model, n = fit.model, fit.order
+    theta = model.parameters
     normal = np.random.default_rng(seed).standard_normal((count, theta.size))
-    return tuple(fit.model.with_parameters(theta + row) for row in normal @ factor.T)
+    moves = normal @ factor.T
+    if model.friction_N or not records:  # friction is no part of the least squares
+        return tuple(model.with_parameters(theta + row) for row in moves)
+    covariance = factor @ factor.T
+    slope = covariance[n:, :n] @ np.linalg.pinv(covariance[:n, :n], rcond=1e-12)
+    kept = [record for i, record in enumerate(records) if i not in fit.left_out]
+    signals = signals_of(kept, fit.settling_samples, model.dead_samples)
+
+    def best(poles: FloatArray) -> FloatArray:
+        return Solution.at(signals, poles, model.dead_samples, fit.noise).numerator
+
+    here = best(theta[:n])
+    for move in moves:
+        beyond = best(theta[:n] + move[:n]) - here - slope @ move[:n]
+        move[n:] += beyond
+    return tuple(model.with_parameters(theta + row) for row in moves)
 
 
-def predict_with_intervals(fit: LoopFit, trial: StepTrial, gains: Gains) -> PredictedMargins:
-    """Predictions of an identified loop with 95 % intervals from drawn models.
+def predict_with_intervals(
+    fit: LoopFit, trial: StepTrial, gains: Gains, records: Sequence[LoopRecord] = ()
+) -> PredictedMargins:
+    """Predictions of an identified loop with 95 % intervals from models drawn about it.
 
     They are the wider of those by the white and by the between-record covariance, both inflated.
     What the records leave unexplained or do not excite is not in them (`plant_error`).
+
+    Args:
+        fit: The identified loop.
+        trial: The step trial.
+        gains: The gains in question.
+        records: Those that were fitted: with them the drawn models fit them as well as the
+            covariance says; without them only as far as the model is linear in its poles.
     """
     centre = _transformed(predict(fit.model, trial, gains, fit.noise_N))
     clustered: FloatArray = INFLATION * fit.quantile / 1.96 * _factor(fit.clustered)
@@ -78,7 +110,7 @@ def predict_with_intervals(fit: LoopFit, trial: StepTrial, gains: Gains) -> Pred
     for factor in (parameter_deviations(fit), clustered):
         drawn = [
             _transformed(predict(model, trial, gains, fit.noise_N))
-            for model in _drawn(fit, factor, DRAWS, 0)
+            for model in _drawn(fit, factor, records, DRAWS, 0)
         ]
         ends = _ends(np.array(drawn))
         low, high = np.fmin(low, ends[0]), np.fmax(high, ends[1])

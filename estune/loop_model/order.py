@@ -14,7 +14,7 @@ import numpy as np
 
 from estune.core.filtering import lfilter
 from estune.core.quantities import FloatArray
-from estune.loop_model.identification import PoleFit, improve
+from estune.loop_model.identification import PoleFit, by_cost, improve, searched_dead_time
 from estune.loop_model.least_squares import (
     FitSignals,
     Solution,
@@ -38,6 +38,9 @@ the loop moves a resonance of the plant, and its damping there."""
 
 SINGLES = 6
 """Further single poles that a search may begin from."""
+
+SLOWEST_SINGLE, FASTEST_SINGLE = math.log(1e-4), math.log(2.0)
+"""Logarithms of the decay per sample between which a single pole begins."""
 
 TRIED = 2
 """Starts that are improved."""
@@ -75,6 +78,20 @@ def select_order(signals: FitSignals, start: PoleFit) -> PoleFit:
         if not better:
             return best.fit
         best = min(better, key=lambda one: one.criterion)
+
+
+def without_spare_pole(signals: FitSignals, fit: PoleFit) -> PoleFit:
+    """The fit of one pole where the criterion does not ask for the second of two.
+
+    A zero cancels the spare one wherever it lies. Along such a direction the records know
+    nothing, and an interval holds loops of any kind, unstable ones too.
+    """
+    two = improve(signals, fit)
+    (pair,) = sections_of(two.coordinates)
+    rates = np.clip(np.log(np.abs(pair.log_poles)), SLOWEST_SINGLE, FASTEST_SINGLE)
+    starts = [two._replace(coordinates=np.array([rate])) for rate in rates]
+    one = min((searched_dead_time(signals, [start]) for start in starts), key=by_cost)
+    return min(_judged(signals, two), _judged(signals, one), key=lambda it: it.criterion).fit
 
 
 def _judged(signals: FitSignals, fit: PoleFit) -> Selected:
@@ -120,6 +137,11 @@ def _further_noise(noise: NoiseModel) -> Iterator[NoiseModel]:
         yield from (noise._replace(load=size) for size in LOADS)
     if not noise.drift:
         yield from (noise._replace(drift=size) for size in DRIFTS)
+
+
+def at_least_two(poles: FloatArray) -> FloatArray:
+    """The coordinates; of a single pole those of a pair with one that decays within a sample."""
+    return _with_single(poles, FASTEST_SINGLE) if poles.size == 1 else poles
 
 
 def _with_single(poles: FloatArray, single: float) -> FloatArray:

@@ -118,8 +118,8 @@ def claim_from(loop: IdentifiedLoop, plan: Plan, rig: RigDescription, gains: Gai
         rate, asked_s = rig.controller.sampling_Hz, plan.cost.settling_time_s
         known = (*(step.signals for step in loop.steps[:earlier]), *loop.excitations)
         before = fit_loop(known, rate, asked_s, loop.fit)
-        costs = [step.cost for step, at in zip(loop.steps, here, strict=True) if at]
-        check = CostCheck(before, tuple(costs))
+        costs = tuple(step.cost for step, at in zip(loop.steps, here, strict=True) if at)
+        check = CostCheck(before, known, costs)
     return claim(loop.fit, loop.signals, step_trial(rig, plan.step, plan.cost), gains, check)
 
 
