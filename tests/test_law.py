@@ -135,6 +135,13 @@ def test_gain_without_dependence_is_constant():
     assert sum(law.fits["P"].form.over_length == "constant" for law in laws) >= 10
 
 
+def test_gain_whose_constant_form_is_rejected_is_not_called_constant():
+    law = fit_law(tunings(lambda L, _T: 30.0 + 20.0 * (L - 0.95) ** 2, seeds=8, spread=0.0))
+    assert law.fits["I"].form.over_length == "constant"
+    assert "I: the constant form does not fit" in law.remarks[0]
+    assert "I differs between lengths without a trend, about" in law.sentence
+
+
 def test_lack_of_fit_is_reported():
     law = fit_law(tunings(inverse, seeds=6, spread=0.0), forms={"I": "linear"})
     assert law.fits["I"].lack_of_fit.p_value < 1e-6

@@ -91,7 +91,7 @@ class GainLaw:
             name = _NAMES.get(fit.name, fit.name)
             remarks += [f"{name}: {label} is an outlier, down-weighted" for label in fit.outliers]
             lack = fit.lack_of_fit
-            if lack is not None and lack.p_value < _LACK_OF_FIT_P:
+            if lack is not None and _is_rejected(fit):
                 remarks.append(
                     f"{name}: the {fit.form} form does not fit the repeated tunings within their "
                     f"variation (p = {lack.p_value:.2g}); tune at more lengths"
@@ -238,6 +238,11 @@ def _within(values: FloatArray, limits: tuple[float, float]) -> BoolArray:
     return np.asarray((limits[0] <= values) & (values <= limits[1]))
 
 
+def _is_rejected(fit: GainFit) -> bool:
+    """Whether repeated tunings reject the form of a fit."""
+    return fit.lack_of_fit is not None and fit.lack_of_fit.p_value < _LACK_OF_FIT_P
+
+
 def _over_length(fit: GainFit, unit: str) -> str:
     """Dependence of a gain on length."""
     name, slope = _NAMES.get(fit.name, fit.name), fit.slope
@@ -245,8 +250,12 @@ def _over_length(fit: GainFit, unit: str) -> str:
     if np.ptp(fit.points.gain) == 0.0:
         return f"{name} is {fit.mean:.4g}{unit} throughout"
     if fit.form.over_length == "constant":
-        verb = "changes little" if slope.is_significant else "is constant within its error"
-        return f"{name} {verb} at {fit.mean:.3g}{unit} ({slope.value:+.2g} {interval} per metre)"
+        verb = "is constant within its error at"
+        if _is_rejected(fit):
+            verb = "differs between lengths without a trend, about"
+        elif slope.is_significant:
+            verb = "changes little at"
+        return f"{name} {verb} {fit.mean:.3g}{unit} ({slope.value:+.2g} {interval} per metre)"
     verb = "falls" if slope.value < 0.0 else "rises"
     best = "" if fit.form.over_length == "linear" else f", best as {fit.curve}"
     return f"{name} {verb} by {abs(slope.value):.3g} {interval}{unit} per metre{best}"
