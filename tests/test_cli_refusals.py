@@ -37,7 +37,7 @@ QUIET = ("--quiet", "--folder")
         (("--bounds", "P=1"), "write P=LOW:HIGH"),
         (("--bounds", "P=a:b"), "'a' is not a number"),
         (("--settling-time-s", 100), "settling time"),
-        (("--step-N", 0), "step_N: Input should not be zero"),
+        (("--step-N", 0), "step_N: must not be zero"),
         (("--preload-N", 500), "outside the rig's range"),
         (("--trials", 0), "trials is 0; it must be finite and 1 or more"),
         (("--eta-max", "nan"), "eta_max is nan"),

@@ -55,22 +55,22 @@ def test_read_config_reports_all_mistakes_with_their_places(tmp_path, capsys):
     errors = capsys.readouterr().err
     for words in (
         "stat: there is no such key; did you mean state?",
-        "stop_within_s: Input should be greater than 0",
+        "stop_within_s: must be greater than 0",
         "service: listening at tcp/0.0.0.0:7450 would let any machine",
         "metrics.http_prot: there is no such key; did you mean http_port?",
-        "hook.0.command: List should have at least 1 item",
-        "hook.0.events.0: Input should be 'started', 'found'",
+        "hook.0.command: must have at least 1 item",
+        "hook.0.events.0: must be 'started', 'found'",
         "rig.0.name: 'a b' may hold only",
         "rig.0.acept: there is no such key; did you mean accept?",
         "rig.0.retry_first_s: 100 is above retry_max_s 60",
         "rig.0.tuning.tuner: there is no tuner 'otisx'",
-        "rig.0.tuning.trials: Input should be greater than or equal to 1",
+        "rig.0.tuning.trials: must be greater than or equal to 1",
         "rig.0.tuning.bounds.P: 10 to 0.1 is no range",
         "rig.0.tuning.bounds.Q: no gain",
         "rig.0.watch: smoothing is 2.0; it must be from 0.01 to 1",
         "rig.0.watch.every: there is no such key; did you mean every_s?",
         "rig.0.step: step_at_s: 0.4 is not before the trial's end",
-        "rig.0.cost.settling_time_s: Input should be a finite number",
+        "rig.0.cost.settling_time_s: must be a finite number",
     ):
         assert words.replace("step: step_at_s", "step.step_at_s") in errors, words
 
@@ -127,7 +127,7 @@ def test_check_refuses_a_router_whose_name_cannot_be_resolved(tmp_path, capsys):
 
 @pytest.mark.parametrize(
     ("text", "words"),
-    [("rig = []", "at least 1 item"), ("rig = 3 x", "no TOML"), ("", "rig: Field required")],
+    [("rig = []", "at least 1 item"), ("rig = 3 x", "no TOML"), ("", "rig: is missing")],
 )
 def test_read_config_refuses_empty_and_torn_files(text, words, tmp_path):
     (tmp_path / "d.toml").write_text(text)

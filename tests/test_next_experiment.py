@@ -112,7 +112,7 @@ def test_trial_file_runs_on_a_rig_and_its_record_joins_the_data(trial, tmp_path,
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        (lambda values: values.pop("profile"), "profile: Field required"),
+        (lambda values: values.pop("profile"), "profile: is missing"),
         (lambda values: values.update(colour="red"), "colour"),
         (lambda values: values["profile"].update(kind="square"), "profile: .*square"),
         (lambda values: values["profile"].update(period_s=-1.0), "period_s is -1.0"),

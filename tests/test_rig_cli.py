@@ -80,7 +80,7 @@ def test_serve_hardware_ends_with_its_dead_loop(file):
 def test_serve_hardware_lists_all_faults_of_a_file(file):
     file.write_text(file.read_text().replace("taut_N = 2.0", "taut_kN = 2.0"))
     told = call("serve-hardware", file, code=2).stderr
-    assert "motion.taut_N: Field required" in told
+    assert "motion.taut_N: is missing" in told
     assert "motion.taut_kN: " in told
     assert "Traceback" not in told
 

@@ -57,7 +57,7 @@ def test_read_config_reports_all_mistakes_with_their_paths():
     [
         ({"step__preload_N": 2.0}, "step.preload_N 2 N is outside limits.tension_N 5 to 40 N"),
         ({"step__step_N": 30.0}, "step.preload_N + step.step_N 45 N is outside"),
-        ({"step__step_N": 0.0}, "step.step_N: Input should not be zero"),
+        ({"step__step_N": 0.0}, "step.step_N: must not be zero"),
         ({"motion__hold_N": 41.0}, "motion.hold_N 41 N"),
         ({"guard__tension_max_N": 40.0}, "must be above limits.tension_max_N 40 N"),
         ({"guard__slack_N": 3.0}, "guard.slack_N 3 N must be below"),

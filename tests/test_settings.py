@@ -85,7 +85,7 @@ def test_value_outside_its_range_is_refused_by_name(table, member, wrong):
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (["--step-N", "nan"], "step_N: Input should be a finite number"),
+        (["--step-N", "nan"], "step_N: must be a finite number"),
         (["--max-sensitivity", "0.5"], "max_sensitivity is 0.5; it must be finite and above 1"),
         (["--tolerance", "150%"], "tolerance is 1.5; it must be finite and from 0 to below 1"),
         (["--tolerance", "much"], "--tolerance: 'much' is not a number"),

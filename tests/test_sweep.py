@@ -63,7 +63,7 @@ def test_design_reports_all_faults_with_their_keys():
         validate(SweepDesign, wrong, "sweep.toml")
     for words in (
         "sweep.toml: tuners.0: there is no tuner 'otisx'",
-        "seeds: Input should be greater than or equal to 1",
+        "seeds: must be greater than or equal to 1",
         "rigs.1: cable_length_m: reel.toml is a model",
         "trails: there is no such key; did you mean trials?",
     ):

@@ -15,7 +15,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from types import FrameType
 
-from cyclopts import App, CycloptsError, Group
+from cyclopts import App, CycloptsError, Group, UnusedCliTokensError
 
 from estune.cli.plain_text import allow_any_encoding
 from estune.errors import EstuneError, InvalidInput
@@ -109,7 +109,8 @@ def _group(place: int) -> Group:
 
 
 app.register_install_completion_command(
-    help="Let the shell complete commands, options, tuners and runs: bash, zsh, fish.", group=GROUPS[-1]
+    help="Let the shell complete commands, options, tuners and runs: bash, zsh, fish.",
+    group=GROUPS[-1],
 )
 for _flag in (*app.help_flags, *app.version_flags):
     app[_flag].group = GROUPS[-1]
@@ -137,7 +138,7 @@ def run(arguments: Sequence[str]) -> int:
     try:
         code = app(arguments, exit_on_error=False, print_error=False, result_action="return_value")
     except CycloptsError as error:
-        _print_error(f"{' '.join(str(error).split())} (see: estune --help)")
+        _print_error(f"{_usage_fault(error)} (see: estune --help)")
         return InvalidInput.exit_code
     except EstuneError as error:
         if not interrupts.count:
@@ -152,6 +153,13 @@ def run(arguments: Sequence[str]) -> int:
         sys.stderr.close()
         return 0
     return code if isinstance(code, int) else 0
+
+
+def _usage_fault(error: CycloptsError) -> str:
+    if isinstance(error, UnusedCliTokensError) and error.unused_tokens:
+        words = " ".join(error.unused_tokens)
+        return f"{words!r} is one word too many; put quotes around a path with spaces"
+    return " ".join(str(error).split())
 
 
 class Interrupts:

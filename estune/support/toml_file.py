@@ -5,7 +5,7 @@ import difflib
 import inspect
 import tomllib
 import typing
-from collections.abc import Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -13,6 +13,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 from pydantic_core import ErrorDetails
 
 from estune.errors import InvalidInput
+from estune.support.plain_fault import plain_fault
 
 
 class TomlTable(BaseModel):
@@ -57,7 +58,7 @@ def validate(kind: type[_Table], data: dict[str, Any], source: str) -> _Table:
         except ValidationError as error:
             faults = error.errors(include_url=False, include_context=False)
             new = [fault for fault in faults if fault["loc"] not in removed]
-            lines |= dict.fromkeys(line for fault in new for line in _lines(fault, kind))
+            lines |= dict.fromkeys(line for fault in new for line in _lines(fault, kind, removed))
             # Checks of one key against another run only on keys that are valid by themselves: the
             # rest is validated again without the invalid ones.
             wrong = {fault["loc"] for fault in new if _has(data, fault["loc"])}
@@ -72,7 +73,9 @@ def validate(kind: type[_Table], data: dict[str, Any], source: str) -> _Table:
     return table
 
 
-def _lines(fault: ErrorDetails, kind: type[TomlTable]) -> Iterator[str]:
+def _lines(
+    fault: ErrorDetails, kind: type[TomlTable], removed: Collection[tuple[int | str, ...]]
+) -> Iterator[str]:
     where = ".".join(map(str, fault["loc"]))
     if fault["type"] == "extra_forbidden":
         known = _keys(kind, fault["loc"][:-1])
@@ -81,10 +84,15 @@ def _lines(fault: ErrorDetails, kind: type[TomlTable]) -> Iterator[str]:
         yield f"{where}: there is no such key; {hint}"
         return
     own = _keys(kind, fault["loc"])
-    for sentence in fault["msg"].removeprefix("Value error, ").split("\n"):
+    if fault["type"] == "list_type" and own != list(kind.model_fields):
+        yield f"{where}: must be a list of tables; write each of them as [[{where}]]"
+        return
+    for sentence in plain_fault(fault["msg"]).split("\n"):
         # An error that a table reports of one of its keys begins with the key.
         key, colon, _ = sentence.partition(": ")
         deeper = colon and key.partition(".")[0] in own
+        if (*fault["loc"], *key.split(".")) in removed:  # reported as invalid already
+            continue
         yield f"{where}{'.' if deeper and where else ': ' if where else ''}{sentence}"
 
 

@@ -26,6 +26,7 @@ import numpy as np
 
 from estune.core.gains import GAIN_NAMES, Gains
 from estune.errors import ProtocolError
+from estune.support.plain_fault import plain_fault
 from estune.support.printable import printable_json
 from estune.trial.profiles import Kind, Loop
 from estune.trial.records import COLUMNS, OPTIONAL_COLUMNS, Outcome, TrialRecord
@@ -231,4 +232,5 @@ def one_line(error: ValueError | OverflowError) -> str:
         return str(error)
     first = error.errors(include_url=False, include_context=False)[0]
     where = ".".join(str(part) for part in first["loc"])
-    return f"{where}: {first['msg']}" if where else first["msg"]
+    fault = plain_fault(first["msg"])
+    return f"{where}: {fault}" if where else fault

@@ -10,6 +10,7 @@ from pydantic import TypeAdapter, ValidationError
 
 from estune.core.quantities import FloatArray
 from estune.errors import InvalidInput
+from estune.support.plain_fault import plain_fault
 
 _CONDITION_MAX = 1e7
 """Of the design with columns of equal length: coefficients keep half of the digits."""
@@ -117,7 +118,9 @@ class Stored:
             return TypeAdapter(cls).validate_python(stored)
         except ValidationError as error:
             faults = error.errors(include_url=False, include_context=False)
-            listed = "; ".join(f"{'.'.join(map(str, f['loc']))}: {f['msg']}" for f in faults)
+            listed = "; ".join(
+                f"{'.'.join(map(str, f['loc']))}: {plain_fault(f['msg'])}" for f in faults
+            )
             raise InvalidInput(
                 f"stored calibration is damaged: {listed}; calibrate again"
             ) from None
