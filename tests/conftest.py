@@ -1,6 +1,8 @@
 """Settings of all tests, their distribution over processes, commands run in a test's process."""
 
+import os
 import signal
+import sys
 from pathlib import Path
 
 import pytest
@@ -40,6 +42,13 @@ LONGEST = (
     "test_journal",
 )
 """Files that start first, so that no process is left with a long one at the end."""
+
+if sys.dont_write_bytecode:
+    # Else each process of the tests compiles all modules anew: 15 s of CPU to collect the tests,
+    # and 7 s with compiled ones; hundreds of processes start a rig or a command.
+    sys.dont_write_bytecode, sys.pycache_prefix = False, str(Path(sys.prefix) / "pycache")
+    os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+    os.environ["PYTHONPYCACHEPREFIX"] = sys.pycache_prefix
 
 # Equal examples on every machine, however slow it is.
 settings.register_profile("estune", derandomize=True, deadline=None)

@@ -13,14 +13,15 @@ from estune.trial import Outcome
 from plants.effects import CoulombFriction
 from plants.remedies.behaviour import MEASURES, behaviour
 
-STICKY = plants.reference_reel() + CoulombFriction(0.05)
+PLAIN = plants.reference_reel()
+STICKY = PLAIN + CoulombFriction(0.05)
 
 
 @pytest.fixture(scope="module")
 def tuned(tmp_path_factory):
     folder = tmp_path_factory.mktemp("runs")
     how = {"trials": 6, "repeats": 2, "folder": folder, "run": "one", "watch": None}
-    return estune.tune(STICKY, tracking=True, **how)
+    return estune.tune(PLAIN, tracking=True, **how)
 
 
 def test_result_has_tracking_and_rest_at_both_gains_and_keeps_them_on_disk(tuned):
@@ -36,7 +37,7 @@ def test_result_has_tracking_and_rest_at_both_gains_and_keeps_them_on_disk(tuned
 
 
 def test_the_trials_are_none_of_the_run(tuned):
-    without = estune.tune(STICKY, trials=6, repeats=2, journal=False, watch=None)
+    without = estune.tune(PLAIN, trials=6, repeats=2, journal=False, watch=None)
     assert without.behaviour == {}
     assert (without.nfev, without.gains) == (tuned.nfev, tuned.gains)
 
@@ -54,7 +55,7 @@ def test_a_rig_measures_what_a_model_predicts():
 
 
 def test_what_a_rig_cannot_measure_is_told_and_the_result_stays(monkeypatch):
-    rig = STICKY.rig()
+    rig = PLAIN.rig()
     perform = rig._perform
 
     def stopped(request):

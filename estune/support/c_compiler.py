@@ -27,14 +27,18 @@ _noticed = threading.Event()
 # comparison, one instruction. It writes a choice as a sum with zero, which costs nothing without
 # signed zeros.
 FLAGS = (
-    *("-std=gnu90", "-O3", "-fno-math-errno", "-fno-signed-zeros"),
+    *("-std=gnu90", "-fno-math-errno", "-fno-signed-zeros"),
     *("-fPIC", "-shared", "-fvisibility=hidden", "-w"),
 )
 COMPILE_LIMIT_s = 120.0
 
 
-def load(source: str) -> ctypes.CDLL:
+def load(source: str, optimise: str = "-O3") -> ctypes.CDLL:
     """The library of a C source, compiled or from the cache.
+
+    Args:
+        source: The C source.
+        optimise: The compiler's option for it: what is run once may be worth less compiling.
 
     The cache is the folder `ESTUNE_CACHE`, or `estune` in the user's cache folder; if it cannot be
     written, a temporary folder of this process.
@@ -42,7 +46,7 @@ def load(source: str) -> ctypes.CDLL:
     Raises:
         PlantError: there is no compiler, it failed, or the library cannot be loaded.
     """
-    command = compiler()
+    command = (*compiler(), optimise)
     key = _key(source, command)
     reason = ""
     for folder in _folders():

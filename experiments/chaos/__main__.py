@@ -63,7 +63,7 @@ class Extent(NamedTuple):
     durations: faults.Durations = faults.DURATIONS
 
 
-QUICK = Extent(*(9, 20), pace=0.05, daemon_faults=3, losses=1, outages=1, durations=faults.SHORT)
+QUICK = Extent(*(6, 20), pace=0.05, daemon_faults=2, losses=1, outages=1, durations=faults.SHORT)
 
 
 def run_campaign(
@@ -161,7 +161,7 @@ def measure(
 
 def main() -> int:
     """Runs everything; returns 1 where a target is missed."""
-    parser = command_line(about, quick="nine faults of the link, three of the daemon")
+    parser = command_line(about, quick="six faults of the link, two of the daemon")
     parser.add_argument("--faults", type=int, default=500)
     parser.add_argument("--trials", type=int, default=1000)
     parser.add_argument("--seed", type=int, default=1)
