@@ -2,7 +2,7 @@
 
 Command: `python -m experiments.live_page`.
 Target: update in 0.5 s, usable in 1 s, no fault of access, 98 % of the rate of trials, stops in 5
-ms.
+ms, a dragged slider drawn in 50 ms.
 
 Every part is a process of its own: a tuning, a daemon, a rig, the page's server. Ten pages are
 this process, which reads their event streams; one is a headless Chromium.
@@ -12,6 +12,8 @@ this process, which reads their event streams; one is a headless Chromium.
 * Stale: time from the end of the rig's process until Chromium shows that there is no link.
 * Faults: serious ones that axe-core finds at 400 and 1280 px, light and dark, messages of the
   browser's console, and requests to other hosts.
+* Redraw: time from a move of the mouse that drags a slider of the tuning page until the page has
+  painted what follows from it, as the page itself measures it; sliders of a wide and a narrow one.
 * History: time until a page of a run with 100 000 trials has been sent them.
 * Rate: a daemon's trials in equal times, with ten pages open and without, in turns. Without pages
   a daemon reads nothing for them, `LINGER_S` after the last was closed.
@@ -42,6 +44,7 @@ from estune.remote.zenoh.daemon_service import DaemonClient
 from estune.support.child_process import child_process
 from estune.web.reader import LINGER_S
 from experiments.live_page.browser import SeenPage, look_at
+from experiments.live_page.drag import redraws_ms
 from experiments.results import Target, at_least, at_most, command_line, print_results
 
 PAGES = 10
@@ -214,6 +217,7 @@ def main() -> int:
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         seen, updates = in_browser(folder, 5.0 if quick else 40.0)
+        dragged_ms = redraws_ms(folder, 20 if quick else 100)
         opened_s = history_s(folder, 2000 if quick else TRIALS_LONG)
         without, having = rates(folder, 1 if quick else 8, 2.0 if quick else 8.0)
         plain_ms, watched_ms = stops_ms(1 if quick else 5, 20 if quick else 200)
@@ -228,6 +232,8 @@ def main() -> int:
         "faults_found": faults,
         "update_median_s": statistics.median(updates),
         "update_max_s": max(updates),
+        "redraw_median_ms": {str(w): statistics.median(ms) for w, ms in dragged_ms.items()},
+        "redraw_p90_ms": {str(w): float(np.quantile(ms, 0.9)) for w, ms in dragged_ms.items()},
         "history_s": opened_s,
         "trials_per_s": statistics.fmean(without),
         "trials_per_s_with_pages": statistics.fmean(having),
@@ -240,6 +246,7 @@ def main() -> int:
         "stale_s": at_most(seen.stale_s, 2.0),
         "faults": at_most(len(faults), 0),
         "update_max_s": at_most(max(updates), 0.5),
+        "redraw_median_ms": at_most(max(map(statistics.median, dragged_ms.values())), 50.0),
         "history_s": at_most(opened_s, 2.0),
         "rate_share": at_least(ratio, 0.98),
         "stop_p99_with_pages_ms": at_most(p99[1], 5.0),

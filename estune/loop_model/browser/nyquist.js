@@ -12,7 +12,10 @@ export class Nyquist {
     figure.setAttribute("aria-label", "Loop gain in the complex plane, with the disc that the limit of Ms forbids");
     this.figure = figure;
     this.height = height;
-    new ResizeObserver(() => this.draw()).observe(figure);
+    new ResizeObserver(([{ contentRect }]) => { // asked for at each drawing, the width would lay out the page
+      this.width = contentRect.width;
+      this.draw();
+    }).observe(figure);
   }
 
   // Curves are {re, im, colour, width, dash}; drawn in their order.
@@ -24,14 +27,17 @@ export class Nyquist {
 
   draw() {
     if (!this.curves) return;
-    const { canvas, height } = this, width = Math.max(200, this.figure.clientWidth), ratio = devicePixelRatio;
-    canvas.style.width = `${width}px`;
-    canvas.style.height = `${height}px`;
-    canvas.width = width * ratio;
-    canvas.height = height * ratio;
-    const g = canvas.getContext("2d"), scale = Math.min(width / (RIGHT - LEFT), height / 3.4);
+    const { canvas, height } = this, width = Math.max(200, this.width ?? this.figure.clientWidth), ratio = devicePixelRatio;
+    const g = canvas.getContext("2d"), size = `${width},${height},${ratio}`;
+    if (size !== this.size) {
+      this.size = size;
+      canvas.style.cssText = `width: ${width}px; height: ${height}px`;
+      [canvas.width, canvas.height] = [width * ratio, height * ratio];
+    }
+    g.setTransform(ratio, 0, 0, ratio, 0, 0);
+    g.clearRect(0, 0, width, height);
+    const scale = Math.min(width / (RIGHT - LEFT), height / 3.4);
     const px = (re) => width / 2 + (re - (LEFT + RIGHT) / 2) * scale, py = (im) => height * 0.42 - im * scale;
-    g.scale(ratio, ratio);
     const line = (points, style, w, dash = []) => {
       g.beginPath();
       points.forEach(([x, y], n) => (n ? g.lineTo(x, y) : g.moveTo(x, y)));
@@ -58,6 +64,7 @@ export class Nyquist {
       line(points, colour(name), w, dash);
       g.globalAlpha = 1;
     }
+    g.textAlign = "left";
     g.font = "12px system-ui, sans-serif";
     g.fillStyle = colour("ink");
     g.fillText("Im L", px(0) + 4, 12);

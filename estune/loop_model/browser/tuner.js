@@ -6,8 +6,8 @@ import { Nyquist } from "./nyquist.js";
 import { FORMS, written } from "./gains.js";
 import { optimum, TOLERANCE } from "./optimum.js";
 
-const QUICK = 8; // models of the band while one drags; all of them afterwards
-const SETTLE_MS = 150; // without a move: then bands and optimum are computed in full
+const QUICK = 8, COARSE = 240; // models of the band and points of a curve while one drags
+const SETTLE_MS = 150; // without a move: then all models and points are drawn, and the optimum is found in full
 const FREQUENCIES = 160;
 const NAMES = ["P", "I", "D", "setpoint_filter_s"];
 const short = (x, digits = 3) => (x == null || Number.isNaN(x) ? "-" : Number.isFinite(x) ? Number(x.toPrecision(digits)).toString() : "\u221e");
@@ -31,7 +31,9 @@ export class Tuner {
     this.limits = { ...data.limits };
     this.effort = 0; // decades of the weight of the effort
     this.gains = { ...(data.gains.tuned ?? this.base) };
-    this.times = []; // of each move until it is drawn, ms
+    this.times = []; // of each move until it is painted, ms
+    this.seen = new Set(); // figures in the window
+    this.scrolled = new IntersectionObserver((entries) => entries.forEach(({ target, isIntersecting }) => this.seen[isIntersecting ? "add" : "delete"](target)));
     const { sampling_Hz } = data.controller, { samples, step_index } = data.trial;
     this.time = Float64Array.from({ length: samples }, (_, k) => (k - step_index) / sampling_Hz);
     const low = Math.min(0.25 / data.settling_s / 10, sampling_Hz / 40), high = sampling_Hz / 2;
@@ -46,11 +48,14 @@ export class Tuner {
     if (NAMES.every((name) => live[name] === this.base[name])) return;
     this.base = live;
     this.baseName = "live gains";
+    this.based = null;
     this.settled();
   }
 
   close() {
     clearTimeout(this.timer);
+    cancelAnimationFrame(this.frame);
+    this.scrolled.disconnect();
     Object.values(this.charts).forEach((chart) => chart.close());
     this.container.replaceChildren();
   }
@@ -62,17 +67,16 @@ export class Tuner {
       const input = make("input", { type: "range", min: low, max: high, step: "any", id: `tune-${name}` });
       const output = make("output", {});
       output.htmlFor = input.id;
-      input.addEventListener("input", () => this.move(() => set(Number(input.value))));
+      input.addEventListener("input", (event) => this.move(() => set(Number(input.value)), event.timeStamp));
       this.sliders[name] = () => {
-        input.value = get();
-        output.textContent = show();
-        input.setAttribute("aria-valuetext", show());
+        if (Number(input.value) !== get()) input.value = get();
+        if (say(output, show())) input.setAttribute("aria-valuetext", show());
       };
       const tried = make("div", { className: "tried" });
       tried.setAttribute("aria-hidden", "true");
       return make("div", { className: "slider" }, make("label", { htmlFor: input.id }, label), output, input, tried);
     };
-    const byLimits = (change) => (value) => { change(value); this.solve(QUICK_SEARCH); this.unfinished = true; };
+    const byLimits = (change) => (value) => { change(value); this.toSolve = true; };
     const limits = make("fieldset", {}, make("legend", { textContent: "What the loop is to keep" }),
       slider("Ms", "robustness: largest Ms", 1.2, 2, () => this.limits.Ms, byLimits((v) => (this.limits.Ms = v)), () => this.limits.Ms.toFixed(2)),
       slider("overshoot", "largest overshoot", 0, 0.3, () => this.limits.overshoot, byLimits((v) => (this.limits.overshoot = v)), () => percent(this.limits.overshoot)),
@@ -82,7 +86,7 @@ export class Tuner {
       if (!(this.gains[name] > 0)) continue;
       const low = Math.log(d.bounds.low[name] ?? this.gains[name] / 100), high = Math.log(d.bounds.high[name] ?? this.gains[name] * 100);
       const row = slider(name, d.labels[name], low, high, () => Math.log(this.gains[name]),
-        (v) => { this.gains[name] = Math.exp(v); this.unfinished = false; }, () => short(this.gains[name], 4));
+        (v) => { this.gains[name] = Math.exp(v); this.unfinished = this.toSolve = false; }, () => short(this.gains[name], 4));
       for (const one of d.tried) // a dot for each trial
         if (one.gains[name] > 0) {
           const dot = make("i", {});
@@ -109,6 +113,7 @@ export class Tuner {
       this.buttons.append(button("Try these gains once", () => this.act("try", { gains: this.gains })),
         button("Apply\u2026", () => this.confirmed() && this.act("apply", { gains: this.gains, instead_of: this.base })));
     this.numbers = make("table", {});
+    this.cells = [];
     const figures = make("div", { className: "grid" });
     const figure = () => figures.appendChild(make("figure", {}));
     const s = "time from the step, s", own = { label: "these gains", colour: () => (this.broken ? "amber" : "blue"), width: 1.8 };
@@ -125,6 +130,7 @@ export class Tuner {
       phase: chart("frequency, Hz", "phase of L, degrees", "Bode diagram: phase of the loop gain", { logX: true }),
     };
     this.nyquist = new Nyquist(figure(), 240);
+    for (const one of figures.children) this.scrolled.observe(one);
     this.container.classList.add("tuner");
     this.container.replaceChildren(make("p", { className: "soft", textContent: d.known }),
       make("div", { className: "sides" }, limits, gains), this.buttons, this.said,
@@ -141,27 +147,41 @@ export class Tuner {
     this.gains = optimum(this.data, this.gains, this.limits, this.weights, options);
   }
 
-  // A change by the user, and its drawing; the full computation follows at rest.
-  move(change) {
-    const begun = performance.now();
+  // A change by the user, drawn in the next frame with all others until then; the full computation
+  // follows at rest.
+  move(change, at = performance.now()) {
     this.touched = true;
     change();
-    this.refresh(false);
-    requestAnimationFrame(() => this.times.push(performance.now() - begun));
+    this.begun ??= at;
     clearTimeout(this.timer);
+    this.frame ??= requestAnimationFrame(() => this.redraw());
+  }
+
+  redraw() {
+    const begun = this.begun;
+    this.frame = this.begun = null;
+    if (this.toSolve) {
+      this.solve(QUICK_SEARCH);
+      this.unfinished = true; // a long move needs more than one step takes
+      this.toSolve = false;
+    }
+    this.refresh(false);
+    afterPaint(() => this.times.push(performance.now() - begun));
     this.timer = setTimeout(() => this.settled(), SETTLE_MS);
   }
 
   settled() {
     clearTimeout(this.timer);
-    if (this.unfinished) this.solve({}); // a long move needs more than one step takes
+    if (this.unfinished) this.solve({});
     this.unfinished = false;
     this.refresh(true);
   }
 
   refresh(full) {
-    const d = this.data, own = predict(d, d.models[0], this.gains), base = predict(d, d.models[0], this.base);
-    const others = d.models.slice(1, full ? undefined : 1 + QUICK).map((model) => this.drawn(model));
+    const d = this.data, own = predict(d, d.models[0], this.gains), base = this.compared().prediction;
+    const { charts: c, nyquist } = this, shown = (...ones) => full || ones.some(({ figure }) => this.seen.has(figure));
+    const parts = { load: shown(c.load), loop: shown(c.magnitude, c.phase, nyquist), shown };
+    const others = d.models.slice(1, full ? undefined : 1 + QUICK).map((model) => this.drawn(model, parts));
     const range = (name) => {
       const values = [own[name], ...others.map((one) => one[name])].filter((x) => !Number.isNaN(x));
       return [Math.min(...values), Math.max(...values)];
@@ -174,15 +194,23 @@ export class Tuner {
     this.broken = own.y === null || over.Ms || over.overshoot || over.effort;
     Object.values(this.sliders).forEach((show) => show());
     this.showNumbers(own, base, { Ms, overshoot, effort, over });
-    this.draw(own, base, others);
+    this.every = full ? 1 : Math.ceil(this.time.length / COARSE);
+    this.draw(own, others, parts);
+  }
+
+  // What the gains to compare with are predicted to do, computed once.
+  compared() {
+    const model = this.data.models[0];
+    return (this.based ??= { prediction: predict(this.data, model, this.base), load: this.afterLoad(model, this.base),
+      L: loopGain(this.data, model, this.base, this.angles) });
   }
 
   // What a model other than the estimate predicts: its margins and curves.
-  drawn(model) {
+  drawn(model, { load, loop }) {
     const d = this.data, margins = robustness(d, model, this.gains), { setpoint } = columns(d);
     const answer = simulate(d, model, this.gains, { setpoint });
     const peak = Number.isFinite(margins.Ms) ? Math.max(0, Math.max(...answer.y.map((v) => v / d.trial.step_N)) - 1) : Infinity;
-    return { ...margins, overshoot: peak, ...answer, load: this.afterLoad(model, this.gains), L: loopGain(d, model, this.gains, this.angles) };
+    return { ...margins, overshoot: peak, ...answer, load: load && this.afterLoad(model, this.gains), L: loop && loopGain(d, model, this.gains, this.angles) };
   }
 
   // Response to a load of half the step at the plant's input, in a trial of its own.
@@ -207,34 +235,51 @@ export class Tuner {
       ["largest move of the command", `${short(largest(base))} ${unit}`, `${short(effort)} ${unit}${over.effort ? ", at its limit" : ""}`, over.effort],
       ["cost", short(base.cost), short(own.cost)],
     ];
-    const cell = (tag, text, warn) => make(tag, { textContent: text, className: warn ? "amber" : "" });
-    const key = JSON.stringify(rows);
-    if (key === this.shownRows) return;
-    this.shownRows = key;
-    this.numbers.replaceChildren(make("tr", {}, cell("td", ""), ...[this.baseName, "these gains"].map((text) => Object.assign(cell("th", text), { scope: "col" }))),
-      ...rows.map(([name, before, after, warn]) => make("tr", {}, Object.assign(cell("th", name), { scope: "row" }), cell("td", before), cell("td", after, warn))));
+    if (!this.cells.length) {
+      const cell = (tag, properties) => make(tag, properties), heads = [this.baseName, "these gains"];
+      this.heads = heads.map((textContent) => cell("th", { textContent, scope: "col" }));
+      this.cells = rows.map(() => [cell("td"), cell("td")]);
+      this.numbers.replaceChildren(make("tr", {}, cell("td"), ...this.heads),
+        ...rows.map(([name], n) => make("tr", {}, cell("th", { textContent: name, scope: "row" }), ...this.cells[n])));
+    }
+    say(this.heads[0], this.baseName);
+    rows.forEach(([, before, after, warn], n) => {
+      say(this.cells[n][0], before);
+      say(this.cells[n][1], after);
+      this.cells[n][1].classList.toggle("amber", Boolean(warn));
+    });
   }
 
-  draw(own, base, others) {
-    const d = this.data, { trial } = d, c = this.charts, level = d.preload, shift = (y, by) => y && Array.from(y, (v) => v + by);
-    const nothing = Array.from(this.time, () => null), curve = (y, by = 0) => shift(y, by) ?? nothing;
-    const compared = this.compare.getAttribute("aria-pressed") === "true";
-    const only = (list) => (compared ? list : list.map(() => null));
-    const band = (lists, by = 0) => envelope(lists, this.time.length, by);
-    const nearest = this.nearest(), seen = (name) => (nearest ? this.resampled(nearest, name) : nothing);
+  // Draws what is in the window; all of it at rest.
+  draw(own, others, { load, loop, shown }) {
+    const d = this.data, { trial } = d, c = this.charts, level = d.preload, { every, based: base } = this;
+    const some = (list) => (every === 1 ? list : list.filter((_, k) => k % every === 0)), time = some(this.time);
+    const nothing = Array.from(time, () => null), curve = (y, by = 0) => (y ? Array.from(some(y), (v) => v + by) : nothing);
+    const isCompared = this.compare.getAttribute("aria-pressed") === "true";
+    const only = (list) => (isCompared ? list : list.map(() => null));
+    const band = (lists, by = 0) => envelope(lists, time.length, by, every);
+    const nearest = this.nearest(), seen = (name) => (nearest ? some(this.resampled(nearest, name)) : nothing);
     const bound = (pair) => (pair ?? []).filter((at) => at !== null && Math.abs(at) < 1e8).map((at) => ({ at, colour: "amber", label: "limit" }));
-    c.step.show([this.time, ...band(others.map((o) => o.y), level), curve(own.y, level), only(curve(base.y, level)), seen("y"), curve(columns(d).setpoint, level)],
-      [...bound(d.measurement_limits), { at: level + trial.step_N * (1 + this.limits.overshoot), colour: "amber", label: "largest overshoot" }]);
-    c.effort.show([this.time, ...band(others.map((o) => o.u), d.rest), curve(own.u, d.rest), only(curve(base.u, d.rest)), seen("u")], bound(d.controller.limits));
-    const model = d.models[0], L = loopGain(d, model, this.gains, this.angles), B = loopGain(d, model, this.base, this.angles);
-    c.load.show([this.time, ...band(others.map((o) => o.load)), curve(own.y && this.afterLoad(model, this.gains)), only(curve(base.y && this.afterLoad(model, this.base)))]);
+    const { y, u } = base.prediction, model = d.models[0];
+    if (shown(c.step))
+      c.step.show([time, ...band(others.map((o) => o.y), level), curve(own.y, level), only(curve(y, level)), seen("y"), curve(columns(d).setpoint, level)],
+        [...bound(d.measurement_limits), { at: level + trial.step_N * (1 + this.limits.overshoot), colour: "amber", label: "largest overshoot" }]);
+    if (shown(c.effort))
+      c.effort.show([time, ...band(others.map((o) => o.u), d.rest), curve(own.u, d.rest), only(curve(u, d.rest)), seen("u")], bound(d.controller.limits));
+    if (load)
+      c.load.show([time, ...band(others.map((o) => o.load)), curve(own.y && this.afterLoad(model, this.gains)), only(curve(y && base.load))]);
+    if (!loop) return;
+    const L = loopGain(d, model, this.gains, this.angles), B = base.L, count = this.frequencies.length;
     const magnitude = ({ re, im }) => Array.from(re, (x, n) => Math.hypot(x, im[n]));
-    const sizes = others.map((o) => magnitude(o.L)), count = this.frequencies.length;
-    c.magnitude.show([this.frequencies, ...envelope(sizes, count), magnitude(L), only(magnitude(B))], [{ at: 1, colour: "grey" }]);
-    const main = phase(L), near = others.map((o) => main.map((at, n) => at + turned(o.L, L, n)));
-    c.phase.show([this.frequencies, ...envelope(near, count), main, only(phase(B))], [{ at: -180, colour: "grey" }], { y: [-450, 0] });
-    this.nyquist.show([...others.slice(0, 15).map((o) => ({ ...o.L, colour: "blue", width: 1, faint: true })),
-      ...(compared ? [{ ...B, colour: "purple", width: 1.4, dash: [8, 3] }] : []), { ...L, colour: this.broken ? "amber" : "blue", width: 1.8 }], this.limits.Ms);
+    if (shown(c.magnitude))
+      c.magnitude.show([this.frequencies, ...envelope(others.map((o) => magnitude(o.L)), count), magnitude(L), only(magnitude(B))], [{ at: 1, colour: "grey" }]);
+    if (shown(c.phase)) {
+      const main = phase(L), near = others.map((o) => main.map((at, n) => at + turned(o.L, L, n)));
+      c.phase.show([this.frequencies, ...envelope(near, count), main, only(phase(B))], [{ at: -180, colour: "grey" }], { y: [-450, 0] });
+    }
+    if (shown(this.nyquist))
+      this.nyquist.show([...others.slice(0, 15).map((o) => ({ ...o.L, colour: "blue", width: 1, faint: true })),
+        ...(isCompared ? [{ ...B, colour: "purple", width: 1.4, dash: [8, 3] }] : []), { ...L, colour: this.broken ? "amber" : "blue", width: 1.8 }], this.limits.Ms);
   }
 
   // The trial whose gains are nearest to these, among those whose response is here.
@@ -271,15 +316,30 @@ export class Tuner {
 
 const QUICK_SEARCH = { evaluations: 40, size: 0.15, time_ms: 10 }; // the rest of a move is drawing
 
+// Calls a function once the browser has painted what was drawn in this frame.
+function afterPaint(call) {
+  const { port1, port2 } = new MessageChannel();
+  port1.onmessage = () => { port1.close(); call(); };
+  port2.postMessage(0);
+}
+
+// Sets a text that is another one; whether it was.
+function say(node, text) {
+  const isNew = node.textContent !== text;
+  if (isNew) node.textContent = text;
+  return isNew;
+}
+
 // Lowest and highest of several curves at each point; nothing without curves.
-function envelope(lists, count, by = 0) {
+function envelope(lists, count, by = 0, every = 1) {
   const low = new Array(count).fill(null), high = new Array(count).fill(null);
   if (lists.length)
     for (let k = 0; k < count; k++) {
       let least = Infinity, most = -Infinity;
       for (const list of lists) {
-        if (list[k] < least) least = list[k];
-        if (list[k] > most) most = list[k];
+        const at = list[k * every];
+        if (at < least) least = at;
+        if (at > most) most = at;
       }
       if (Number.isFinite(least) && Math.abs(most) < 1e12) [low[k], high[k]] = [least + by, most + by];
     }

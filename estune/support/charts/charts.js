@@ -1,7 +1,11 @@
 // Charts: a thin layer over uPlot that takes its colours from the page's style.
 
-const style = () => getComputedStyle(document.documentElement);
-export const colour = (name) => style().getPropertyValue(`--${name}`).trim();
+const dark = matchMedia("(prefers-color-scheme: dark)"), colours = new Map(); // of the present scheme
+dark.addEventListener("change", () => colours.clear());
+export function colour(name) {
+  if (!colours.get(name)) colours.set(name, getComputedStyle(document.documentElement).getPropertyValue(`--${name}`).trim());
+  return colours.get(name);
+}
 
 // Horizontal lines and bands: {at} or {from, to}, each with {colour, label}.
 function marks(get) {
@@ -58,7 +62,7 @@ export class Chart {
     this.resized = new ResizeObserver(() => this.plot.setSize(this.size()));
     this.resized.observe(figure);
     this.ended = new AbortController();
-    matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => this.build(), { signal: this.ended.signal });
+    dark.addEventListener("change", () => this.build(), { signal: this.ended.signal });
   }
 
   // Removes the plot, and what would draw it again.
