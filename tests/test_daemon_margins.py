@@ -13,7 +13,11 @@ from estune.daemon.config import config_from
 from estune.errors import InvalidInput
 from estune.remote import zenoh
 from estune.trial import Outcome
+from estune.web.board import Board
+from estune.web.server import PageServer
+from estune.web.views import RemoteSupervision, View, daemon_view
 from experiments.loop_claims.truth import true_sensitivity
+from tests.support_browser import browser, needs_browser, opened
 from tests.support_daemon import daemon, rig_table
 
 GAINS = Gains(0.5, 8.0, 0.007, 0.01)
@@ -102,6 +106,26 @@ def test_without_dither_the_check_trials_show_the_margins_and_nothing_else_moves
         low, high = status.sensitivity[1:]
         assert low <= true_sensitivity(rig.plant, status.gains[status.live]) <= high
         assert multisines(rig) == of_the_tuning
+
+
+def interval(status):
+    Ms, low, high = status.sensitivity
+    return f"{Ms:.2f} ({low:.2f} to {high:.2f})"
+
+
+@needs_browser
+def test_page_of_a_supervised_rig_shows_its_margins_with_their_interval(tmp_path):
+    with watched(tmp_path, "margins = {every_s = 0.05}\n") as (_, it):
+        it.until(lambda s: s.sensitivity is not None)
+        views = [daemon_view("drum", RemoteSupervision(it.client, "drum"))]
+        server = PageServer(lambda: [*views, View("other", "run", Board(), [])])
+        try:
+            with browser() as chromium, opened(chromium, server.address) as page:
+                facts, row = page.locator("#facts"), page.locator("#views tr", has_text="drum")
+                it.until(lambda s: s.sensitivity and s.margins in facts.inner_text())
+                it.until(lambda s: s.sensitivity and interval(s) in row.inner_text())
+        finally:
+            server.close()
 
 
 def test_dither_of_the_command_line_is_that_of_all_rigs_within_its_budget():

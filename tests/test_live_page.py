@@ -3,6 +3,7 @@
 import shutil
 import subprocess
 import sys
+import tempfile
 
 import pytest
 from axe_playwright_python.sync_playwright import Axe
@@ -11,9 +12,11 @@ from playwright.sync_api import expect
 from estune import tune
 from estune.errors import JournalError
 from estune.remote import zenoh
+from estune.remote.zenoh.local_endpoints import local_endpoints
 from estune.run.journal import Journal
 from estune.support.user import user_at_host
 from estune.web.board import Board
+from estune.web.endpoint_views import EndpointViews
 from estune.web.server import PageServer
 from estune.web.views import View, folder_views, rig_view, run_view
 from tests.serve_rig import served
@@ -167,6 +170,64 @@ def test_daemon_page_accepts_a_candidate_once_the_rig_has_it(chromium, tmp_path)
             expect(page.locator("#checks canvas")).to_be_visible()
             expect(page.locator("#checks .u-legend")).to_contain_text("upper alarm limit")
             assert serious(page) == []
+
+
+@pytest.mark.parametrize("form", [{}, NARROW_DARK])
+def test_one_page_lists_all_on_this_machine_and_marks_what_has_gone(
+    chromium, tmp_path, monkeypatch, form
+):
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))  # where listeners are noted
+    runs = tmp_path / "runs"
+    tune(ArithmeticRig(), trials=2, run="first", folder=runs, watch=None)
+    here, listed = EndpointViews(local_endpoints, runs=runs), folder_views(runs)
+    server = PageServer(lambda: [*here(), *listed()], may_command=True)
+    try:
+        with (
+            rig_served() as (_, endpoint),
+            daemon(tmp_path, rig_table("drum", endpoint)) as watched,
+            opened(chromium, server.address, **form) as page,
+        ):
+            rows = page.locator("#views tbody tr")
+            expect(rows).to_have_count(3)  # first the rig and its daemon, then the run
+            expect(rows.last).to_contain_text("first")
+            with rig_served("spool") as (_, there):
+                spool = page.locator("#views tbody tr", has_text="spool")
+                expect(spool).to_contain_text("idle")
+                spool.get_by_role("link").press("Enter")
+                expect(page.locator("#title")).to_have_text(f"spool at {there}")
+                expect(page.get_by_role("button", name="Start a tuning")).to_be_visible()
+            expect(spool).to_contain_text("gone since")
+            expect(spool).to_have_class("stale")
+            expect(page.locator("#state")).to_have_text("no link to the rig")
+            assert serious(page) == []
+            assert page.evaluate("document.documentElement.scrollWidth <= innerWidth")
+            with rig_served("spool"):
+                expect(spool).to_contain_text("idle")
+                expect(spool).to_have_count(1)
+            page.get_by_role("link", name=f"drum at {watched.service.endpoint}").press("Enter")
+            expect(page.get_by_role("button", name="Pause")).to_be_visible()
+    finally:
+        server.close()
+        here.close()
+
+
+def test_endpoint_of_a_process_that_was_killed_is_not_listed(tmp_path, monkeypatch):
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    monkeypatch.setenv("TMPDIR", str(tmp_path))
+    with served("scripted") as rig:
+        assert local_endpoints() == (rig.endpoint,)
+        rig.process.kill()
+        while local_endpoints():
+            pass
+    assert not list(tmp_path.glob("estune-endpoints-*/*"))
+
+
+def test_folder_of_endpoints_that_others_may_write_is_not_used(tmp_path, monkeypatch):
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    with rig_served():
+        (folder,) = tmp_path.iterdir()
+        folder.chmod(0o777)
+        assert local_endpoints() == ()
 
 
 def test_page_without_its_server_says_that_it_is_disconnected(chromium):

@@ -1,6 +1,7 @@
 """`estune watch`: the live page of a run, a folder of runs, a rig or a daemon."""
 
 import threading
+from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -9,11 +10,12 @@ from estune.cli.runs import find_run
 from estune.cli.values import Flag, RunName, security_from
 from estune.errors import RigError
 from estune.remote.security import Security
+from estune.remote.zenoh.endpoints import check_endpoint
 from estune.run.journal import FILE_NAME
 from estune.run.targets import is_endpoint
 
 if TYPE_CHECKING:
-    from estune.web.views import View, Views
+    from estune.web.views import Views
 
 PORT = 8765
 
@@ -35,7 +37,8 @@ def watch(
 
     Args:
         what: A run (its name, or its folder), a folder of runs, or the endpoint of rigs or of a
-            daemon; several are on one page. The folder runs by default.
+            daemon; several are on one page. By default all rigs and daemons that you run on this
+            machine, and the runs of --folder.
         rig: Name of one rig at the endpoint; all of them by default.
         port: Port of the page; 0 takes a free one.
         host: Address of this machine at which the page is served.
@@ -43,40 +46,37 @@ def watch(
             contains the key that commands need.
         allow_remote: Serve the page to other machines; whoever reaches it can read it.
         security: Credentials file, if a rig or daemon requires authentication.
-        folder: Folder of runs, in which a run is looked for by its name, and the run under way on
-            a rig.
+        folder: Folder of runs: those that are shown by default, and in which a run is looked for
+            by its name, and the run under way on a rig.
     """
     from estune.web.server import PageServer  # noqa: PLC0415  slow to import
 
     credentials = security_from(security)
-    sources = [
-        _views(one, rig, credentials, folder, is_one_of_several=len(what) > 1)
-        for one in what or (api.RUNS,)
-    ]
-    server = PageServer(
-        lambda: [view for views in sources for view in views()],
-        host=host,
-        port=port,
-        may_command=allow_commands,
-        allow_remote=allow_remote,
-    )
-    print(f"page at {server.address}", flush=True)
-    try:
+    with ExitStack() as ends:
+        sources = (
+            [_source(one, rig, credentials, folder, ends, alone=len(what) == 1) for one in what]
+            if what
+            else _all_here(credentials, rig, folder, ends)
+        )
+        server = PageServer(
+            lambda: [view for views in sources for view in views()],
+            host=host,
+            port=port,
+            may_command=allow_commands,
+            allow_remote=allow_remote,
+        )
+        ends.callback(server.close)
+        print(f"page at {server.address}", flush=True)
         threading.Event().wait()
-    finally:
-        server.close()
 
 
-def _views(
-    what: str, rig: str | None, security: Security, folder: Path, *, is_one_of_several: bool
+def _source(
+    what: str, rig: str | None, security: Security, folder: Path, ends: ExitStack, *, alone: bool
 ) -> "Views":
     from estune.web import views  # noqa: PLC0415  slow to import
 
     if is_endpoint(what):
-        found = _at_endpoint(what, rig, security, folder)
-        for view in found if is_one_of_several else ():
-            view.name = f"{view.name} at {what}"  # a run may have the name of a rig
-        return lambda: found
+        return _at_endpoint(what, rig, security, folder, ends, alone=alone)
     path = Path(what)
     if path.is_dir() and not (path / FILE_NAME).is_file():
         return views.folder_views(path, security)
@@ -84,30 +84,37 @@ def _views(
     return lambda: one
 
 
-def _at_endpoint(endpoint: str, rig: str | None, security: Security, folder: Path) -> "list[View]":
-    """The rigs that a daemon at the endpoint supervises, or those that are there themselves."""
-    from estune.remote.zenoh import discover_rigs  # noqa: PLC0415  slow to import
-    from estune.remote.zenoh.daemon_service import DaemonClient  # noqa: PLC0415  as above
-    from estune.web import views  # noqa: PLC0415  as above
+def _all_here(security: Security, rig: str | None, folder: Path, ends: ExitStack) -> "list[Views]":
+    """All rigs and daemons of this user on this machine, and the runs of a folder."""
+    from estune.remote.zenoh.local_endpoints import local_endpoints  # noqa: PLC0415  slow to import
+    from estune.web.endpoint_views import EndpointViews  # noqa: PLC0415  as above
+    from estune.web.views import folder_views  # noqa: PLC0415  as above
 
-    there = {p.rig for p in discover_rigs(endpoint, security=security)}
-    client = DaemonClient(endpoint, security=security)
-    supervised = set(client.rigs())
-    names = [name for name in sorted(there | supervised) if rig in (None, name)]
-    if not names:
-        client.close()
+    here = EndpointViews(local_endpoints, security, runs=folder, rig=rig)
+    ends.callback(here.close)
+    here.read()
+    return [here, folder_views(folder, security)]
+
+
+def _at_endpoint(
+    endpoint: str,
+    rig: str | None,
+    security: Security,
+    folder: Path,
+    ends: ExitStack,
+    *,
+    alone: bool,
+) -> "Views":
+    """The rigs that a daemon at the endpoint supervises, and those that are there themselves."""
+    from estune.web.endpoint_views import EndpointViews  # noqa: PLC0415  slow to import
+
+    check_endpoint(endpoint)
+    there = EndpointViews(lambda: (endpoint,), security, runs=folder, rig=rig, named_alone=alone)
+    ends.callback(there.close)
+    there.read()
+    found = there()
+    if not any(view.commands for view in found):
         which = f"rig {rig}" if rig else "rig or daemon"
-        raise RigError(
-            f"no {which} answers at {endpoint}; list the rigs: estune discover {endpoint}"
-        )
-    return [
-        views.daemon_view(
-            name,
-            views.RemoteSupervision(client, name),
-            target=endpoint if name in there else "",
-            security=security,
-        )
-        if name in supervised
-        else views.rig_view(endpoint, name, security, runs=folder)
-        for name in names
-    ]
+        nobody = f"no {which} answers at {endpoint}; list the rigs: estune discover {endpoint}"
+        raise RigError(next((view.board.get("fault.rig") for view in found), nobody))
+    return there

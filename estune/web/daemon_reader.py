@@ -2,7 +2,7 @@
 
 import dataclasses
 import secrets
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
 from estune.core.gains import Gains
@@ -76,3 +76,16 @@ def _shown(status: DaemonStatus) -> dict[str, Any]:
     shown = dataclasses.asdict(dataclasses.replace(status, next_check_s=None))
     gains: dict[str, Gains] = status.gains
     return shown | {"gains": {name: list(one.as_tuple()) for name, one in gains.items()}}
+
+
+def daemon_row(shown: Mapping[str, Any]) -> dict[str, Any]:
+    """What the list of views shows of a supervision on its board: state, trials, cost, Ms."""
+    Ms, *ends = shown["sensitivity"] or (None, None, None)
+    return {
+        "state": f"{shown['mode']}, {shown['live'] or 'unknown'} gains live",
+        "trials": shown["trials"],
+        "start_cost": shown["baseline_cost"],
+        "cost": shown["cost"],
+        "Ms": Ms,
+        "Ms_interval": ends,
+    }

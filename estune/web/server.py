@@ -16,6 +16,7 @@ from starlette.routing import Route
 from estune.errors import EstuneError
 from estune.support.user import user_at_host
 from estune.web.board import Seen, to_json
+from estune.web.daemon_reader import daemon_row
 from estune.web.http_service import HEADERS, HttpService, body_of
 from estune.web.rig_actions import form
 from estune.web.views import View, Views
@@ -180,9 +181,13 @@ async def _form(_request: Request) -> Response:
 def _row(view: View) -> dict[str, Any]:
     """A view in the list; the state of a rig is known once it has been looked at."""
     row = {"name": view.name, "kind": view.kind, "state": ""} | view.summary()
-    daemon, rig = view.board.get("daemon"), view.board.get("rig")
+    if view.kind == "run":
+        return row
+    rig, daemon = view.board.get("rig"), view.board.get("daemon")
     if daemon is not None:
-        row["state"] = f"{daemon['mode']}, {daemon['live'] or 'unknown'} gains live"
-    elif view.kind == "rig" and rig is not None:
+        row |= daemon_row(daemon)
+    elif rig is not None:
         row["state"] = str(rig["mode"])
+    if view.gone or view.board.get(f"fault.{view.kind}"):
+        row |= {"state": view.gone or "no link", "stale": True}
     return row

@@ -50,6 +50,7 @@ class View:
         board: Its values.
         commands: What a page may command, by name.
         tuning: What its tuning page shows.
+        gone: Since when it is no longer there, in words; empty while it is.
         summary: What the list of views shows of it beside its state.
     """
 
@@ -67,6 +68,7 @@ class View:
     ) -> None:
         self.name = name
         self.summary = summary
+        self.gone = ""
         self._actions = actions
         self.tuning = tuning or TuningSource()
         self.kind = kind
@@ -81,7 +83,7 @@ class View:
 
     def glance(self) -> None:
         """Has read what the list of views shows; a run is read when it is looked at."""
-        if self.kind != "run":
+        if self.kind != "run" and not self.gone:
             for reader in self._readers[:1]:
                 reader.look()
 
@@ -183,7 +185,12 @@ def rig_view(
     if runs is not None:
         actions = _actions(board, endpoint, rig, security, runs)
         commands |= actions.commands()
-    follow.view = View(rig, "rig", board, [reader], commands=commands, actions=actions)
+    follow.view = View(
+        *(rig, "rig", board, [reader]),
+        commands=commands,
+        actions=actions,
+        summary=lambda: {"rig": rig},
+    )
     return follow.view
 
 
@@ -288,7 +295,7 @@ def daemon_view(
         samples = RigReader(board, _connecting(target, rig, security))
         readers.append(samples)
         commands["estop"] = _stopping(samples)
-    view = View(rig, "daemon", board, readers, commands=commands)
+    view = View(rig, "daemon", board, readers, commands=commands, summary=lambda: {"rig": rig})
     return view
 
 

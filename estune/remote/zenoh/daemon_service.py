@@ -174,7 +174,7 @@ class DaemonClient:
 
     def rigs(self) -> tuple[str, ...]:
         """The supervised rigs, by name."""
-        return tuple(sorted({key.split("/")[2] for key in _present(self._session, ANY_DAEMON)}))
+        return supervised_at(self._session)
 
     def statuses(self) -> list[DaemonStatus]:
         """Current state of every rig, by name, from one query of all daemons.
@@ -278,6 +278,11 @@ class DaemonClient:
             )
         there = f"; there is: {', '.join(rigs)}" if rigs else ""
         return f"no daemon at {self.endpoint} answers for rig {rig!r}{there}"
+
+
+def supervised_at(session: zenoh.Session) -> tuple[str, ...]:
+    """The rigs that daemons have announced, by name."""
+    return tuple(sorted({key.split("/")[2] for key in _present(session, ANY_DAEMON)}))
 
 
 def daemon_instances(session: zenoh.Session, rig: str) -> list[str]:

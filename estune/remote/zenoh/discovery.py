@@ -4,6 +4,7 @@ import math
 import os
 import time
 from operator import attrgetter
+from typing import Self
 
 import zenoh
 
@@ -11,6 +12,7 @@ from estune.errors import InvalidInput, ProtocolError, RigError
 from estune.remote import messages
 from estune.remote.messages import Presence, check_name
 from estune.remote.security import OPEN, Security
+from estune.remote.zenoh.daemon_service import supervised_at
 from estune.remote.zenoh.endpoints import check_endpoint
 from estune.remote.zenoh.network import Network
 from estune.remote.zenoh.remote_rig import RemoteRig
@@ -83,12 +85,37 @@ def discover_rigs(
         InvalidInput: the endpoint is malformed.
         RigError: nothing listens there.
     """
-    check_endpoint(endpoint)
-    session = Network(security).open(endpoint, time.monotonic() + timeout_s)
-    try:
-        return tuple(sorted(present_at(session, messages.ANY_RIG), key=attrgetter("rig")))
-    finally:
-        close_session(session)
+    with EndpointPresences(endpoint, timeout_s, security=security) as there:
+        return there.rigs()
+
+
+class EndpointPresences:
+    """The rigs and daemons at an endpoint, as they come and go. A context manager."""
+
+    def __init__(
+        self, endpoint: str, timeout_s: float = 3.0, *, security: Security = OPEN
+    ) -> None:
+        """Connects; raises as `discover_rigs` does."""
+        check_endpoint(endpoint)
+        self._session = Network(security).open(endpoint, time.monotonic() + timeout_s)
+
+    def rigs(self) -> tuple[Presence, ...]:
+        """The rigs that are there now, by name; none of them is queried."""
+        return tuple(sorted(present_at(self._session, messages.ANY_RIG), key=attrgetter("rig")))
+
+    def supervised(self) -> tuple[str, ...]:
+        """The rigs that daemons there supervise now, by name."""
+        return supervised_at(self._session)
+
+    def close(self) -> None:
+        """Disconnects."""
+        close_session(self._session)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
 
 
 def _find(session: zenoh.Session, endpoint: str, rig: str | None, deadline_s: float) -> Presence:

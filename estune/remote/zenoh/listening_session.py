@@ -13,6 +13,7 @@ import zenoh
 from estune.errors import RigError
 from estune.remote.security import OPEN, Security, Tls
 from estune.remote.zenoh.endpoints import check_endpoint, check_loopback, with_port
+from estune.remote.zenoh.local_endpoints import EndpointNote
 from estune.remote.zenoh.tls_front import InnerEndpoints, TlsFront
 from estune.remote.zenoh.zenoh_session import COMMANDS_MAX_BYTES, close_session, open_session
 
@@ -105,6 +106,7 @@ class ListeningSession:
             self.endpoint = self._front.endpoint
         else:
             self._session, self.endpoint = _listen(endpoint, routers, security)
+        self._note = EndpointNote(self.endpoint)
         self._threads: list[threading.Thread] = []
         self._lanes: list[Lane] = []
         self._queryables: list[zenoh.Queryable[None]] = []
@@ -209,6 +211,7 @@ class ListeningSession:
 
     def close(self) -> None:
         """Closes the session and waits for its threads."""
+        self._note.close()
         if self._front is not None:
             self._front.close()
         close_session(self._session)

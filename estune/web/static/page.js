@@ -120,6 +120,7 @@ function showFacts({ rig, description, daemon, state, run, elsewhere }) {
   const live = daemon ? daemon.gains[daemon.live] : description?.gains;
   if (live) facts.push([`live gains${daemon?.live ? ` (${daemon.live})` : ""}: P, I, D, filter`, gains(live)]);
   if (daemon && !daemon.live) facts.push(["live gains", "not confirmed by the rig"]);
+  if (daemon?.margins) facts.push(["margins in service", daemon.margins]);
   if (daemon?.run) facts.push(["run", `${daemon.run}, ${daemon.trials} of ${daemon.trials_max}`]);
   if (state) {
     if (kind === "rig" && run) facts.push(["run", `${run.name}, ${state.status.split(":")[0]}`]);

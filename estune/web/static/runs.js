@@ -5,10 +5,10 @@ const cost = (x) => (x == null ? "" : Number(x.toPrecision(4)).toString());
 const time = (s) => (s == null ? "" : s < 1 ? `${cost(1e3 * s)} ms` : `${cost(s)} s`);
 export const LAID_OVER_MAX = 5;
 const COLUMNS = [
-  ["name", "name", (x) => x], ["rig", "rig", (x) => x ?? ""], ["state", "state", (x) => x],
+  ["name", "name", (x) => x], ["state", "state", (x) => x], ["kind", "kind", (x) => x], ["rig", "rig", (x) => x ?? ""],
   ["begun", "begun", (x) => (x ? new Date(x).toLocaleString() : "")], ["trials", "trials", (x) => x ?? ""],
   ["rise_time_s", "rise", time],
-  ["overshoot", "overshoot", (x) => (x == null ? "" : `${(100 * x).toFixed(1)} %`)], ["Ms", "Ms", (x) => (x == null ? "" : x.toFixed(2))],
+  ["overshoot", "overshoot", (x) => (x == null ? "" : `${(100 * x).toFixed(1)} %`)], ["Ms", "Ms", (x, { Ms_interval: ends }) => (x == null ? "" : `${x.toFixed(2)}${ends ? ` (${ends.map((end) => end?.toFixed(2) ?? "\u221e").join(" to ")})` : ""}`)],
   ["start_cost", "cost before", cost], ["cost", "best cost", cost], ["tags", "tags", (x) => (x ?? []).join(", ")], ["note", "note", (x) => x ?? ""],
 ];
 
@@ -45,8 +45,9 @@ export class RunTable {
 
   draw() {
     const words = $("filter").value.toLowerCase().split(/\s+/).filter(Boolean), sign = this.falling ? -1 : 1;
-    const text = (row) => COLUMNS.map(([key, , shown]) => shown(row[key])).join(" ").toLowerCase();
-    const order = (p, q) => { // rows without a value come last
+    const text = (row) => COLUMNS.map(([key, , shown]) => shown(row[key], row)).join(" ").toLowerCase();
+    const order = (p, q) => { // rigs and daemons come first, rows without a value last
+      if ((p.kind === "run") !== (q.kind === "run")) return p.kind === "run" ? 1 : -1;
       const [a, b] = [p[this.by] ?? "", q[this.by] ?? ""];
       if (a === "" || b === "") return (a === "") - (b === "");
       return sign * (typeof a === "number" ? a - b : String(a).localeCompare(String(b)));
@@ -54,10 +55,10 @@ export class RunTable {
     const shown = this.rows.filter((row) => words.every((word) => text(row).includes(word))).sort(order);
     $("views").querySelectorAll("th:has(button)").forEach((th, n) => th.setAttribute("aria-sort", COLUMNS[n][0] !== this.by ? "none" : this.falling ? "descending" : "ascending"));
     $("views").querySelector("tbody").replaceChildren(...shown.map((row) => {
-      const tr = document.createElement("tr");
+      const tr = Object.assign(document.createElement("tr"), { className: row.stale ? "stale" : "" });
       COLUMNS.forEach(([key, , form], n) => {
         const cell = tr.insertCell();
-        if (n) return cell.append(form(row[key]));
+        if (n) return cell.append(form(row[key], row));
         const link = Object.assign(document.createElement("a"), { href: `?view=${encodeURIComponent(row.name)}`, textContent: row.name });
         if (row.name === this.current) link.setAttribute("aria-current", "page");
         cell.append(link);
