@@ -77,6 +77,15 @@ def pytest_collection_modifyitems(items):
     items.sort(key=lambda item: rank.get(item.path.stem, len(rank)))
 
 
+@pytest.fixture(scope="module")
+def chromium():
+    """A browser for the pages of a file."""
+    from tests.support_browser import browser  # noqa: PLC0415  slow to import
+
+    with browser() as made:
+        yield made
+
+
 @pytest.fixture
 def here(monkeypatch, capsys):
     """Runs a command in this process, and gives what it printed."""

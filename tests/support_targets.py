@@ -3,9 +3,11 @@
 from dataclasses import replace
 
 import control
+import numpy as np
 
 import plants
 from estune.core.gains import Gains
+from estune.trial.profiles import StepProfile
 from tests.support_runs import ArithmeticRig
 
 
@@ -13,6 +15,20 @@ def unstable():
     """Plant that its gains do not stabilise."""
     return plants.linear_plant(
         control.tf([1.0], [1.0, -50.0]), settling_time_s=0.2, gains=Gains(0.1, 0.1, 0.0, 0.0)
+    )
+
+
+def slowly_unstable():
+    """A lag and a mode; at the initial gains an oscillation grows, at a low cost."""
+    w = 2.0 * np.pi * 12.0
+    mode = control.tf([w * w], [1.0, 2.0 * 0.02 * w, w * w])
+    return plants.linear_plant(
+        control.tf([1.0], [0.05, 1.0]) * mode,
+        sampling_Hz=632.0,
+        gains=Gains(0.1, 3.0, 0.001, 0.02),
+        noise_rms_N=0.003,
+        profile=StepProfile(0.0, 1.0, 0.2, 1.4),
+        settling_time_s=0.3,
     )
 
 

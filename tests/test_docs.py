@@ -12,7 +12,7 @@ from cyclopts import CycloptsError
 
 from estune.cli import run
 from estune.support.documentation import documentation_folder, documentation_pages, write_html
-from tests.support_browser import browser, needs_browser, opened
+from tests.support_browser import needs_browser, opened
 from tests.support_snippets import check_commands
 
 ROOT = Path(__file__).parents[1]
@@ -42,12 +42,6 @@ def installed(tmp_path_factory):
     out = tmp_path_factory.mktemp("installed")
     write_html(DOCS, out)
     return out
-
-
-@pytest.fixture(scope="module")
-def chromium():
-    with browser() as made:
-        yield made
 
 
 @pytest.mark.parametrize("form", ["site", "installed"])

@@ -12,6 +12,7 @@ from estune.core.gains import Gains
 from estune.errors import InvalidInput
 from estune.interop import margins
 from estune.trial.profiles import StepProfile
+from tests.support_targets import slowly_unstable
 
 STEP = StepProfile(0.0, 1.0, 0.2, 2.0)
 
@@ -69,17 +70,7 @@ def test_effort_that_stays_at_its_limit_is_refused():
 
 
 def test_search_by_cost_alone_stays_where_the_identified_loop_is_stable():
-    w = 2.0 * np.pi * 12.0
-    mode = control.tf([w * w], [1.0, 2.0 * 0.02 * w, w * w])
-    ringing = plants.linear_plant(
-        control.tf([1.0], [0.05, 1.0]) * mode,
-        sampling_Hz=632.0,
-        gains=Gains(0.1, 3.0, 0.001, 0.02),
-        noise_rms_N=0.003,
-        profile=StepProfile(0.0, 1.0, 0.2, 1.4),
-        settling_time_s=0.3,
-    )
-    result = tune(ringing.rig(seed=1), trials=12)
+    result = tune(slowly_unstable().rig(seed=1), trials=12)
     about = result.rig
     stable = [
         margins(about.linear_model, e.gains, about.controller).stable for e in result.entries

@@ -20,19 +20,13 @@ from estune.web.endpoint_views import EndpointViews
 from estune.web.server import PageServer
 from estune.web.views import View, folder_views, rig_view, run_view
 from tests.serve_rig import served
-from tests.support_browser import browser, needs_browser, opened
+from tests.support_browser import needs_browser, opened
 from tests.support_daemon import daemon, rig_served, rig_table
 from tests.support_runs import ArithmeticRig
 
 pytestmark = needs_browser
 
 NARROW_DARK = {"viewport": {"width": 400, "height": 800}, "color_scheme": "dark"}
-
-
-@pytest.fixture(scope="module")
-def chromium():
-    with browser() as made:
-        yield made
 
 
 @pytest.fixture(scope="module")

@@ -15,6 +15,7 @@ from estune.trial.profiles import StepProfile
 from estune.trial.scoring import growing_oscillation_Hz
 from plants.effects import CoulombFriction, TorqueRipple
 from tests.support_binomial import least_hits
+from tests.support_targets import slowly_unstable
 
 
 def decaying(growth, noise, *, frequency=8.0, drift=0.0):
@@ -89,20 +90,6 @@ def test_reel_with_effects_has_no_oscillation_that_grows(effect):
     for trial, P in enumerate((0.3, 0.6, 1.0)):
         record = rig.run(TrialRequest("reel", trial, Gains(P, 30.0 * P, 0.017 * P, 0.002), step))
         assert growing_oscillation_Hz(record, step) is None
-
-
-def slowly_unstable():
-    """A lag and a mode; at the initial gains an oscillation grows, at a low cost."""
-    w = 2.0 * np.pi * 12.0
-    mode = control.tf([w * w], [1.0, 2.0 * 0.02 * w, w * w])
-    return plants.linear_plant(
-        control.tf([1.0], [0.05, 1.0]) * mode,
-        sampling_Hz=632.0,
-        gains=Gains(0.1, 3.0, 0.001, 0.02),
-        noise_rms_N=0.003,
-        profile=StepProfile(0.0, 1.0, 0.2, 1.4),
-        settling_time_s=0.3,
-    )
 
 
 def test_start_whose_oscillation_grows_is_unsafe_and_says_so():

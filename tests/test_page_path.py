@@ -13,7 +13,7 @@ from estune.support.user import user_at_host
 from estune.web.server import PageServer
 from estune.web.views import rig_view
 from tests.serve_rig import served
-from tests.support_browser import browser, needs_browser, opened
+from tests.support_browser import needs_browser, opened
 
 pytestmark = needs_browser
 
@@ -21,12 +21,6 @@ FORMS = {
     "wide and light": {"viewport": {"width": 1280, "height": 900}, "color_scheme": "light"},
     "narrow and dark": {"viewport": {"width": 400, "height": 800}, "color_scheme": "dark"},
 }
-
-
-@pytest.fixture(scope="module")
-def chromium():
-    with browser() as made:
-        yield made
 
 
 @pytest.fixture

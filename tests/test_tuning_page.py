@@ -24,7 +24,7 @@ from estune.run.planning import step_trial
 from estune.run.results.tuning_data import tuning_data
 from estune.web.server import PageServer
 from estune.web.views import run_view
-from tests.support_browser import browser, needs_browser, opened
+from tests.support_browser import needs_browser, opened
 
 pytestmark = needs_browser
 
@@ -69,12 +69,6 @@ EXCESSES = """async ([problem, start, Ms, overshoot]) => {
   });
 }"""
 """What the optimum exceeds of the limits after quick searches that ended at these counts."""
-
-
-@pytest.fixture(scope="module")
-def chromium():
-    with browser() as made:
-        yield made
 
 
 @pytest.fixture(scope="module")

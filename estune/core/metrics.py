@@ -17,6 +17,9 @@ STEADY_SHARE = 10
 """The last tenth of the samples after the step counts as steady state: its mean gives the error,
 and a settled response stays in the band throughout."""
 
+BAND = 0.02
+"""Half-width of the settling band without noise, as a fraction of the step: the usual 2 %."""
+
 NOISE_SIGMAS = 4.0
 WIDEST_NOISE_BAND = 0.05
 """Noise widens the settling band to four standard deviations of the measurement before the step,
@@ -65,7 +68,7 @@ def step_metrics(
     step_time_s: float,
     initial: float,
     final: float,
-    band: float = 0.02,
+    band: float = BAND,
 ) -> StepMetrics:
     """Metrics of a step response between its initial and its final setpoint.
 
@@ -128,7 +131,6 @@ def load_metrics(
     load: int,
     initial: float,
     final: float,
-    band: float = 0.02,
 ) -> LoadMetrics:
     """Metrics of the response to a load that follows a step; data as of `step_metrics`.
 
@@ -139,12 +141,11 @@ def load_metrics(
         load: First sample of the load.
         initial: Setpoint before the step, in the unit of the measurement.
         final: Setpoint after it.
-        band: Half-width of the band without noise, as a fraction of the step.
     """
     shares = (measurement - initial) / (final - initial)
     noise_band = min(NOISE_SIGMAS * _deviation(shares[:step]), WIDEST_NOISE_BAND)
     t, z = time_s[load:], shares[load:]
-    recovered_s = _settling_time(t, z, max(band, noise_band)) - float(t[0])
+    recovered_s = _settling_time(t, z, max(BAND, noise_band)) - float(t[0])
     return LoadMetrics(float(np.abs(measurement[load:] - final).max()), recovered_s)
 
 

@@ -281,8 +281,6 @@ def _end(state: SupervisorState, reason: str) -> SupervisorState:
 
 
 _STAY = _set("Change nothing.")
-_FOUND = _set("Check the rig's gains.", link=RigLink.FOUND)
-_READY = _set("Go on with the goal.", link=RigLink.READY, failures=0, trouble="")
 _HOLD = _set("Hold the candidate until it is accepted or rejected.", goal=Goal.HOLD)
 _WATCH = _set("Keep the nominal gains, and watch them.", goal=Goal.WATCH)
 _TUNE = _set("Tune again.", goal=Goal.TUNE)

@@ -64,10 +64,10 @@ def simplified() -> AbstractContextManager[None]:
     return rc_context({"path.simplify_threshold": 1.0, "agg.path.chunksize": 5000})
 
 
-def to_png(figure: Figure, dpi: float = 160.0) -> bytes:
+def to_png(figure: Figure) -> bytes:
     """The figure as PNG."""
     buffer = BytesIO()
-    figure.savefig(buffer, format="png", dpi=dpi)
+    figure.savefig(buffer, format="png", dpi=160.0)
     return buffer.getvalue()
 
 

@@ -135,9 +135,9 @@ def notch(title: str, name: str, sized_by: str, table: Mapping[str, float]) -> R
     return Remedy(Place.LOOP, title, harm, sized_by, tables={name: dict(table)})
 
 
-def recalibrate(title: str, sized_by: str, harm: str = "") -> Remedy:
+def recalibrate(title: str, sized_by: str) -> Remedy:
     """A number of a calibration, which then takes the effect away."""
-    return Remedy(Place.CALIBRATION, title, harm, sized_by, removes=1.0)
+    return Remedy(Place.CALIBRATION, title, sized_by=sized_by, removes=1.0)
 
 
 def workshop(title: str, sized_by: str = "", removes: float = 0.0) -> Remedy:

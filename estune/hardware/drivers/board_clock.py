@@ -41,7 +41,7 @@ class BoardClock(NamedTuple):
         return 1e-6 * self.unwrapped_us + self.offset_s
 
 
-def unwrapped(counts: int, last: int, bits: int = 32) -> int:
-    """A counter that wraps, continued from its last value."""
-    half = 1 << (bits - 1)
-    return last + ((counts - last + half) % (1 << bits)) - half
+def unwrapped(counts: int, last: int) -> int:
+    """A counter of 32 bits that wraps, continued from its last value."""
+    half = 1 << 31
+    return last + ((counts - last + half) % (2 * half)) - half

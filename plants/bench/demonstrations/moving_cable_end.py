@@ -37,8 +37,6 @@ def simulate_moving(
     gains: GainSchedule | Gains,
     length_m: FloatArray,
     profile: AnyProfile | None = None,
-    *,
-    noise_N: FloatArray | None = None,
 ) -> Response:
     """Runs one closed-loop trial with a changing cable length.
 
@@ -51,28 +49,24 @@ def simulate_moving(
         length_m: Deployed length at each sample, m, shape (samples,); smooth, because its second
             derivative is a force.
         profile: The setpoint; None is the reel's own step.
-        noise_N: Measurement noise, N, shape (samples,); None is no noise.
 
     Returns:
         The trial, with the drum's angle phi.
 
     Raises:
-        InvalidInput: length or noise have another shape than the trial, a length is not above
+        InvalidInput: the length has another shape than the trial, a length is not above
             zero, the profile is open-loop, or the reel has effects, which assume a fixed end.
         PlantError: the reel cannot be simulated.
     """
     profile = profile or reel.profile
     drive = drive_of(profile, reel.sampling_Hz)
     samples = len(drive.time_s)
-    noise = np.zeros(samples) if noise_N is None else noise_N
-    _check(reel, length_m, noise, samples, open_loop=drive.open_loop)
+    _check(reel, length_m, samples, open_loop=drive.open_loop)
     live = _live(reel, gains, float(length_m[0]), drive.preload_N)
     trial = _Trial(reel, length_m, drive.preload_N, live)
     limit = divergence_limit_N(profile)
-    for k, (setpoint, added) in enumerate(
-        zip(drive.setpoint_N.tolist(), noise.tolist(), strict=True)
-    ):
-        if not trial.sample(k, setpoint, added) <= limit:
+    for k, setpoint in enumerate(drive.setpoint_N.tolist()):
+        if not trial.sample(k, setpoint) <= limit:
             return trial.response(drive.time_s, drive.setpoint_N, k)
     return trial.response(drive.time_s, drive.setpoint_N, None)
 
@@ -101,10 +95,10 @@ class _Trial:
         self._columns = np.zeros((3, len(length_m)))
         self._flags = np.zeros(len(length_m), np.uint8)
 
-    def sample(self, k: int, setpoint_N: float, noise_N: float) -> float:
+    def sample(self, k: int, setpoint_N: float) -> float:
         """Runs one sample; returns the magnitude of the measurement."""
         m, ring, size = self._machine.memory, self._ring, len(self._ring)
-        m["setpoint"][0], m["noise"][0] = setpoint_N, noise_N
+        m["setpoint"][0], m["noise"][0] = setpoint_N, 0.0
         m["before"][0] = ring[k % size] + self._current_A[k]
         self._machine.sense()
         y, angle = m["y"][0], self._angle_rad(k)
@@ -182,14 +176,12 @@ def _current_of_motion(reel: Reel, length_m: FloatArray) -> FloatArray:
     return np.asarray(torque / (reel.drum_radius_m * reel.torque_constant_Nm_A))
 
 
-def _check(
-    reel: Reel, length_m: FloatArray, noise_N: FloatArray, samples: int, *, open_loop: bool
-) -> None:
-    for what, column in (("cable length", length_m), ("noise", noise_N)):
-        if np.shape(column) != (samples,):
-            raise InvalidInput(
-                f"the {what} has shape {np.shape(column)} where the trial has {samples} samples"
-            )
+def _check(reel: Reel, length_m: FloatArray, samples: int, *, open_loop: bool) -> None:
+    if np.shape(length_m) != (samples,):
+        raise InvalidInput(
+            f"the cable length has shape {np.shape(length_m)} where the trial has {samples} "
+            "samples"
+        )
     if not (np.isfinite(length_m).all() and (length_m > 0.0).all()):
         raise InvalidInput("the cable length must be finite and above zero at every sample")
     if open_loop:

@@ -139,7 +139,6 @@ def multisine(
     *,
     slope: float = 0.0,
     corner_Hz: float = 0.0,
-    seed: int = 0,
 ) -> BroadbandExcitation:
     """A sum of sines on odd lines, its phases chosen for a low crest factor.
 
@@ -154,7 +153,6 @@ def multisine(
         slope: Amplitudes are proportional to `(f/corner)^slope` above the corner and equal below
             it. A slope of 1 or 1.5 compensates the roll-off of a reel above its resonance.
         corner_Hz: Corner frequency; zero is the lowest line.
-        seed: Seed of the choice of unexcited lines.
 
     Raises:
         InvalidInput: a value is out of its range, or the band holds fewer than eight odd lines.
@@ -168,7 +166,7 @@ def multisine(
             "longer period or a wider band"
         )
     inner = odd[1:-1]
-    draws = np.random.default_rng(seed).integers(0, ODD_GROUP, inner.size // ODD_GROUP)
+    draws = np.random.default_rng(0).integers(0, ODD_GROUP, inner.size // ODD_GROUP)
     left_out = inner[np.arange(draws.size) * ODD_GROUP + draws]
     excited = np.setdiff1d(odd, left_out)
     frequency = excited * sampling_Hz / samples
