@@ -133,12 +133,12 @@ def diagnosis(**changes) -> Diagnosis:
         noise=NoiseFloor(channels),
         where=ResidualLocation(
             blocks=(
-                block("gauge", "cable and gauge block", 0.62, 0.05, 1),
-                block("force", "force block", 0.11, 0.06, 2),
+                block("gauge", "cable and gauge", 0.62, 0.05, 1),
+                block("force", "balance of forces", 0.11, 0.06, 2),
             ),
             sentence=(
-                "the cable and gauge block is 12 times its noise, below 14 Hz, and 63 % of it "
-                "goes with the sign of the velocity"
+                "What the model leaves unexplained in the cable and gauge is 12 times the noise. "
+                "63 % of it depends only on the direction of motion"
             ),
         ),
         calibrations=(

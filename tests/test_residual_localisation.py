@@ -57,14 +57,15 @@ def test_complete_model_has_no_residual():
     result = localise_effects()
     assert {block.name for block in result.blocks} == {"force", "gauge"}
     assert all(0.5 < block.ratio < 1.2 for block in result.blocks)
-    assert "stands out" in result.sentence
+    assert "Nothing that the model" in result.sentence
 
 
+FORCES = "balance of forces"
 TRACED = {
-    "coulomb": (CoulombFriction(0.03), "force", {"velocity sign", "velocity"}, "force block"),
+    "coulomb": (CoulombFriction(0.03), "force", {"velocity sign", "velocity"}, FORCES),
     "eyelet": (EyeletFriction(), "eyelet", {"velocity sign and tension"}, "eyelet"),
-    "ripple": (TorqueRipple(), "force", {"position period", "angle", "tension"}, "force block"),
-    "late": (DeadTime(), "force", {"command rate"}, "force block"),
+    "ripple": (TorqueRipple(), "force", {"position period", "angle", "tension"}, FORCES),
+    "late": (DeadTime(), "force", {"command rate"}, FORCES),
     "stiffening": (CableStiffening(), "gauge", {"tension"}, "cable"),
     "drift": (GaugeDrift(), "gauge", {"time"}, "gauge's reading"),
 }
@@ -78,8 +79,8 @@ def test_effect_is_localised_to_block_and_variable(case):
     assert (first.name, first.title) == (name, title)
     assert first.regime is not None
     assert first.regime.name in regimes
-    assert f"The {title}" in result.sentence
-    assert first.regime.name in result.sentence
+    assert f"in the {title}" in result.sentence
+    assert "% of it depends only on" in result.sentence
 
 
 def test_mains_interference_is_localised_by_its_band():
@@ -153,4 +154,4 @@ def test_localisation_as_json():
         json.dumps(localise_effects(CoulombFriction(0.03)).to_json(), allow_nan=False)
     )
     assert (data["block"], data["regime"]) == ("force", data["blocks"][0]["regime"])
-    assert data["sentence"].startswith("The force block")
+    assert data["sentence"].startswith("What the model leaves")

@@ -135,8 +135,8 @@ def _show(diagnosis: "Diagnosis") -> None:
         out.print()
         out.print(_table(best))
     out.print()
-    if diagnosis.not_excited:
-        names = f"{', '.join(diagnosis.not_excited)}; why is in the report"
+    if diagnosis.hidden:
+        names = f"{', '.join(diagnosis.hidden)}; why is in the report"
         out.print(Text.assemble(("not excited  ", "dim"), names), soft_wrap=True)
     for issue in diagnosis.findings:
         style = "red" if issue.level == "refused" else "yellow"

@@ -313,6 +313,7 @@ class DiagnosisResult:
         where: Localisation of the base model's residual.
         calibrations: The base model's numbers and how they shifted.
         not_excited: Effects that these records cannot show, with the reason.
+        not_of_the_plant: Those of them that such a plant cannot have.
         next_experiment: The trial that would decide, or None.
         findings: Issues of the data.
         steps: Prediction error on data left out, step by step.
@@ -357,6 +358,12 @@ class DiagnosisResult:
     limitations: tuple[Limitation, ...] = ()
     models: tuple[ModelSummary, ...] = ()
     shown_by: Mapping[str, str] = field(default_factory=dict)
+    not_of_the_plant: frozenset[str] = frozenset()
+
+    @property
+    def hidden(self) -> tuple[str, ...]:
+        """Effects that other records of this plant could show."""
+        return tuple(name for name in self.not_excited if name not in self.not_of_the_plant)
 
     @property
     def closure(self) -> float:

@@ -37,10 +37,10 @@ class Backlash(Effect):
     name = "backlash"
     title = "backlash between motor and drum"
     appearance = (
-        "where the torque turns round and no tension holds the teeth together, the angle leaps "
+        "where the torque turns round and no load holds the teeth together, the angle leaps "
         "ahead and stops with a jerk"
     )
-    excitation = "reversals of the torque near zero tension"
+    excitation = "reversals of the torque near zero load"
     port = Port.DRUM
     also = (Port.CABLE,)
     states = 2

@@ -30,8 +30,7 @@ class BentViscousFriction(Effect):
     name = "bent_viscous_friction"
     title = "viscous friction that bends with speed"
     appearance = (
-        "current and tension differ by a smooth odd function of the velocity that is no straight "
-        "line"
+        "motion takes an effort that is a smooth odd function of its velocity and no straight line"
     )
     excitation = "motion at several speeds in both directions"
     port = Port.DRUM

@@ -31,8 +31,8 @@ class CoulombFriction(Effect):
     name = "coulomb_friction"
     title = "Coulomb friction"
     appearance = (
-        "current and tension differ by a constant whose sign is that of the velocity; "
-        "small steps stop short of the setpoint"
+        "motion takes a constant effort more, whatever its velocity; small steps stop short "
+        "of the setpoint"
     )
     excitation = "slow reversals"
     family = "dry friction"

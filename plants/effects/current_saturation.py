@@ -31,8 +31,8 @@ class CurrentSaturation(Effect):
     name = "current_saturation"
     title = "current limit of the drive"
     appearance = (
-        "tension stays flat above a level however much is commanded, and the integral winds up; "
-        "small steps show nothing"
+        "the measurement stays flat above a level however much is commanded, and the "
+        "integral winds up; small steps show nothing"
     )
     excitation = "large steps"
     port = Port.ACTUATOR

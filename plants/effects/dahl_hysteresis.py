@@ -32,8 +32,8 @@ class DahlHysteresis(Effect):
     name = "dahl_hysteresis"
     title = "Dahl hysteresis"
     appearance = (
-        "after each reversal current and tension drift apart over a small angle, "
-        "so that small loops are narrower than large ones"
+        "after each reversal the effort changes by degrees over a small angle, so that "
+        "small loops are narrower than large ones"
     )
     excitation = "slow reversals of several amplitudes"
     family = "dry friction"

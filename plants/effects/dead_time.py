@@ -24,8 +24,8 @@ class DeadTime(Effect):
     name = "dead_time"
     title = "dead time of the drive"
     appearance = (
-        "everything comes late by the same time: the phase lags in proportion to the frequency "
-        "independent of gain and tension level"
+        "everything comes late by the same time: the phase lags in proportion to the "
+        "frequency, whatever gain and level"
     )
     excitation = "fast changes of the command, as in a multisine"
     family = "delay of the drive"

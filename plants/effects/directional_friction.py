@@ -30,8 +30,8 @@ class DirectionalFriction(Effect):
     name = "directional_friction"
     title = "viscous friction that differs by direction"
     appearance = (
-        "current and tension differ in proportion to the velocity, and by more for each unit of "
-        "it in one direction than in the other"
+        "motion takes an effort in proportion to its velocity, and more for each unit of it "
+        "in one direction than in the other"
     )
     excitation = "motion at several speeds in both directions"
     port = Port.DRUM

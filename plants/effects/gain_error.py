@@ -19,10 +19,10 @@ class GainError(Effect):
     name = "gain_error"
     title = "gain error of the drive"
     appearance = (
-        "commanded current and tension stand in another ratio than the model's, "
-        "at rest as well as in motion"
+        "command and measurement stand in another ratio than the model's, at rest as well "
+        "as in motion"
     )
-    excitation = "rest at several tensions"
+    excitation = "rest at several levels"
     base_parameter = "torque_gain"
     port = Port.ACTUATOR
 

@@ -26,8 +26,7 @@ class LoadFriction(Effect):
     name = "load_friction"
     title = "dry friction that grows with the load"
     appearance = (
-        "current and tension differ by a share of the load whose sign is that of the velocity; "
-        "tension and angle agree"
+        "motion takes a share of the load more, against its direction; tension and angle agree"
     )
     excitation = "slow reversals at several loads"
     port = Port.DRUM

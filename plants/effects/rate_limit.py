@@ -25,8 +25,8 @@ class RateLimit(Effect):
     name = "rate_limit"
     title = "rate limit of the drive"
     appearance = (
-        "large steps begin with a straight ramp of the tension and lag behind, "
-        "small ones show nothing"
+        "large steps begin with a straight ramp of the measurement and lag behind, small "
+        "ones show nothing"
     )
     excitation = "large steps"
     port = Port.ACTUATOR

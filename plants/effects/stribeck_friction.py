@@ -42,8 +42,7 @@ class StribeckFriction(Effect):
     name = "stribeck_friction"
     title = "Stribeck friction"
     appearance = (
-        "like Coulomb friction, but the drum breaks away with a jerk and, moved slowly, "
-        "sticks and slips"
+        "like Coulomb friction, but motion begins with a jerk and, when slow, sticks and slips"
     )
     excitation = "slow reversals and fast motion"
     family = "dry friction"

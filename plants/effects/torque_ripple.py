@@ -22,8 +22,8 @@ class TorqueRipple(Effect):
     name = "torque_ripple"
     title = "torque ripple of the motor"
     appearance = (
-        "current and tension differ by a wave over the angle, the same at each passage "
-        "at any velocity"
+        "motion takes an effort that is a wave over the angle, the same at each passage at "
+        "any velocity"
     )
     excitation = "slow motion over many periods"
     port = Port.DRUM

@@ -22,8 +22,8 @@ class ViscousDamping(Effect):
     name = "viscous_damping"
     title = "viscous friction"
     appearance = (
-        "current and tension differ in proportion to the velocity; "
-        "the resonance is lower and wider than the model's"
+        "motion takes an effort in proportion to its velocity; the resonance is lower and "
+        "wider than the model's"
     )
     excitation = "fast motion in both directions"
     base_parameter = "viscous_friction_Nms"

@@ -41,7 +41,7 @@ def sentences(diagnosis: Any, offers: Sequence[Offer]) -> tuple[str, ...]:
     if diagnosis.verdict in ("unknown", "incomplete", "ambiguous") and next_one is not None:
         found.append(f"What is not named cannot be remedied. {_sentence(next_one.sentence)}")
     if diagnosis.verdict == "none":
-        hidden = ", ".join(diagnosis.not_excited)
+        hidden = ", ".join(diagnosis.hidden)
         told = f"; these records cannot show {hidden}" if hidden else ""
         found.append(f"The model lacks nothing that could be remedied{told}.")
     return tuple(found)

@@ -95,6 +95,7 @@ def report(
         limitations=limits,
         models=compared.conclusion.models,
         shown_by=choices.shown_by,
+        not_of_the_plant=frozenset(choices.unavailable),
     )
 
 

@@ -26,7 +26,7 @@ def page(d: DiagnosisResult) -> Page:
         "refitted. Free runs use models fitted to all data. No model was fitted to held-out "
         "records, if there are any. The noise floor is the noise "
         "of the sensors and an allowance for the model's form. A short prediction starts anew "
-        "from the measured angle every few moments, a free run never.",
+        "from the measurement every few moments, a free run never.",
         "soft",
     )
     sections = (

@@ -148,8 +148,8 @@ def _linear(b: BaseNumbers) -> LinearModel:
     return b.linear
 
 
-FORCE = Equation("force", "force block", "N m", _force, own_offset=False, smooth=True)
-GAUGE = Equation("gauge", "cable and gauge block", "N", _gauge, own_offset=True, smooth=False)
+FORCE = Equation("force", "balance of forces", "N m", _force, own_offset=False, smooth=True)
+GAUGE = Equation("gauge", "cable and gauge", "N", _gauge, own_offset=True, smooth=False)
 EYELET = replace(GAUGE, name="eyelet", title="eyelet", balance=_eyelet)
 ACTUATOR = Equation("actuator", "actuator", "A", _actuator, own_offset=False, smooth=False)
 PLANT = Equation("plant", "balance of the plant", "N", _plant, own_offset=True, smooth=True)

@@ -275,6 +275,15 @@ def _band(frequency: FloatArray, power: FloatArray) -> tuple[float, float]:
     return float(frequency[low]), float(frequency[min(high, frequency.size - 1)])
 
 
+_VARIABLES = {
+    "velocity sign": "the direction of motion, as dry friction does",
+    "velocity sign and tension": "the direction of motion and the tension, as friction in an "
+    "eyelet does",
+    "time": "time, as a drift does",
+}
+"""Variables that a residual depends on, where their names say too little."""
+
+
 def _of_blocks(blocks: Sequence[Block]) -> str:
     """Where the residual is, in words."""
     if not blocks:
@@ -282,17 +291,22 @@ def _of_blocks(blocks: Sequence[Block]) -> str:
     first = blocks[0]
     if first.ratio < RATIO_MIN:
         return (
-            f"No block stands out of its noise: the {first.title} most, {first.ratio:.2g} times."
+            "Nothing that the model leaves unexplained is above the noise; the most is in the "
+            f"{first.title}, {first.ratio:.2g} times the noise."
         )
-    regime, band = first.regime, first.band
-    follows = "it follows no single variable"
-    if regime is not None:
-        detail = f" of {regime.detail}" if regime.detail else ""
-        follows = f"{regime.share:.0%} of the residual follows the {regime.name}{detail}"
-    sentence = f"The {first.title}, {first.ratio:.2g} times its noise: {follows}"
-    sentence += f"; 90 % of it lies {band}." if band else "."
+    sentence = (
+        f"What the model leaves unexplained in the {first.title} is {first.ratio:.2g} times "
+    )
+    sentence += f"the noise, mostly {first.band}. " if first.band else "the noise. "
+    regime = first.regime
+    if regime is None:
+        sentence += "It depends on no single variable."
+    else:
+        detail = f" with a period of {regime.detail}" if regime.detail else ""
+        on = _VARIABLES.get(regime.name, f"the {regime.name}")
+        sentence += f"{100.0 * regime.share:.0f} % of it depends only on {on}{detail}."
     # The other block with the same cause is not reported again.
     shown = {READING: "force", "eyelet": "gauge"}.get(first.title)
     separate = [b for b in blocks[1:] if b.name != shown]
-    others = [f"the {b.title} {b.ratio:.2g} times" for b in separate if b.ratio >= RATIO_MIN]
-    return sentence + (f" Above its noise too: {', '.join(others)}." if others else "")
+    others = [f"the {b.title} at {b.ratio:.2g} times" for b in separate if b.ratio >= RATIO_MIN]
+    return sentence + (f" Above the noise, too: {', '.join(others)}." if others else "")
