@@ -142,7 +142,7 @@ def test_intervals_of_sensitivity_hold_the_true_value(seeds):
         gains = around(Gains(0.2, 4.0, 0.005, 0.05), 5, seed=seed)
         records = [record_of(plant, g, 100 * seed + n) for n, g in enumerate(gains)]
         fit = fit_loop(records, SAMPLING_HZ, COST.settling_time_s)
-        interval = predict_with_intervals(fit, trial_of(plant), GAINS, records).sensitivity
+        interval = predict_with_intervals(fit, trial_of(plant), GAINS).sensitivity
         covered += interval.low < truth < interval.high
     assert covered >= least_hits(seeds, 0.95)
 
@@ -156,7 +156,7 @@ def test_interval_of_a_plant_of_one_pole_holds_its_sensitivity_and_is_narrow(see
         gains = Gains(25.0 * lag_s, 25.0, 1e-4, 0.01)
         records = [record_of(plant, gains, 100 * seed + n) for n in range(3)]
         fit = fit_loop(records, SAMPLING_HZ, COST.settling_time_s)
-        interval = predict_with_intervals(fit, trial_of(plant), gains, records).sensitivity
+        interval = predict_with_intervals(fit, trial_of(plant), gains).sensitivity
         covered += interval.low < true_sensitivity(plant, gains) < interval.high
         narrow += interval.high < 1.3 * interval.low
     assert covered >= least_hits(seeds, 0.95)

@@ -62,9 +62,21 @@ def test_phases_follow_one_another_and_number_every_trial():
     while next_request(session) is not None:
         assert session.phase is (Phase.CHOOSE if session.confirmation is None else Phase.CONFIRM)
         session = after_trial(
-            session, Outcome.DONE, 1.0 if next_request(session).gains == START else 0.5
+            session, Outcome.DONE, 1.0 if next_request(session).gains.P == START.P else 0.5
         )
     assert {len(costs) for costs in session.confirmation.costs} == {session.plan.repeats}
+
+
+def test_initial_gains_but_for_a_rounding_are_not_confirmed_against_themselves():
+    session, _ = advance(new_session(plan()), [1.0] * 13)
+    recommended, best = session.choice.gains
+    assert recommended != START
+    assert recommended.P == START.P
+    for _ in range(6):
+        session = after_trial(
+            session, Outcome.DONE, 1.0 if next_request(session).gains == best else 0.5
+        )
+    assert (session.phase, session.confirmation) == (None, None)
 
 
 def test_void_trial_is_only_repeated_under_a_new_id():

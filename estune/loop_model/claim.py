@@ -50,12 +50,10 @@ class CostCheck(NamedTuple):
 
     Attributes:
         fit: The loop identified from the earlier records.
-        records: These records.
         costs: Costs of the repeats.
     """
 
     fit: LoopFit
-    records: tuple[LoopRecord, ...]
     costs: tuple[float, ...]
 
     def fault(self, trial: StepTrial, gains: Gains) -> str:
@@ -65,7 +63,7 @@ class CostCheck(NamedTuple):
         """
         costs = np.array(self.costs)
         cost = float(costs.mean())
-        predicted = predict_with_intervals(self.fit, trial, gains, self.records).cost
+        predicted = predict_with_intervals(self.fit, trial, gains).cost
         if not math.isfinite(predicted.value):
             return f"they cost {cost:.3g} where the trials before foretold an unstable loop"
         scatter = float(costs.std(ddof=1)) / math.sqrt(costs.size) if costs.size > 1 else 0.0
@@ -114,7 +112,7 @@ def claim(
         reason = _unknown(fit, margin, settings.sampling_Hz)
         reason = reason or (check.fault(trial, gains) if check and check.costs else "")
         if not reason:
-            margins = _widened(predict_with_intervals(fit, trial, gains, records), margin)
+            margins = _widened(predict_with_intervals(fit, trial, gains), margin)
             if math.isfinite(margins.sensitivity.high):
                 return Claim(margins, "", misfit)
             reason = "the records leave open whether the loop is stable with these gains"

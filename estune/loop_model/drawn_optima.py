@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from estune.core.quantities import FloatArray
-from estune.loop_model.intervals import parameter_deviations
+from estune.loop_model.drawn_models import drawn_models, white_factor
 from estune.loop_model.loop_fit import LoopFit
 from estune.loop_model.model import LoopModel
 from estune.loop_model.optimum import Optimum, RegionSearch
@@ -83,11 +83,8 @@ def draw_optima(
         optimum: That of the loop itself.
         seed: Of the draws.
     """
-    rng, x = np.random.default_rng(seed), optimum.coordinates
-    theta, factor = fit.model.parameters, parameter_deviations(fit)
-    gains, optima = [], list[FloatArray]()
-    for _ in range(DRAWS):
-        model = fit.model.with_parameters(theta + factor @ rng.standard_normal(theta.size))
+    x, gains, optima = optimum.coordinates, list[float](), list[FloatArray]()
+    for model in drawn_models(fit, white_factor(fit), DRAWS, seed):
         own = search(model)
         here = own.predicted(x)
         if not math.isfinite(here.cost):

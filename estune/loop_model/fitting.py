@@ -17,7 +17,13 @@ from estune.loop_model.identification import (
 from estune.loop_model.least_squares import FitSignals, Solution, signals_of
 from estune.loop_model.loop_fit import NUISANCE, LoopFit, Residuals, summarise
 from estune.loop_model.model import LoopModel
-from estune.loop_model.order import at_least_two, criterion, select_order, without_spare_pole
+from estune.loop_model.order import (
+    at_least_two,
+    criterion,
+    select_order,
+    without_slowest_pole,
+    without_spare_pole,
+)
 from estune.loop_model.records import LoopRecord
 
 STARTED_BY = 2
@@ -136,6 +142,7 @@ def _fit(
     settling = settling_time_s * sampling_Hz
     signals = signals_of(records, settling, round(settling))
     first = searched_dead_time(signals, _starts(records, settling, last))
+    first = without_slowest_pole(signals, first)
     fit = _explaining(records, signals, first, last, again=again)
     # In records of service a load takes the place of what a pole less leaves.
     if fit.order != 2 or fit.model.friction_N or not fit.noise.is_white:

@@ -9,15 +9,17 @@ import numpy as np
 from estune.core.gains import Gains
 from estune.core.pidf import ControllerSettings
 from estune.core.quantities import FloatArray
+from estune.loop_model.drawn_models import (
+    INFLATION,
+    clustered_factor,
+    drawn_models,
+    white_factor,
+)
 from estune.loop_model.least_squares import Solution, signals_of
 from estune.loop_model.loop_fit import LoopFit
-from estune.loop_model.model import LoopModel, close_loop, robustness
+from estune.loop_model.model import close_loop, robustness
 from estune.loop_model.prediction import Prediction, StepTrial, predict
 from estune.loop_model.records import LoopRecord
-
-INFLATION = 1.5
-"""Factor on the standard errors of the fit: with it intervals of Ms hold the true value in 1.00 of
-42 fits on seven families, without it in 0.83 to 0.95."""
 
 DRAWS = 48
 """Models drawn for each interval."""
@@ -55,62 +57,18 @@ class PredictedMargins(NamedTuple):
     phase_margin_deg: Interval
 
 
-def parameter_deviations(fit: LoopFit) -> FloatArray:
-    """A factor F of the inflated covariance F F' of the model's n parameters, shape (n, n)."""
-    return INFLATION * _factor(fit.covariance)
-
-
-def _drawn(
-    fit: LoopFit, factor: FloatArray, records: Sequence[LoopRecord], count: int, seed: int
-) -> tuple[LoopModel, ...]:
-    """Models drawn from the covariance F F' of a fit, whose numerators are about the best ones.
-
-    The best numerator at drawn poles is that of least squares: by the covariance it is linear in
-    the poles, which it is not where a zero cancels one of them.
-    """
-    model, n = fit.model, fit.order
-    theta = model.parameters
-    normal = np.random.default_rng(seed).standard_normal((count, theta.size))
-    moves = normal @ factor.T
-    if model.friction_N or not records:  # friction is no part of the least squares
-        return tuple(model.with_parameters(theta + row) for row in moves)
-    covariance = factor @ factor.T
-    slope = covariance[n:, :n] @ np.linalg.pinv(covariance[:n, :n], rcond=1e-12)
-    kept = [record for i, record in enumerate(records) if i not in fit.left_out]
-    signals = signals_of(kept, fit.settling_samples, model.dead_samples)
-
-    def best(poles: FloatArray) -> FloatArray:
-        return Solution.at(signals, poles, model.dead_samples, fit.noise).numerator
-
-    here = best(theta[:n])
-    for move in moves:
-        beyond = best(theta[:n] + move[:n]) - here - slope @ move[:n]
-        move[n:] += beyond
-    return tuple(model.with_parameters(theta + row) for row in moves)
-
-
-def predict_with_intervals(
-    fit: LoopFit, trial: StepTrial, gains: Gains, records: Sequence[LoopRecord] = ()
-) -> PredictedMargins:
-    """Predictions of an identified loop with 95 % intervals from models drawn about it.
+def predict_with_intervals(fit: LoopFit, trial: StepTrial, gains: Gains) -> PredictedMargins:
+    """Predictions of an identified loop with 95 % intervals from drawn models.
 
     They are the wider of those by the white and by the between-record covariance, both inflated.
     What the records leave unexplained or do not excite is not in them (`plant_error`).
-
-    Args:
-        fit: The identified loop.
-        trial: The step trial.
-        gains: The gains in question.
-        records: Those that were fitted: with them the drawn models fit them as well as the
-            covariance says; without them only as far as the model is linear in its poles.
     """
     centre = _transformed(predict(fit.model, trial, gains, fit.noise_N))
-    clustered: FloatArray = INFLATION * fit.quantile / 1.96 * _factor(fit.clustered)
     low, high = np.full(4, math.inf), np.full(4, -math.inf)
-    for factor in (parameter_deviations(fit), clustered):
+    for factor in (white_factor(fit), clustered_factor(fit)):
         drawn = [
             _transformed(predict(model, trial, gains, fit.noise_N))
-            for model in _drawn(fit, factor, records, DRAWS, 0)
+            for model in drawn_models(fit, factor, DRAWS, seed=0)
         ]
         ends = _ends(np.array(drawn))
         low, high = np.fmin(low, ends[0]), np.fmax(high, ends[1])
@@ -191,11 +149,3 @@ def setpoint_deviation(
 
 def _transformed(p: Prediction) -> FloatArray:
     return np.array([math.log(p.cost), p.overshoot, math.log(p.sensitivity), p.phase_margin_deg])
-
-
-def _factor(covariance: FloatArray) -> FloatArray:
-    """A factor F of a covariance F F' with rounding errors removed."""
-    scale = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
-    correlation = covariance / np.outer(scale, scale)
-    values, vectors = np.linalg.eigh((correlation + correlation.T) / 2.0)
-    return np.asarray(scale[:, np.newaxis] * vectors * np.sqrt(np.maximum(values, 0.0)))

@@ -74,10 +74,39 @@ def select_order(signals: FitSignals, start: PoleFit) -> PoleFit:
             return best.fit
         promising = sorted(_further(signals, solution), key=lambda one: one.criterion)[:TRIED]
         tried = [_judged(signals, improve(signals, one.fit)) for one in promising]
+        if _is_resolved(signals, best.fit.coordinates):
+            tried = [one for one in tried if _is_resolved(signals, one.fit.coordinates)]
         better = [one for one in tried if one.criterion < best.criterion]
         if not better:
             return best.fit
         best = min(better, key=lambda one: one.criterion)
+        # Dead time stands for poles that a model lacks: with more of them it is shorter.
+        best = _judged(signals, searched_dead_time(signals, [best.fit]))
+
+
+def without_slowest_pole(signals: FitSignals, fit: PoleFit) -> PoleFit:
+    """The fit of more than two poles without one slower than all records, if the criterion falls.
+
+    To the records it is an integrator, and a small one of the wrong sign, which they do not tell
+    from none, leaves no stable loop.
+    """
+    poles = np.concatenate([section.log_poles for section in sections_of(fit.coordinates)])
+    real = sorted((-poles.real[poles.imag == 0.0]).tolist())
+    if fit.coordinates.size < 3 or len(real) < 2 or _is_resolved(signals, fit.coordinates):
+        return fit
+    turning = poles[poles.imag > 0.0]
+    sizes = np.abs(turning)
+    fewer = np.log(np.column_stack([sizes, -turning.real / sizes])).ravel()
+    for rate in real[1:]:
+        fewer = _with_single(fewer, math.log(rate))
+    tried = _judged(signals, searched_dead_time(signals, [fit._replace(coordinates=fewer)]))
+    return tried.fit if tried.criterion < _judged(signals, fit).criterion else fit
+
+
+def _is_resolved(signals: FitSignals, coordinates: FloatArray) -> bool:
+    """Whether no pole is slower than all records."""
+    longest = max(group.effort.shape[1] for group in signals.groups)
+    return bool(_slowest(coordinates) * longest > 1.0)
 
 
 def without_spare_pole(signals: FitSignals, fit: PoleFit) -> PoleFit:

@@ -100,3 +100,32 @@ def polynomial(coordinates: Sequence[float] | FloatArray) -> FloatArray:
     for section in sections_of(coordinates):
         product = np.convolve(product, section.taps)
     return product
+
+
+def difference_polynomial(coordinates: Sequence[float] | FloatArray) -> FloatArray:
+    """The same product in powers of 1 - q^-1, the constant first."""
+    product = np.ones(1)
+    for section in sections_of(coordinates):
+        product = np.convolve(product, section.powers)
+    return product
+
+
+def coordinates_of(polynomial: FloatArray) -> tuple[float, ...] | None:
+    """Coordinates of the poles of a polynomial in powers of 1 - q^-1, the constant first.
+
+    None where a pole has none: outside the unit circle, or real and not above zero.
+    """
+    d = np.roots(polynomial[::-1]).astype(complex)
+    log_poles = -np.log1p(-d)
+    if d.size < polynomial.size - 1 or not np.all(log_poles.real < 0.0):
+        return None
+    if np.any(np.abs(log_poles.imag[d.imag == 0.0]) > 0.0):
+        return None
+    real = np.sort(-log_poles.real[d.imag == 0.0]).tolist()
+    pairs = [(abs(s), -s.real / abs(s)) for s in log_poles[d.imag > 0.0]]
+    pairs += [
+        (math.sqrt(p * q), (p + q) / (2.0 * math.sqrt(p * q)))
+        for p, q in zip(real[:-1:2], real[1::2], strict=False)
+    ]
+    logs = [math.log(value) for pair in pairs for value in pair]
+    return (*logs, *(math.log(p) for p in real[len(real) - len(real) % 2 :]))

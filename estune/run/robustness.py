@@ -9,7 +9,13 @@ import numpy as np
 
 from estune.core.comparison import Change
 from estune.core.gains import Gains
-from estune.core.metrics import STEADY_SHARE, step_metrics
+from estune.core.metrics import (
+    BAND,
+    NOISE_SIGMAS,
+    STEADY_SHARE,
+    WIDEST_NOISE_BAND,
+    step_metrics,
+)
 from estune.core.quantities import FloatArray
 from estune.loop_model.claim import Claim, CostCheck, claim
 from estune.loop_model.fitting import fit_loop
@@ -119,7 +125,7 @@ def claim_from(loop: IdentifiedLoop, plan: Plan, rig: RigDescription, gains: Gai
         known = (*(step.signals for step in loop.steps[:earlier]), *loop.excitations)
         before = fit_loop(known, rate, asked_s, loop.fit)
         costs = tuple(step.cost for step, at in zip(loop.steps, here, strict=True) if at)
-        check = CostCheck(before, known, costs)
+        check = CostCheck(before, costs)
     return claim(loop.fit, loop.signals, step_trial(rig, plan.step, plan.cost), gains, check)
 
 
@@ -216,13 +222,19 @@ def not_robust(
     if abs(error_N) > allowed_N:
         ends = f"{error_N:+.2g} {rig.measurement_unit}".rstrip()
         return f"the response ends {ends} off its setpoint (allowed {rig.measured(allowed_N, 2)})"
-    # About the value it ends at: how far that is from the setpoint is judged above.
+    # About the value it ends at: how far that is from the setpoint is judged above. Beside the
+    # band for what the noise leaves of the mean: a response that enters it late is in it.
+    noise_N = _white_noise(
+        responses[:, -max(responses.shape[1] // STEADY_SHARE, 1) :]
+    ) / math.sqrt(len(repeats))
+    widened = min(NOISE_SIGMAS * noise_N / abs(step.step_N), WIDEST_NOISE_BAND - BAND)
     metrics = step_metrics(
         first.time_s,
         responses.mean(axis=0),
         step_time_s=float(first.time_s[index]),
         initial=step.preload_N,
         final=final_N + error_N,
+        band=BAND + widened,
     )
     if math.isnan(metrics.settling_time_s):
         return "the response has not settled at the end of the trial"
@@ -233,14 +245,19 @@ def _end_error(responses: FloatArray, final_N: float) -> tuple[float, float]:
     """Mean error over the last tenth of the responses, and what their noise explains of it."""
     tail = responses[:, -max(responses.shape[1] // STEADY_SHARE, 1) :]
     count = tail.shape[0]
-    noise = float(np.std(np.diff(tail, axis=1))) / math.sqrt(2.0) if tail.shape[1] > 1 else 0.0
-    explained = 4.0 * noise / math.sqrt(tail.size)
+    explained = NOISE_SIGMAS * _white_noise(tail) / math.sqrt(tail.size)
     if count > 1:
         from scipy.special import stdtrit  # noqa: PLC0415  slow to import
 
         spread = float(np.std(tail.mean(axis=1), ddof=1)) / math.sqrt(count)
         explained = max(explained, float(stdtrit(count - 1, 0.975)) * spread)
     return float(tail.mean()) - final_N, explained
+
+
+def _white_noise(responses: FloatArray) -> float:
+    """Standard deviation of white noise, by first differences of responses by rows."""
+    moves = np.diff(responses, axis=1)
+    return float(np.std(moves)) / math.sqrt(2.0) if moves.size else 0.0
 
 
 def robustness_cells(margins: PredictedMargins | None) -> Iterator[tuple[str, str]]:

@@ -264,34 +264,43 @@ def _next_gains(session: Session) -> Gains | None:
 def _after_search(session: Session, observation: Observation) -> dict[str, Any]:
     """Fields of the session that a search trial changes."""
     plan = session.plan
-    tuner = plan.tuner
-    state = tuner.tell(session.tuner_state, observation)
-    convergence = plan.convergence(state) if plan.may_end(state) else None
-    settled = convergence is not None and convergence.remaining_improvement < plan.tolerance
+    state = plan.tuner.tell(session.tuner_state, observation)
+    settled = _is_settled(plan, state)
     changed = {
         "tuner_state": state,
         "search_trials": session.search_trials + 1,
         "consecutive_censored": session.consecutive_censored + 1 if observation.censored else 0,
         "consecutive_settled": session.consecutive_settled + 1 if settled else 0,
     }
-    if changed["consecutive_censored"] >= CONSECUTIVE_CENSORED_MAX:
+    end = _end_of_search(replace(session, **changed))
+    return changed | ({"search_end": end} | _after_end(plan, state) if end else {})
+
+
+def _is_settled(plan: Plan, state: Any) -> bool:
+    """Whether the remaining improvement is below the tolerance."""
+    found = plan.convergence(state) if plan.may_end(state) else None
+    return found is not None and found.remaining_improvement < plan.tolerance
+
+
+def _end_of_search(session: Session) -> str:
+    """Why the search ends; empty where it continues."""
+    plan, state = session.plan, session.tuner_state
+    convergence = plan.convergence(state) if plan.may_end(state) else None
+    left = convergence.remaining_improvement if convergence is not None else math.nan
+    if session.consecutive_censored >= CONSECUTIVE_CENSORED_MAX:
         censored = CONSECUTIVE_CENSORED_MAX
-        end = f"the search ended after {censored} consecutive unsafe or declined trials"
-    elif convergence is not None and changed["consecutive_settled"] >= plan.settled_trials(state):
-        end = (
-            "the search ended: the remaining improvement is at most "
-            f"{convergence.remaining_improvement:.1%}, below the tolerance of "
-            f"{100.0 * plan.tolerance:.3g}%"
+        return f"the search ended after {censored} consecutive unsafe or declined trials"
+    if session.consecutive_settled >= plan.settled_trials(state):
+        return (
+            f"the search ended: the remaining improvement is at most {left:.1%}, below the "
+            f"tolerance of {100.0 * plan.tolerance:.3g}%"
         )
-    elif plan.would_repeat(state):
-        left = convergence.remaining_improvement if convergence else math.nan
+    if plan.would_repeat(state):
         most = f"; the remaining improvement is at most {left:.1%}" if left < 1.0 else ""
-        end = f"the search ended: the next trial would repeat an earlier one{most}"
-    elif changed["search_trials"] >= plan.trials:
-        end = f"the search used its {plan.trials} trial{'s' if plan.trials > 1 else ''}"
-    else:
-        return changed
-    return changed | {"search_end": end} | _after_end(plan, state)
+        return f"the search ended: the next trial would repeat an earlier one{most}"
+    if session.search_trials >= plan.trials:
+        return f"the search used its {plan.trials} trial{'s' if plan.trials > 1 else ''}"
+    return ""
 
 
 def _after_end(plan: Plan, state: Any) -> dict[str, Any]:
@@ -301,8 +310,8 @@ def _after_end(plan: Plan, state: Any) -> dict[str, Any]:
     points = [tuner.recommend(state)]
     if not plan.is_predicted(state):
         points.append(state.best_point)
-    gains = tuple(dict.fromkeys(map(tuner.space.gains, points)))
-    if len(gains) > 1:
+    gains = tuple(map(tuner.space.gains, points))
+    if not tuner.space.is_same(points[0], points[-1]):
         return {"choice": InterleavedRepeats.new(gains, plan.repeats)}
     return {"confirmation": _confirmation(plan, gains[0])}
 
@@ -327,7 +336,10 @@ def with_excitation(session: Session, rig: RigDescription) -> Session:
 
 
 def _after_excitation(session: Session, record: LoopRecord | None) -> dict[str, Any]:
-    """Fields of the session that an excitation changes; it is told nothing without a record."""
+    """Fields of the session that an excitation changes; it is told nothing without a record.
+
+    A search that had ended goes on where the loop, known better, has more to gain.
+    """
     plan, state = session.plan, session.tuner_state
     changed: dict[str, Any] = {
         "excitation": None,
@@ -335,16 +347,21 @@ def _after_excitation(session: Session, record: LoopRecord | None) -> dict[str, 
     }
     if record is None or not isinstance(plan.tuner, RecordUsingTuner):
         return changed
-    changed["tuner_state"] = plan.tuner.tell_excitation(state, record)
+    state = plan.tuner.tell_excitation(state, record)
+    changed["tuner_state"] = state
     if session.search_end:
-        changed |= {"confirmation": None, "choice": None}
-        changed |= _after_end(plan, changed["tuner_state"])
+        settled = plan.settled_trials(state) if _is_settled(plan, state) else 0
+        changed |= {"confirmation": None, "choice": None, "consecutive_settled": settled}
+        changed["search_end"] = _end_of_search(replace(session, **changed))
+        if changed["search_end"]:
+            changed |= _after_end(plan, state)
     return changed
 
 
 def _confirmation(plan: Plan, gains: Gains) -> InterleavedRepeats | None:
     """The repeats that confirm candidate gains; None if those are the initial ones."""
-    if gains == plan.start:
+    space = plan.tuner.space
+    if space.is_same(space.point_of(gains), space.point_of(plan.start)):
         return None
     return InterleavedRepeats.new((plan.start, gains), max(plan.repeats, 2))
 

@@ -6,8 +6,8 @@ import numpy as np
 
 from estune.core.gains import Gains
 from estune.core.quantities import FloatArray
-from estune.loop_model.intervals import parameter_deviations
-from estune.loop_model.model import close_loop
+from estune.loop_model.drawn_models import drawn_models, white_factor
+from estune.loop_model.model import LoopModel, close_loop
 from estune.loop_model.optimum import SENSITIVITY_MAX
 from estune.run.results.frequency_figures import (
     Loop,
@@ -106,18 +106,16 @@ def _responses(suggestion: JudgedRecords) -> Iterator[Block]:
 def _signals(suggestion: JudgedRecords, gains: Gains) -> tuple[FloatArray, FloatArray]:
     """Step response, effort and load response, shape (3, samples), and those of drawn models."""
     fit, settings = suggestion.fit, suggestion.trial.controller
-    factor = parameter_deviations(fit)
-    normal = np.random.default_rng(0).standard_normal((_DRAWS, factor.shape[0]))
-    theta, ones = fit.model.parameters, np.ones(suggestion.trial.samples)
+    ones = np.ones(suggestion.trial.samples)
 
-    def signals(values: FloatArray) -> FloatArray:
-        loop = close_loop(fit.model.with_parameters(values), gains, settings)
+    def signals(model: LoopModel) -> FloatArray:
+        loop = close_loop(model, gains, settings)
         output, effort = loop.setpoint_response(ones)
         return np.array([output, effort, loop.load_response(ones)[0]])
 
     with np.errstate(over="ignore", invalid="ignore"):
-        drawn = np.array([signals(theta + factor @ row) for row in normal])
-    return signals(theta), drawn[np.isfinite(drawn).all(axis=(1, 2))]
+        drawn = np.array([signals(m) for m in drawn_models(fit, white_factor(fit), _DRAWS, 0)])
+    return signals(fit.model), drawn[np.isfinite(drawn).all(axis=(1, 2))]
 
 
 def _loop(suggestion: JudgedRecords) -> Iterator[Block]:

@@ -8,7 +8,7 @@ keep the gains positive, and a step means the same at every order of magnitude.
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import Literal, Self
 
 import numpy as np
@@ -43,6 +43,9 @@ _DIRECTIONS = {
 Directions = tuple[tuple[float, ...], ...]
 """Change of the logarithms of P, I, D and the filter's time constant with that of each parameter,
 one row a parameter."""
+
+ROUNDING = 1e-5
+"""Relative difference below which points are the same: six digits are kept."""
 
 _ABSENT = {"I": 0.0, "D": 0.0, "Ti": math.inf, "Td": 0.0, "setpoint_filter_s": 0.0}
 """Value of a parameter that is neither tuned nor fixed. P and K cannot be absent."""
@@ -172,6 +175,10 @@ class SearchSpace:
         start = self.coordinates(self.start)
         exact = self.point(tuple([s + c for s, c in zip(start, relative, strict=True)]))
         return _clip(tuple([float(f"{value:.6g}") for value in exact]), self.low, self.high)
+
+    def is_same(self, one: Point, other: Point) -> bool:
+        """Whether two points differ by no more than the rounding of `rounded_point`."""
+        return all(map(partial(math.isclose, rel_tol=ROUNDING), one, other))
 
     @property
     def directions(self) -> Directions:

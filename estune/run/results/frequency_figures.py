@@ -13,7 +13,7 @@ from estune.core.margins import controller_response
 from estune.core.pidf import ControllerSettings
 from estune.core.quantities import ComplexArray, FloatArray
 from estune.interop import sampled_model
-from estune.loop_model.intervals import parameter_deviations
+from estune.loop_model.drawn_models import drawn_models, white_factor
 from estune.loop_model.loop_fit import LoopFit
 from estune.support.plot_style import BLUE, GREY, LIGHT, ORANGE, finish, legend, new_figure
 from estune.trial import RigDescription
@@ -51,13 +51,9 @@ class PlantResponse:
     ) -> "PlantResponse":
         """The loop identified from records."""
         frequency, theta = _grid(settings.sampling_Hz, settling_time_s)
-        deviations = parameter_deviations(fit)
         # A fixed seed: the same run gives the same page.
-        normal = np.random.default_rng(0).standard_normal((DRAWS, deviations.shape[0]))
-        drawn = [
-            fit.model.with_parameters(fit.model.parameters + row).frequency_response(theta)
-            for row in normal @ deviations.T
-        ]
+        models = drawn_models(fit, white_factor(fit), DRAWS, seed=0)
+        drawn = [model.frequency_response(theta) for model in models]
         return cls(frequency, fit.model.frequency_response(theta), np.array(drawn))
 
     @classmethod

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from estune.core.gains import GAIN_NAMES, Gains
-from estune.loop_model.intervals import parameter_deviations
+from estune.loop_model.drawn_models import drawn_models, white_factor
 from estune.loop_model.loop_fit import LoopFit
 from estune.loop_model.model import LoopModel
 from estune.loop_model.optimum import SENSITIVITY_MAX, RobustnessLimits
@@ -83,10 +83,8 @@ def _known(result: RunResult) -> str:
 def _draws(fit: LoopFit, samples: int) -> list[LoopModel]:
     """Models that the records allow, by the covariance of the fit."""
     count = min(DRAWS, max(DRAWS_MIN, SAMPLES_MAX // samples))
-    deviations = parameter_deviations(fit)
     # A fixed seed: the same run gives the same page.
-    normal = np.random.default_rng(0).standard_normal((count, deviations.shape[0]))
-    return [fit.model.with_parameters(fit.model.parameters + row) for row in normal @ deviations.T]
+    return list(drawn_models(fit, white_factor(fit), count, seed=0))
 
 
 def _labels(rig: RigDescription) -> dict[str, str]:

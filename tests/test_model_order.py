@@ -1,0 +1,82 @@
+"""The order of an identified loop, and the models that its records allow."""
+
+import control
+import numpy as np
+import pytest
+
+import plants
+from estune.core.gains import Gains
+from estune.loop_model.drawn_models import drawn_models, white_factor
+from estune.loop_model.fitting import fit_loop
+from estune.loop_model.identification import PoleFit, improve
+from estune.loop_model.least_squares import signals_of
+from estune.loop_model.model import robustness
+from estune.loop_model.poles import coordinates_of, difference_polynomial
+from estune.trial.profiles import StepProfile
+from experiments.loop_claims import true_sensitivity
+from tests.test_loop_model import record_of
+
+SAMPLING_HZ = 100.0
+
+
+def lags(count, dead_time_s):
+    """As many equal lags, a static gain of one, and a trial that ends before they are at rest."""
+    transfer = control.tf([1.0], [1.0])
+    for _ in range(count):
+        transfer *= control.tf([1.0], [0.1, 1.0])
+    return plants.linear_plant(
+        transfer,
+        dead_time_s=dead_time_s,
+        sampling_Hz=SAMPLING_HZ,
+        derivative_filter_s=0.01,
+        profile=StepProfile(preload_N=0.0, step_N=1.0, step_at_s=0.05, duration_s=1.7),
+    )
+
+
+def fitted(plant, gains, seeds):
+    records = [record_of(plant, gains, number) for number in seeds]
+    return fit_loop(records, SAMPLING_HZ, 0.5)
+
+
+def test_lag_with_a_dead_time_is_identified_by_one_pole_as_a_rule():
+    plant, gains = lags(1, 0.085), Gains(0.6, 1.6, 0.01, 0.03)
+    fits = [fitted(plant, gains, (seed,)) for seed in range(10)]
+    assert sum(fit.order == 1 for fit in fits) >= 7
+    truth = true_sensitivity(plant, gains)
+    for fit in fits:
+        found = robustness(fit.model, gains, plant.controller)
+        assert found.sensitivity == pytest.approx(truth, rel=0.03)
+
+
+def test_dead_time_is_searched_again_with_the_poles_that_were_added():
+    plant, gains = lags(4, 0.01), Gains(0.9, 2.0, 0.1, 0.01)
+    records = [record_of(plant, gains, number) for number in range(6)]
+    fit, signals = fit_loop(records, SAMPLING_HZ, 0.5), signals_of(records, 50.0, 50)
+    assert fit.order > 2
+
+    def squares(dead_samples):
+        start = PoleFit(0.0, np.array(fit.model.coordinates), dead_samples)
+        return improve(signals, start).cost
+
+    dead = fit.model.dead_samples
+    assert squares(dead) <= min(squares(dead - 1), squares(dead + 1)) * (1.0 + 1e-6)
+
+
+@pytest.mark.parametrize(
+    "coordinates",
+    [(-3.0, 1.2), (-2.5, 0.8, -1.0), (-2.7, -0.05, -2.2, -0.3), (-1.0, -4.0, -2.0, -0.1, -6.0, 2)],
+)
+def test_coordinates_of_a_polynomial_are_those_it_was_made_from(coordinates):
+    found = coordinates_of(difference_polynomial(coordinates))
+    pairs = [sorted(zip(c[::2], c[1::2], strict=False)) for c in (found, coordinates)]
+    assert np.allclose(*pairs)
+    assert coordinates_of(np.array([-1e-3, 0.3, 0.7])) is None
+
+
+def test_models_drawn_where_poles_are_close_keep_what_the_records_tell():
+    plant, gains = lags(4, 0.01), Gains(0.9, 2.0, 0.1, 0.01)
+    fit = fitted(plant, gains, range(6))
+    drawn = drawn_models(fit, white_factor(fit), 40, seed=0)
+    found = [robustness(model, gains, plant.controller).sensitivity for model in drawn]
+    assert min(found) < true_sensitivity(plant, gains) < max(found) < 1.5
+    assert all(0.5 < model.static_gain < 1.5 for model in drawn)
