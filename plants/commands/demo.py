@@ -7,7 +7,8 @@ from pathlib import Path
 
 from estune import api
 from estune.cli.tune import finish
-from estune.cli.values import TunerName
+from estune.cli.values import Flag, TunerName
+from estune.cli.watch import PORT, watch
 from estune.run.loop import Stopped
 from estune.support.child_process import child_process, next_line
 from estune.tuners import DEFAULT_TUNER
@@ -24,6 +25,8 @@ def demo(
     trials: int = 120,
     seed: int = 0,
     pace: float = 0.1,
+    page: Flag = False,
+    port: int = PORT,
     folder: Path = Path(api.RUNS),
 ) -> int:
     """Tune a simulated reel, which runs in another process, over Zenoh.
@@ -33,12 +36,18 @@ def demo(
         trials: Maximum number of search trials.
         seed: Seed of the measurement noise.
         pace: Wall-clock seconds per simulated second: 1 is real time, 0 is as fast as possible.
+        page: Show the reel on a page in the browser instead, from which it is tuned, until Ctrl-C.
+        port: Port of the page; 0 takes a free one.
         folder: Folder of runs.
     """
     with served_reel(seed, pace) as endpoint:
         print(
             f"a simulated reel runs in another process; Zenoh reaches it at {endpoint}", flush=True
         )
+        if page:
+            print(_FIRST_STEPS, flush=True)
+            watch(endpoint, allow_commands=True, port=port, folder=folder)
+            return 0
         try:
             result = api.tune(endpoint, tuner=tuner, trials=trials, folder=folder)
         except Stopped:
@@ -53,6 +62,15 @@ def demo(
         "notebook": f"import estune; estune.load({str(result.folder)!r})",
     }
     return finish(result, None, more)
+
+
+_FIRST_STEPS = """
+Open the address below in a browser on this machine. Then:
+  1. Start a tuning, and Start: about 8 trials, shown as they run
+  2. Tune by the model: move a slider, and see the response predicted
+  3. Try these gains once, and Apply to make them live
+Ctrl-C ends the reel and the page.
+"""
 
 
 @contextmanager
