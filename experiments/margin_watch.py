@@ -1,12 +1,14 @@
 """How soon is a changed plant noticed by 1 % dither, and how often a quiet loop taken for one?
 
 Command: `python -m experiments.margin_watch`.
-Target: a change of 30 % noticed within 2 records, no quiet loop taken for a changed one.
+Target: a change of 30 % noticed within 2 minutes, no quiet loop taken for a changed one.
 
-Loops of known plants are watched as the daemon watches them, a record of 80 settling times a
-minute, under a load of 1 % of the step and noise of 0.4 %. After some quiet records, each with a
-load of its own size, the plant's inertia, viscous friction or gain is 30 % larger. The CPU time of
-a record is that of its identification and its margins, without the rig's.
+Loops of known plants are watched as the daemon watches them: its multisine, a record of 80
+settling times a minute, and others at once after one that looks like another plant. Loads are 0.5
+to 2 % of the step, noise is 0.4 %. After some quiet records the plant's inertia, cable length or
+gain becomes 30 % larger, directly after a record, so that the first one of the changed plant ends
+after a minute. The CPU time of a record is that of its identification and its margins, without
+the rig's.
 """
 
 import argparse
@@ -20,6 +22,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from estune.core.gains import Gains
+from estune.daemon.config import MarginsTable
 from estune.loop_model.prediction import StepTrial
 from estune.loop_model.records import LoopRecord
 from estune.service_records.watched_loop import WatchedLoop, judged_margins, observe
@@ -31,8 +34,8 @@ from plants.models.reel import Reel
 from plants.simulation.plant import Plant
 
 CHANGE = 1.3
-LIMIT = 2
-"""Records, one a minute, within which a change has to be noticed."""
+LIMIT_S = 120.0
+"""Time within which a change has to be noticed."""
 
 LOOPS = {
     "reel 0.5 m": Gains(0.524, 9.85, 0.00816, 0.00585),
@@ -68,7 +71,7 @@ class WatchedCase(NamedTuple):
         load = 0.01 * 2.0 ** np.random.default_rng(seed).uniform(-1.0, 1.0)
         P, I, D, F = self.gains.as_tuple()
         ran = Gains(gain * P, gain * I, gain * D, F)
-        service = Service("dither 1 %", load=load)
+        service = Service("advised 1 %", load=load)
         r = serve(plant or self.plant, self.trial, ran, service, seed)
         return LoopRecord(r.effort / gain, r.measurement, r.setpoint, self.gains)
 
@@ -99,17 +102,18 @@ def watched(name: str, quiet: int, seed0: int) -> dict[str, Any]:
     """What watching one loop shows: quiet records, then each change from the same state."""
     case = case_of(name)
     settings, settling_s = case.trial.controller, case.trial.cost.settling_time_s
-    known, cpu_s, suspects, changed = WatchedLoop(), [], 0, 0
+    known, cpu_s, further, changed = WatchedLoop(), [], 0, 0
     for k in range(WARM + quiet):
         record = case.record(seed0 + k)
         begun = time.process_time()
         known, is_changed = observe(known, record, settings.sampling_Hz, settling_s)
-        shown = judged_margins(known, case.trial, case.gains, settings)
+        if not known.suspects:
+            shown = judged_margins(known, case.trial, case.gains, settings)
         cpu_s.append(time.process_time() - begun)
-        suspects += known.suspect is not None
+        further += bool(known.suspects)
         changed += is_changed
     Ms = shown.margins.sensitivity
-    row = {
+    return {
         "loop": name,
         "true_Ms": true_sensitivity(case.plant, case.gains),
         "Ms": Ms.value,
@@ -117,21 +121,31 @@ def watched(name: str, quiet: int, seed0: int) -> dict[str, Any]:
         "high": Ms.high,
         "told": shown.judgement.can_tell,
         "quiet": quiet,
-        "suspect": suspects,
+        "further": further,
         "false_alarms": changed,
         "cpu_s": float(np.median(cpu_s)),
+    } | {
+        f"{change}, s": noticed_s(case, known, record_of, seed0 + 1000)
+        for change, record_of in case.changes()
     }
-    for change, record_of in case.changes():
-        state, noticed = known, math.inf
-        for k in range(3 * LIMIT):
-            state, is_changed = observe(
-                state, record_of(seed0 + 1000 + k), settings.sampling_Hz, settling_s
-            )
-            if is_changed:
-                noticed = k + 1
-                break
-        row[f"{change}, records"] = noticed
-    return row
+
+
+def noticed_s(
+    case: WatchedCase, known: WatchedLoop, record_of: Callable[[int], LoopRecord], seed0: int
+) -> float:
+    """Time from a change to its alarm, infinite beyond three times the limit."""
+    settings, settling_s = case.trial.controller, case.trial.cost.settling_time_s
+    table = MarginsTable()
+    now_s, seed = table.every_s, seed0
+    while now_s <= 3.0 * LIMIT_S:
+        record = record_of(seed)
+        known, is_changed = observe(known, record, settings.sampling_Hz, settling_s)
+        if is_changed:
+            return now_s
+        took_s = record.samples / settings.sampling_Hz
+        now_s += took_s if known.suspects else max(table.every_s, took_s / table.dither_time)
+        seed += 1
+    return math.inf
 
 
 def main() -> int:
@@ -145,7 +159,7 @@ def main() -> int:
     names = list(LOOPS)[1:3] if options.quick else list(LOOPS)
     quiet = 5 if options.quick else options.quiet
     rows = [watched(name, quiet, options.seed0) for name in names]
-    seen = [value for row in rows for key, value in row.items() if key.endswith("records")]
+    seen = [value for row in rows for key, value in row.items() if key.endswith(", s")]
     cpu_s = float(np.mean([row["cpu_s"] for row in rows]))
     figures = {
         "rows": rows,
@@ -153,7 +167,7 @@ def main() -> int:
         "cores_100_rigs": 100.0 * cpu_s / 60.0,
     }
     targets = {
-        "noticed": at_least(float(np.mean([n <= LIMIT for n in seen])), 1.0),
+        "noticed": at_least(float(np.mean([t <= LIMIT_S for t in seen])), 1.0),
         "false_alarms": at_most(sum(row["false_alarms"] for row in rows), 0.0),
     }
     return print_results(figures, targets, as_json=options.json, tables=True)

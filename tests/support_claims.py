@@ -4,6 +4,7 @@ A check fails by chance with a probability of 0.001 where the claimed rate is ju
 the number of cases; so it serves the short form of an experiment and its validation size.
 """
 
+import math
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -70,10 +71,19 @@ def check_loop_claims(figures: Figures, _targets: Figures) -> None:
     assert sum(row["broken_claims"] for row in rows) <= sum(row["seeds"] for row in rows) / 200
 
 
+def check_margin_watch(figures: Figures, targets: Figures) -> None:
+    """No quiet loop is taken for a changed one, and each change of 30 % is noticed."""
+    assert targets["false_alarms"]["met"]
+    noticed = [row[key] for row in figures["rows"] for key in row if key.endswith(", s")]
+    assert noticed
+    assert all(value is not None and value < math.inf for value in noticed)
+
+
 CHECKS: dict[str, Callable[[Figures, Figures], None]] = {
     "hidden_effects": check_diagnosis,
     "sample_efficiency": check_tuner,
     "chaos": check_chaos,
     "loop_claims": check_loop_claims,
+    "margin_watch": check_margin_watch,
 }
 """Check of each experiment whose figures are rates."""

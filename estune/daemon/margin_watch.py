@@ -67,6 +67,7 @@ class MarginWatch:
         self._known = WatchedLoop()
         self._number = 0
         self._due_s = self._shown_s = -np.inf
+        self._taken_s = 0.0  # by multisines that followed each other at once
         self._above = False
 
     @property
@@ -98,6 +99,8 @@ class MarginWatch:
         profile = multisine(step.preload_N, table.dither * abs(step.step_N), T, rate)
         length_s = min(PERIODS * profile.period_s, description.limits.duration_max_s)
         profile = replace(profile, duration_s=length_s)
+        if np.isfinite(self._due_s):
+            self._taken_s = 0.0
         begun_s = time.monotonic()
         request = TrialRequest(f"{self._instance}-margins", self._number, gains, profile)
         self._number += 1
@@ -106,8 +109,10 @@ class MarginWatch:
         except InvalidInput as error:  # the rig's limits do not allow it
             return [self._stop(str(error))]
         finally:
-            took_s = time.monotonic() - begun_s
-            self._due_s = begun_s + max(table.every_s, took_s / table.dither_time)
+            # One that follows at once is paid for by the wait after it.
+            ended_s, self._taken_s = time.monotonic(), self._taken_s + time.monotonic() - begun_s
+            wait_s = self._taken_s / table.dither_time - self._taken_s
+            self._due_s = max(begun_s + table.every_s, ended_s + wait_s)
         if record.outcome.is_void:
             return []
         if record.outcome is not Outcome.DONE:
@@ -125,8 +130,8 @@ class MarginWatch:
         T, settings = self._settling_time_s(description), description.controller
         before = self.sentence
         self._known, changed = observe(self._known, record, settings.sampling_Hz, T)
-        if self._known.suspect is not None:
-            self._due_s = -np.inf  # the next record says whether it was a disturbance
+        if self._known.suspects:
+            self._due_s = -np.inf  # the next record says more
             return []
         self._shown_s = time.monotonic()
         found = judged_margins(self._known, self._trial(description), gains, settings)

@@ -6,7 +6,7 @@ busy records and 80 % of those with 1 % dither, never of a loop that holds still
 friction, Ms within 6 % or not stated; from 300 settling times costs within 5 % of the best in 90 %
 and both limits kept in 95 %.
 
-Loops of known plants run in six kinds of service under a load of several colours, with gains
+Loops of known plants run in seven kinds of service under a load of several colours, with gains
 half-way, in logarithms, between a weak start and the constrained optimum. `suggest` reads each
 record. True Ms is measured by a small multisine through the whole plant; with dry friction it is
 that of the plant without it. The cost of recommended gains is compared with the optimum within the

@@ -1,4 +1,4 @@
-"""Ordinary service: setpoints of six kinds, loads and noise of several colours, and the record."""
+"""Ordinary service: setpoints of seven kinds, loads and noise of several colours, the record."""
 
 import math
 from collections.abc import Callable
@@ -10,6 +10,7 @@ from estune.core.filtering import lfilter
 from estune.core.gains import Gains
 from estune.core.quantities import FloatArray
 from estune.loop_model.prediction import StepTrial
+from estune.service_records.advice import PERIOD, multisine
 from plants.simulation.batch import simulate_drive
 from plants.simulation.plant import Plant, TrialSetpoint
 
@@ -82,6 +83,16 @@ def dither(share: float) -> Callable[[Random, int, float], FloatArray]:
     return of
 
 
+def advised(share: float) -> Callable[[Random, int, float], FloatArray]:
+    """A constant setpoint with the multisine that `suggest` advises and the daemon adds."""
+
+    def of(_random: Random, samples: int, T: float) -> FloatArray:
+        profile = multisine(0.0, share, round(PERIOD * T) / PERIOD, 1.0)
+        return np.resize(profile.setpoint(1.0), samples)
+
+    return of
+
+
 def busy(random: Random, samples: int, T: float) -> FloatArray:
     """Steps, ramps and sines of up to 40 % of the step, one after the other."""
     setpoint, at, value = np.zeros(samples), 0, 0.0
@@ -112,6 +123,7 @@ SETPOINTS: dict[str, Callable[[Random, int, float], FloatArray]] = {
     "ramps": ramps,
     "small steps": small_steps,
     "dither 1 %": dither(0.01),
+    "advised 1 %": advised(0.01),
     "busy": busy,
     "production": production,
 }
