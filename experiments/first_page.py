@@ -20,8 +20,8 @@ from playwright.sync_api import Page, sync_playwright
 import plants
 from estune import load, tune
 from estune.run.results.result import TuneResult
-from experiments.live_page.__main__ import command, printed
 from experiments.live_page.browser import CHROMIUM, QUIET, WITHIN_MS
+from experiments.live_page.commands import command, printed
 from experiments.results import Target, at_most, command_line, print_results
 
 WIDTH, HEIGHT = 760, 860

@@ -20,8 +20,8 @@ from typing import Any
 
 from playwright.sync_api import Page, expect, sync_playwright
 
-from experiments.live_page.__main__ import printed
 from experiments.live_page.browser import CHROMIUM, QUIET
+from experiments.live_page.commands import printed
 from experiments.results import at_most, command_line, print_results
 
 ROOT = Path(__file__).parents[1]

@@ -21,6 +21,7 @@ from estune.run.labels import (
     read_numbers,
     write_labels,
 )
+from estune.web.listed_run import ListedRun
 from estune.web.server import PageServer
 from estune.web.views import folder_views
 from tests.support_browser import browser, needs_browser, opened
@@ -127,6 +128,66 @@ def test_finished_run_stores_its_numbers_and_the_list_shows_them(runs, capsys):
     listed = {row["run"]: row for row in json.loads(capsys.readouterr().out)}
     assert [listed["reel"][name] for name in ListedNumbers._fields] == [*numbers]
     assert listed["second"]["Ms"] is None
+
+
+def test_listing_leaves_nothing_beside_a_finished_run_and_follows_a_running_one(runs):
+    first = ListedRun(runs / "first")
+    files = sorted((runs / "first").iterdir())
+    assert first.row()["state"] == "finished"
+    assert sorted((runs / "first").iterdir()) == files
+    with Journal.open(runs / "first", write=True) as journal:
+        for status in ("running", "stopped: by hand"):
+            journal.note(status=status)
+            assert first.row()["state"] == status.partition(":")[0]
+    kept = first.row()
+    assert first.row() is kept
+    write_labels(runs / "first", Labels(("hose",)))
+    assert first.row()["tags"] == ("hose",)
+
+
+def test_page_that_has_the_list_is_not_sent_it_again(runs, monkeypatch):
+    monkeypatch.setattr("estune.web.server.LIST_S", 0.0)
+    server = PageServer(folder_views(runs))
+
+    def ask(tag: str) -> tuple[int, str, bytes]:
+        link = http.client.HTTPConnection("127.0.0.1", server.port)
+        link.request("GET", "/api/views", headers={"If-None-Match": tag})
+        answer = link.getresponse()
+        body = answer.read()
+        link.close()
+        return answer.status, answer.getheader("ETag"), body
+
+    try:
+        _, tag, first = ask("")
+        assert ask(tag) == (304, tag, b"")
+        write_labels(runs / "second", Labels(("cold",)))
+        status, changed, second = ask(tag)
+        assert status == 200
+        assert changed != tag
+        assert [row["tags"] for row in json.loads(second)["views"] if row["tags"]] == [["cold"]]
+        assert len(json.loads(first)["views"]) == len(NAMES)
+    finally:
+        server.close()
+
+
+@needs_browser
+def test_many_runs_are_drawn_in_part_until_all_are_asked_for_and_filtered_as_a_whole(runs):
+    for n in range(110):
+        shutil.copytree(runs / "first", runs / f"copy {n}")
+    server = PageServer(folder_views(runs))
+    try:
+        with browser() as chromium, opened(chromium, server.address) as page:
+            rows = page.locator("#views tbody tr")
+            expect(rows).to_have_count(100)
+            page.get_by_role("searchbox").fill("copy 10")
+            expect(rows).to_have_count(11)
+            page.get_by_role("searchbox").fill("")
+            page.get_by_role("button", name="Show all 113").press("Enter")
+            expect(rows).to_have_count(113)
+            expect(rows.nth(100).get_by_role("link")).to_be_focused()
+            assert serious(page) == []
+    finally:
+        server.close()
 
 
 @pytest.mark.parametrize("text", ["", "[]", "{", '{"tags": 3, "rise_time_s": "x", "Ms": NaN}'])

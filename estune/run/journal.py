@@ -139,8 +139,8 @@ class Journal:
             self.folder.rmdir()
 
     @classmethod
-    def open(cls, folder: Path, *, write: bool = False) -> Self:
-        """Opens a run.
+    def open(cls, folder: Path, *, write: bool = False, briefly: bool = False) -> Self:
+        """Opens a run; `briefly` as in `SqliteFile.open_reader`.
 
         Raises:
             JournalError: there is no run, it is torn or from a newer version, or, for writing, it
@@ -151,7 +151,7 @@ class Journal:
             raise JournalError(f"there is no run in {folder}; list the runs with: estune list")
         if write:
             return cls(SqliteFile.open_writer(path, KIND, create=False))
-        return cls(SqliteFile.open_reader(path, KIND))
+        return cls(SqliteFile.open_reader(path, KIND, briefly=briefly))
 
     def fact(self, key: str) -> Any:
         """The fact of the run stored under a key, or None."""

@@ -121,8 +121,15 @@ class SqliteFile:
         return file
 
     @classmethod
-    def open_reader(cls, path: Path, kind: FileKind) -> Self:
+    def open_reader(cls, path: Path, kind: FileKind, *, briefly: bool = False) -> Self:
         """Opens an existing file for reading; migrates one of an older schema first.
+
+        Args:
+            path: The file.
+            kind: Its kind.
+            briefly: Whether a file that nobody writes is read without the shared index that a
+                reader beside a writer needs, which takes longer to make than a small file to
+                read. For a reader that reads again what changes.
 
         Raises:
             JournalError: there is none, it is from a newer version or of another kind.
@@ -130,6 +137,7 @@ class SqliteFile:
         with _explained(path, kind), ExitStack() as opened:
             # Without the right to write, SQLite cannot make the shared index a WAL reader needs.
             unshared = not os.access(path.parent, os.W_OK) and not Path(f"{path}-wal").exists()
+            unshared = unshared or (briefly and _is_at_rest(path))
             mode = "ro&immutable=1" if unshared else "ro"
             file = cls(path, kind, _connect(opened, path, mode), opened)
             file._check_version()
@@ -267,6 +275,14 @@ def _connect(opened: ExitStack, path: Path, mode: str) -> sqlite3.Connection:
     opened.callback(connection.close)
     connection.execute("PRAGMA synchronous=FULL")
     return connection
+
+
+def _is_at_rest(path: Path) -> bool:
+    """Whether all that was written to a file is in it."""
+    try:
+        return Path(f"{path}-wal").stat().st_size == 0
+    except FileNotFoundError:
+        return True
 
 
 def _lock(path: Path, kind: FileKind) -> IO[str]:

@@ -1,6 +1,7 @@
 """The live page's server: the list of views, their changes as a stream, and commands."""
 
 import asyncio
+import hashlib
 import json
 import math
 import threading
@@ -65,7 +66,8 @@ class PageServer:
         self._views = views
         self._pages = 0
         self._listing = threading.Lock()
-        self._list_made = -math.inf, ""
+        self._list_made = -math.inf, "", ""
+        self._rows: dict[str, tuple[dict[str, Any], str]] = {}
         routes = [
             Route("/api/views", self._list),
             Route("/api/events", self._events),
@@ -88,25 +90,41 @@ class PageServer:
         for view in self._views():
             view.close()
 
-    async def _list(self, _request: Request) -> Response:
-        text = await run_in_threadpool(self._listed)
-        return Response(text, media_type="application/json", headers=HEADERS)
+    async def _list(self, request: Request) -> Response:
+        """The list, unless the page has it."""
+        text, tag = await run_in_threadpool(self._listed)
+        headers = {**HEADERS, "ETag": tag}
+        if request.headers.get("if-none-match") == tag:
+            return Response(status_code=304, headers=headers)
+        return Response(text, media_type="application/json", headers=headers)
 
-    def _listed(self) -> str:
-        """The list as JSON, made at most once in `LIST_S` for all pages."""
+    def _listed(self) -> tuple[str, str]:
+        """The list as JSON with its digest, made at most once in `LIST_S` for all pages."""
         with self._listing:
-            at_s, text = self._list_made
+            at_s, text, tag = self._list_made
             if time.monotonic() - at_s < LIST_S:
-                return text
+                return text, tag
             try:
                 views = self._views()
                 for view in views:
                     view.glance()
-                text = to_json({"views": [_row(view) for view in views], "fault": ""})
+                made = [(view.name, self._row(view)) for view in views]
+                self._rows = dict(made)
+                rows = ",".join(row for _, (_, row) in made)
+                text = f'{{"views":[{rows}],"fault":""}}'
             except EstuneError as error:
                 text = to_json({"views": [], "fault": str(error)})
-            self._list_made = time.monotonic(), text
-            return text
+            tag = f'"{hashlib.blake2b(text.encode(), digest_size=8).hexdigest()}"'
+            self._list_made = time.monotonic(), text, tag
+            return text, tag
+
+    def _row(self, view: View) -> tuple[dict[str, Any], str]:
+        """What a view says of itself, and its row as JSON; made anew if that is another object."""
+        summary = view.summary()
+        known = self._rows.get(view.name)
+        if view.kind == "run" and known is not None and known[0] is summary:
+            return known
+        return summary, to_json(_row(view, summary))
 
     async def _view(self, name: str) -> View | None:
         views = await run_in_threadpool(self._views)
@@ -178,9 +196,9 @@ async def _form(_request: Request) -> Response:
     return JSONResponse(form(), headers=HEADERS)
 
 
-def _row(view: View) -> dict[str, Any]:
+def _row(view: View, summary: dict[str, Any]) -> dict[str, Any]:
     """A view in the list; the state of a rig is known once it has been looked at."""
-    row = {"name": view.name, "kind": view.kind, "state": ""} | view.summary()
+    row = {"name": view.name, "kind": view.kind, "state": ""} | summary
     if view.kind == "run":
         return row
     rig, daemon = view.board.get("rig"), view.board.get("daemon")

@@ -1,5 +1,6 @@
 """Views of a server: runs, rigs and supervised rigs, each with a board and its readers."""
 
+import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from functools import partial
@@ -112,8 +113,12 @@ def run_view(folder: Path, security: Security = OPEN) -> View:
     board = Board()
     readers: list[Reader] = [RunReader(board, folder)]
     actions = None
-    with Journal.open(folder) as journal:
-        target, rig = journal.fact("target"), journal.fact("rig")["name"]
+    listed = ListedRun(folder)
+    row = listed.row()
+    target, rig = listed.target, str(row.get("rig", ""))
+    if not target:  # opened again, it says why, or has just begun
+        with Journal.open(folder) as journal:
+            target, rig = journal.fact("target"), journal.fact("rig")["name"]
     commands: dict[str, Execute] = run_actions(folder, rig)
     if is_endpoint(target):
         connect_rig = _connecting(target, rig, security)
@@ -131,7 +136,7 @@ def run_view(folder: Path, security: Security = OPEN) -> View:
         commands=commands,
         tuning=TuningSource(folder),
         actions=actions,
-        summary=ListedRun(folder).row,
+        summary=listed.row,
     )
 
 
@@ -140,8 +145,7 @@ def folder_views(folder: Path, security: Security = OPEN) -> Views:
     kept: dict[Path, View] = {}
 
     def views() -> list[View]:
-        paths = [path.parent for path in folder.glob(f"*/{FILE_NAME}")]
-        newest = sorted(paths, key=lambda path: path.stat().st_ctime, reverse=True)[:RUNS_MAX]
+        newest = _newest_runs(folder)
         for path in newest:
             if path not in kept:
                 with suppress(JournalError):  # half-copied, or just being begun: tried again
@@ -151,6 +155,17 @@ def folder_views(folder: Path, security: Security = OPEN) -> Views:
         return [kept.get(path) or _unreadable(path) for path in newest]
 
     return views
+
+
+def _newest_runs(folder: Path) -> list[Path]:
+    """At most `RUNS_MAX` runs of a folder, the one written last first."""
+    written: dict[str, float] = {}
+    with suppress(FileNotFoundError), os.scandir(folder) as entries:
+        for entry in entries:
+            with suppress(OSError):
+                written[entry.path] = Path(entry.path, FILE_NAME).stat().st_ctime
+    newest = sorted(written, key=lambda path: written[path], reverse=True)
+    return [Path(path) for path in newest[:RUNS_MAX]]
 
 
 def _unreadable(folder: Path) -> View:

@@ -15,22 +15,23 @@ this process, which reads their event streams; one is a headless Chromium.
 * Redraw: time from a move of the mouse that drags a slider of the tuning page until the page has
   painted what follows from it, as the page itself measures it; sliders of a wide and a narrow one.
 * History: time until a page of a run with 100 000 trials has been sent them.
+* Table: time from the request until Chromium shows the table of a folder of 1000 runs, where the
+  server has just started and again; and the rate of trials of a tuning in that folder, with ten
+  pages of its run and its list open, which a process of its own reads, and without, in turns.
 * Rate: a daemon's trials in equal times, with ten pages open and without, in turns. Without pages
   a daemon reads nothing for them, `LINGER_S` after the last was closed.
 * Stop: 99th centile of the time until a rig has answered an emergency stop, likewise.
 """
 
-import http.client
 import json
 import sqlite3
 import statistics
-import subprocess
 import sys
 import tempfile
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import AbstractContextManager, ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -41,15 +42,14 @@ import plants
 from estune import tune
 from estune.remote import zenoh
 from estune.remote.zenoh.daemon_service import DaemonClient
-from estune.support.child_process import child_process
 from estune.web.reader import LINGER_S
 from experiments.live_page.browser import SeenPage, look_at
+from experiments.live_page.commands import command, printed, stream
 from experiments.live_page.drag import redraws_ms
+from experiments.live_page.many_runs import PAGES, RUNS, measure
 from experiments.results import Target, at_least, at_most, command_line, print_results
 
-PAGES = 10
 TRIALS_LONG = 100_000
-WITHIN_S = 60.0
 DAEMON = """
 [service]
 listen = "tcp/127.0.0.1:0"
@@ -63,29 +63,6 @@ tuner = "least_squares_gradient"
 trials = 1000000
 tolerance = 0.0
 """
-
-
-def command(*arguments: object) -> AbstractContextManager["subprocess.Popen[str]"]:
-    """A command of estune in a process, killed at the end."""
-    words = map(str, arguments)
-    return child_process("estune", *words, stderr=subprocess.DEVNULL)
-
-
-def printed(process: "subprocess.Popen[str]", begin: str) -> str:
-    """The rest of the first line that begins so."""
-    assert process.stdout is not None  # noqa: S101  opened as a pipe
-    for line in process.stdout:
-        if line.startswith(begin):
-            return line.removeprefix(begin).strip()
-    raise RuntimeError(f"the process ended before it printed {begin!r}")
-
-
-def stream(address: str, view: str) -> http.client.HTTPResponse:
-    """The events of a page."""
-    netloc = address.split("/")[2]
-    connection = http.client.HTTPConnection(netloc, timeout=WITHIN_S)
-    connection.request("GET", f"/api/events?view={view}")
-    return connection.getresponse()
 
 
 def changes(address: str, view: str) -> Iterator[dict[str, Any]]:
@@ -219,8 +196,10 @@ def main() -> int:
         seen, updates = in_browser(folder, 5.0 if quick else 40.0)
         dragged_ms = redraws_ms(folder, 20 if quick else 100)
         opened_s = history_s(folder, 2000 if quick else TRIALS_LONG)
+        many = measure(folder / "many", 50 if quick else RUNS, *((1, 2.0) if quick else (8, 8.0)))
         without, having = rates(folder, 1 if quick else 8, 2.0 if quick else 8.0)
         plain_ms, watched_ms = stops_ms(1 if quick else 5, 20 if quick else 200)
+    many_ratio = statistics.fmean(many.having) / statistics.fmean(many.without)
     ratio = statistics.fmean(having) / statistics.fmean(without)
     p99 = [float(np.quantile(times, 0.99)) for times in (plain_ms, watched_ms)]
     faults = [*seen.faults, *seen.complaints, *seen.elsewhere]
@@ -235,6 +214,10 @@ def main() -> int:
         "redraw_median_ms": {str(w): statistics.median(ms) for w, ms in dragged_ms.items()},
         "redraw_p90_ms": {str(w): float(np.quantile(ms, 0.9)) for w, ms in dragged_ms.items()},
         "history_s": opened_s,
+        "table_first_s": many.first_s,
+        "table_again_s": many.again_s,
+        "tuning_trials_per_s": statistics.fmean(many.without),
+        "tuning_trials_per_s_with_pages": statistics.fmean(many.having),
         "trials_per_s": statistics.fmean(without),
         "trials_per_s_with_pages": statistics.fmean(having),
         "stop_p99_ms": p99[0],
@@ -248,6 +231,8 @@ def main() -> int:
         "update_max_s": at_most(max(updates), 0.5),
         "redraw_median_ms": at_most(max(map(statistics.median, dragged_ms.values())), 50.0),
         "history_s": at_most(opened_s, 2.0),
+        "table_again_s": at_most(many.again_s, 1.0),
+        "tuning_rate_share": at_least(many_ratio, 0.98),
         "rate_share": at_least(ratio, 0.98),
         "stop_p99_with_pages_ms": at_most(p99[1], 5.0),
     }

@@ -209,11 +209,12 @@ function showCommands() {
 const BUTTONS = { tune: "Start a tuning\u2026", stop: "Stop the tuning", resume: "Resume this run", reset: "Reset the emergency stop", delete: "Delete this run\u2026" };
 $("estop").addEventListener("click", () => command("estop"));
 
+let answer = { views: [] }, tag = ""; // the list, and what it is known by
 async function list() {
-  let answer;
   const silent_s = (performance.now() - beat.at) / 1000;
   try {
-    answer = await (await fetch("api/views")).json();
+    const reply = await fetch("api/views", { headers: { "If-None-Match": tag } });
+    if (reply.status !== 304) [answer, tag] = [await reply.json(), reply.headers.get("ETag")];
   } catch {
     return; // the state says that the server does not answer
   }

@@ -4,6 +4,8 @@ const $ = (id) => document.getElementById(id);
 const cost = (x) => (x == null ? "" : Number(x.toPrecision(4)).toString());
 const time = (s) => (s == null ? "" : s < 1 ? `${cost(1e3 * s)} ms` : `${cost(s)} s`);
 export const LAID_OVER_MAX = 5;
+const DRAWN_MAX = 100; // rows until all are asked for: a table of 1000 takes a browser half a second
+const texts = new WeakMap(), { compare } = new Intl.Collator();
 const COLUMNS = [
   ["name", "name", (x) => x], ["state", "state", (x) => x], ["kind", "kind", (x) => x], ["rig", "rig", (x) => x ?? ""],
   ["begun", "begun", (x) => (x ? new Date(x).toLocaleString() : "")], ["trials", "trials", (x) => x ?? ""],
@@ -18,6 +20,12 @@ export class RunTable {
     this.by = "begun";
     this.falling = true;
     this.laidOver = new Set();
+    this.drawn = new Map(); // rows of the table, each with what it shows
+    $("all-views").addEventListener("click", () => {
+      this.all = true;
+      this.draw();
+      $("views").querySelector("tbody").rows[DRAWN_MAX]?.querySelector("a").focus();
+    });
     $("filter").addEventListener("input", () => this.draw());
     $("views").querySelector("thead tr").replaceChildren(...COLUMNS.map(([key, label]) => {
       const th = document.createElement("th"), button = document.createElement("button");
@@ -36,44 +44,58 @@ export class RunTable {
 
   // New rows, of which one is shown on the page.
   show(rows, current) {
-    const content = JSON.stringify([rows, current]);
-    if (content === this.content) return;
-    Object.assign(this, { content, rows, current });
+    if (rows === this.rows && current === this.current) return;
+    Object.assign(this, { rows, current });
     $("views").hidden = rows.length < 2;
     this.draw();
   }
 
   draw() {
     const words = $("filter").value.toLowerCase().split(/\s+/).filter(Boolean), sign = this.falling ? -1 : 1;
-    const text = (row) => COLUMNS.map(([key, , shown]) => shown(row[key], row)).join(" ").toLowerCase();
+    const text = (row) => {
+      if (!texts.has(row)) texts.set(row, COLUMNS.map(([key, , shown]) => shown(row[key], row)).join(" ").toLowerCase());
+      return texts.get(row);
+    };
     const order = (p, q) => { // rigs and daemons come first, rows without a value last
       if ((p.kind === "run") !== (q.kind === "run")) return p.kind === "run" ? 1 : -1;
       const [a, b] = [p[this.by] ?? "", q[this.by] ?? ""];
       if (a === "" || b === "") return (a === "") - (b === "");
-      return sign * (typeof a === "number" ? a - b : String(a).localeCompare(String(b)));
+      return sign * (typeof a === "number" ? a - b : compare(a, b));
     };
     const shown = this.rows.filter((row) => words.every((word) => text(row).includes(word))).sort(order);
     $("views").querySelectorAll("th:has(button)").forEach((th, n) => th.setAttribute("aria-sort", COLUMNS[n][0] !== this.by ? "none" : this.falling ? "descending" : "ascending"));
-    $("views").querySelector("tbody").replaceChildren(...shown.map((row) => {
-      const tr = Object.assign(document.createElement("tr"), { className: row.stale ? "stale" : "" });
-      COLUMNS.forEach(([key, , form], n) => {
-        const cell = tr.insertCell();
-        if (n) return cell.append(form(row[key], row));
-        const link = Object.assign(document.createElement("a"), { href: `?view=${encodeURIComponent(row.name)}`, textContent: row.name });
-        if (row.name === this.current) link.setAttribute("aria-current", "page");
-        cell.append(link);
-      });
-      const box = Object.assign(document.createElement("input"), { type: "checkbox", checked: this.laidOver.has(row.name) });
-      box.setAttribute("aria-label", `Lay ${row.name} over the shown run`);
-      box.disabled = row.name === this.current || (!box.checked && this.laidOver.size >= LAID_OVER_MAX);
-      box.addEventListener("change", () => {
-        this.laidOver[box.checked ? "add" : "delete"](row.name);
-        this.draw();
-        $("views").querySelector(`[aria-label="${CSS.escape(box.getAttribute("aria-label"))}"]`)?.focus();
-        this.onLaidOver([...this.laidOver]);
-      });
-      tr.insertCell().append(box);
+    const drawn = new Map(), part = this.all ? shown : shown.slice(0, DRAWN_MAX);
+    $("all-views").hidden = part.length === shown.length;
+    $("all-views").textContent = `Show all ${shown.length}`;
+    $("views").querySelector("tbody").replaceChildren(...part.map((row) => {
+      const content = JSON.stringify([row, row.name === this.current, this.laidOver.has(row.name), this.laidOver.size < LAID_OVER_MAX]);
+      const kept = this.drawn.get(row.name), tr = kept?.content === content ? kept.tr : this.made(row);
+      drawn.set(row.name, { content, tr });
       return tr;
     }));
+    this.drawn = drawn;
+  }
+
+  // A row of the table.
+  made(row) {
+    const tr = Object.assign(document.createElement("tr"), { className: row.stale ? "stale" : "" });
+    COLUMNS.forEach(([key, , form], n) => {
+      const cell = tr.insertCell();
+      if (n) return cell.append(form(row[key], row));
+      const link = Object.assign(document.createElement("a"), { href: `?view=${encodeURIComponent(row.name)}`, textContent: row.name });
+      if (row.name === this.current) link.setAttribute("aria-current", "page");
+      cell.append(link);
+    });
+    const box = Object.assign(document.createElement("input"), { type: "checkbox", checked: this.laidOver.has(row.name) });
+    box.setAttribute("aria-label", `Lay ${row.name} over the shown run`);
+    box.disabled = row.name === this.current || (!box.checked && this.laidOver.size >= LAID_OVER_MAX);
+    box.addEventListener("change", () => {
+      this.laidOver[box.checked ? "add" : "delete"](row.name);
+      this.draw();
+      $("views").querySelector(`[aria-label="${CSS.escape(box.getAttribute("aria-label"))}"]`)?.focus();
+      this.onLaidOver([...this.laidOver]);
+    });
+    tr.insertCell().append(box);
+    return tr;
   }
 }
