@@ -5,11 +5,15 @@ from types import SimpleNamespace
 
 import casadi as ca
 
-from plants.conformance.reel_runs import RATE, REEL
+from plants.conformance.reel_runs import RATE, REEL, wander
 from plants.effects import Port, Site
 from plants.models.reel_equations import cable_stiffness_N_m
 
 SUBSTEP_s = 0.25 / RATE
+R, J, Kt = REEL.drum_radius_m, REEL.drum_inertia_kg_m2, REEL.torque_constant_Nm_A
+k = cable_stiffness_N_m(REEL, 15.0)
+b = REEL.viscous_friction_Nms + REEL.viscous_friction_per_length_Ns * REEL.cable_length_m
+TAUT = wander(200, 12.0, 20.0)
 
 
 class Law:

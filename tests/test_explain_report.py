@@ -184,7 +184,6 @@ def test_plots_use_given_axes_without_pyplot(named):
         assert getattr(named, f"plot_{name}")(ax=ax) is ax
         assert ax.has_data()
         assert to_png(ax.figure).startswith(b"\x89PNG")
-    assert named.plot_splits().has_data()
     assert ("matplotlib.pyplot" in sys.modules) == before
 
 

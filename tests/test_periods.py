@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from plants.diagnosis.search.angle_periods import ResidualOverAngle, per_turn
+from plants.diagnosis.residual.angle_periods import ResidualOverAngle, per_turn
 
 READ_rad = 2.0 * np.pi / 8192.0
 

@@ -137,13 +137,20 @@ class PlantScale(NamedTuple):
         """Place of the friction, in words."""
         return " at the drum" if self.subject == "reel" else ""
 
-    def parameter(self, name: str, unit: str) -> str:
-        """Name of an effect's parameter of a unit, which it ends in, with the plant's own."""
-        own, ending = self.unit(unit), ENDINGS.get(unit, "")
+    def parameter(self, name: str, unit: str, own: str = "") -> str:
+        """Name of an effect's parameter of a unit, which it ends in, with the plant's own.
+
+        Args:
+            name: Its name as declared.
+            unit: Its unit as declared.
+            own: Its unit of this plant; by default that of a drum's in the plant's own.
+        """
+        own, ending = own or self.unit(unit), ENDINGS.get(unit, "")
         if own == unit or not ending or not name.endswith(ending):
             return name
         stem = name.removesuffix(ending)
-        stem = stem.replace("torque", "force") if own == "N" else stem
+        if self.is_plant or own == "N":
+            stem = stem.replace("torque", "effort" if self.is_plant else "force")
         return f"{stem}_{own.replace('/', '_').replace(' ', '')}"
 
     def torque(self, torque_Nm: float) -> str:

@@ -58,7 +58,7 @@ class PythonPlant(MountedModel):
     torque_unit: float = 1.0
     angle_unit: float = 1.0
 
-    diagnosed_by = "plants.diagnosis.models.python_plant:DiagnosedFunction"
+    diagnosed_by = "plants.diagnosis.models.diagnosed_plant:DiagnosedFunction"
 
     def __post_init__(self) -> None:
         for effect in self.effects:

@@ -8,7 +8,7 @@ import numpy as np
 from estune.core.quantities import FloatArray
 from estune.recordings.issue import DataIssue
 from plants.diagnosis.data.measured_record import MeasuredRecord
-from plants.diagnosis.data.smoothing import Smoother
+from plants.diagnosis.data.smoothing import Smoother, proportion
 from plants.diagnosis.models.base import BaseNumbers
 
 R2_MIN = 0.98
@@ -59,12 +59,7 @@ def inner_loop(m: MeasuredRecord, b: BaseNumbers) -> Iterator[DataIssue]:
 
 def _gain(command: FloatArray, motion: FloatArray) -> float | None:
     """Ratio of a command to the motion that follows it, or None where it explains too little."""
-    best: tuple[float, float] | None = None
-    for late in {round(d) for d in np.linspace(0.0, LATE * command.size, DELAYS)}:
-        u, y = command[: command.size - late], motion[late:]
-        known = np.isfinite(u) & np.isfinite(y)
-        u, y = u[known] - u[known].mean(), y[known] - y[known].mean()
-        uu, yy, uy = float(u @ u), float(y @ y), float(u @ y)
-        if uu > 0.0 and yy > 0.0 and uy > 0.0 and (best is None or uy**2 / (uu * yy) > best[0]):
-            best = uy**2 / (uu * yy), uu / uy
-    return best[1] if best is not None and best[0] >= R2_MIN else None
+    delays = {round(d) for d in np.linspace(0.0, LATE * command.size, DELAYS)}
+    tried = [proportion(command[: command.size - late], motion[late:]) for late in delays]
+    slope, share = max(tried, key=lambda one: one[1] if one[0] > 0.0 else 0.0)
+    return 1.0 / slope if slope > 0.0 and share >= R2_MIN else None

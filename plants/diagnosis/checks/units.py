@@ -8,7 +8,7 @@ import numpy as np
 from estune.core.quantities import FloatArray
 from estune.recordings.issue import DataIssue
 from plants.diagnosis.data.measured_record import MeasuredRecord
-from plants.diagnosis.data.smoothing import Smoother
+from plants.diagnosis.data.smoothing import Smoother, proportion
 from plants.diagnosis.models.base import BaseNumbers
 
 FACTOR_MAX = 20.0
@@ -25,8 +25,6 @@ R2_MIN = 0.5
 """Share of a channel's variance that another must explain for their ratio to mean something."""
 BOTH_WAYS = 0.05
 """Share of the time in either direction from which on a motion goes both ways."""
-WIDTH = 0.01
-"""Smoothing, as a share of the record."""
 
 
 def mistaken_units(m: MeasuredRecord, b: BaseNumbers, rate_Hz: float) -> Iterator[DataIssue]:
@@ -43,7 +41,7 @@ def mistaken_units(m: MeasuredRecord, b: BaseNumbers, rate_Hz: float) -> Iterato
         yield DataIssue("refused", f"{said}: it seems to be in ms; give s", "time_s")
         return
     effort = m.command_A(b.newtons_per_ampere) * b.newtons_per_ampere
-    smoother = Smoother(max(WIDTH * m.duration_s, 1.0 / m.sampling_Hz), m.sampling_Hz)
+    smoother = Smoother.slow(m.duration_s, m.sampling_Hz)
     u = smoother.held(effort, b.dead_time_s, 1.0)
     by_angle = by_effort = None
     if m.tension_N is not None and b.stiffness_N_m is not None:
@@ -147,11 +145,5 @@ def _is_far(ratio: float) -> bool:
 
 def _slope(x: FloatArray, y: FloatArray) -> float | None:
     """Slope of y by x, either sign, or None where they have too little to do with each other."""
-    known = np.isfinite(x) & np.isfinite(y)
-    if known.sum() < 8:
-        return None
-    x, y = x[known] - x[known].mean(), y[known] - y[known].mean()
-    xx, yy, xy = float(x @ x), float(y @ y), float(x @ y)
-    if not (xx > 0.0 and yy > 0.0 and xy**2 > R2_MIN * xx * yy):
-        return None
-    return xy / xx
+    slope, share = proportion(x, y)
+    return slope if share > R2_MIN else None

@@ -129,7 +129,11 @@ class MeasuredRecord:
         if self.loop == "closed" or self.current_A is None or self.setpoint_N is None:
             return None
         command = self.command_A(newtons_per_ampere)
-        power = float(command @ command)
-        ratio = float(self.current_A @ command) / power if power > 0.0 else 1.0
-        apart = np.abs(self.current_A - ratio * command).max()
-        return self.current_A if apart > ROUNDING * np.abs(command).max() else None
+        return None if is_multiple(self.current_A, command) else self.current_A
+
+
+def is_multiple(column: FloatArray, of: FloatArray) -> bool:
+    """Whether a column is another times a constant, but for rounding; both shape (samples,)."""
+    power = float(of @ of)
+    ratio = float(column @ of) / power if power > 0.0 else 0.0
+    return bool(np.abs(column - ratio * of).max() <= ROUNDING * np.abs(column).max())

@@ -1,15 +1,14 @@
 """Interpretation of recorded data, before anything is fitted to them."""
 
+import math
 from typing import NamedTuple
 
 import numpy as np
 
 from estune.core.quantities import FloatArray
 from plants.diagnosis.data.measured_record import CHANNELS, MeasuredRecord
-from plants.diagnosis.data.smoothing import Smoother
+from plants.diagnosis.data.smoothing import Smoother, proportion
 
-WIDTH = 0.01
-"""Smoothing of the signals whose signs are compared, as a share of the record."""
 CLEAR = 0.7
 """Size of a correlation from which its sign says something."""
 STEPWISE = 0.05
@@ -80,15 +79,14 @@ def _steps(setpoint: FloatArray | None) -> int | None:
 
 
 def _signs(m: MeasuredRecord) -> dict[str, float]:
-    smoother = Smoother(max(WIDTH * m.duration_s, 1.0 / m.sampling_Hz), m.sampling_Hz)
+    smoother = Smoother.slow(m.duration_s, m.sampling_Hz)
     effort = "current_A" if m.current_A is not None else "setpoint_N"
     found = {}
     for one, other in (("tension_N", effort), ("tension_N", "angle_rad"), ("angle_rad", effort)):
         x, y = m.channel(one), m.channel(other)
         if x is None or y is None:
             continue
-        pair = np.array([smoother.sampled(x, 1.0), smoother.sampled(y, 1.0)])
-        pair = pair[:, np.isfinite(pair).all(axis=0)]
-        if pair.shape[1] > 2 and (np.ptp(pair, axis=1) > 0.0).all():
-            found[f"{one} by {other}"] = float(np.corrcoef(pair)[0, 1])
+        slope, share = proportion(smoother.sampled(y, 1.0), smoother.sampled(x, 1.0))
+        if share > 0.0:
+            found[f"{one} by {other}"] = math.copysign(math.sqrt(share), slope)
     return found

@@ -16,7 +16,7 @@ from estune.recordings.recording import FEWEST_SAMPLES, Recording, read_recordin
 from estune.recordings.timing import Columns
 from estune.recordings.units import NO_DRUM, Drum
 from estune.run.journal import FILE_NAME, Journal
-from plants.diagnosis.data.measured_record import CHANNELS, OUTPUTS, ROUNDING, MeasuredRecord
+from plants.diagnosis.data.measured_record import CHANNELS, OUTPUTS, MeasuredRecord, is_multiple
 
 
 class ColumnSource(NamedTuple):
@@ -200,16 +200,11 @@ def _preload(about: Metadata, columns: Columns) -> float:
 def _loop(about: Metadata, columns: Columns) -> Literal["open", "closed"]:
     """As stated, or open where the current is the setpoint times a constant."""
     stated = about.text("loop")
-    if stated == "open":
-        return "open"
-    if stated == "closed":
-        return "closed"
+    if stated in ("open", "closed"):
+        return "open" if stated == "open" else "closed"
     if stated is not None:
         raise Unusable(f"loop is {stated!r} in the metadata; it is open or closed")
     current, setpoint = columns.get("current_A"), columns.get("setpoint_N")
     if current is None or setpoint is None:
         return "open" if current is None else "closed"
-    power = float(setpoint @ setpoint)
-    ratio = float(current @ setpoint) / power if power > 0.0 else 0.0
-    apart = float(np.abs(current - ratio * setpoint).max())
-    return "open" if apart <= ROUNDING * float(np.abs(current).max()) else "closed"
+    return "open" if is_multiple(current, setpoint) else "closed"

@@ -16,10 +16,14 @@ from estune.core.quantities import FloatArray
 CUT_OFF = 5.0
 """Widths at which the Gaussian is truncated; exp(-12.5) is 4e-6."""
 
+FEWEST = 8
+"""Fewest samples of a proportion."""
 DIRECT = 256
 """Longest kernel that is convolved directly, not by FFT."""
 WIDTH_RATIO = 1.1
 """Resolution of the search for a width."""
+SLOW = 0.01
+"""Width at which signs and units of channels are compared, as a share of the record."""
 
 
 class Smoother(NamedTuple):
@@ -32,6 +36,11 @@ class Smoother(NamedTuple):
 
     width_s: float
     sampling_Hz: float
+
+    @classmethod
+    def slow(cls, duration_s: float, sampling_Hz: float) -> "Smoother":
+        """The kernel through which signs and units of a record are compared."""
+        return cls(max(SLOW * duration_s, 1.0 / sampling_Hz), sampling_Hz)
 
     @property
     def reach(self) -> int:
@@ -81,6 +90,19 @@ class Smoother(NamedTuple):
         from scipy.special import ndtr  # noqa: PLC0415  slow to import
 
         return np.asarray(ndtr(t / self.width_s))
+
+
+def proportion(x: FloatArray, y: FloatArray) -> tuple[float, float]:
+    """Slope of y by x, and the share of its variance that x explains; zeros where either rests.
+
+    Samples at which one of them is not known are left out.
+    """
+    known = np.isfinite(x) & np.isfinite(y)
+    if known.sum() < FEWEST:
+        return 0.0, 0.0
+    x, y = x[known] - x[known].mean(), y[known] - y[known].mean()
+    xx, yy, xy = float(x @ x), float(y @ y), float(x @ y)
+    return (xy / xx, xy**2 / (xx * yy)) if xx > 0.0 and yy > 0.0 else (0.0, 0.0)
 
 
 def _convolved(signal: FloatArray, kernel: FloatArray, reach: int) -> FloatArray:

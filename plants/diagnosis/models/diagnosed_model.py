@@ -3,7 +3,7 @@
 import importlib
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property
 from typing import Any, Literal, NamedTuple
 
@@ -13,71 +13,32 @@ from estune.core.quantities import FloatArray
 from estune.errors import InvalidInput, PlantError
 from plants.diagnosis.data.measured_record import MeasuredRecord
 from plants.diagnosis.models.calibration import Calibration
-from plants.diagnosis.models.priors import stated
+from plants.diagnosis.models.free_parameters import (
+    CALIBRATION,
+    Free,
+    Slot,
+    either_way,
+    informed,
+    positive,
+    stated,
+)
 from plants.diagnosis.models.signal_scales import signal_scale
 from plants.effects import Effect, Parameter, RecordScale
 from plants.models.linear_plant import LinearPlant
 from plants.models.path_structure import PathStructure, squarings_for
 from plants.models.symbolic_plant import TracedStructure
 
-BASE = "base"
-"""Owner of the base-model parameters that all records share."""
-
-RANGE = 20.0
-"""Factor by which a fit may change a positive parameter either way."""
-
 LEAST_SQUARINGS = 4
-CALIBRATION = Calibration.name
-
+HORIZON = 5.0
+"""A prediction's length times the natural frequency: most of a period."""
+LONGEST_share = 0.2
+"""Longest window, relative to the shortest record."""
+SHOWS = 30.0
+"""Travel of a plant that nothing holds, within a window, due to a tenth of the command's rms, in
+times the noise of its output."""
 SENSORS = ("angle_zero", "current_gain", "current_offset", "reference_offset", "input_slope")
 """Errors of the readings and the command of a record, in the order of the C code. The input slope
 is the hold between samples: 0 for zero order, 1 for first order."""
-
-
-@dataclass(frozen=True, slots=True)
-class Free:
-    """One free parameter of a fit.
-
-    Attributes:
-        name: Unique in a predictor; ends in `[n]` for a parameter of the nth record, is
-            `slug.parameter` for one of an effect.
-        unit: Its unit; empty for a plain number.
-        start: Initial value: the model's, or else one of the size of the data.
-        low: Lower bound.
-        high: Upper bound.
-        scale: Scale of the search.
-        owner: `base`, `record 3`, or the slug of an effect.
-        neutral: The value at which the effect does nothing, or None.
-        prior: Standard deviation of what the model states of it, of its logarithm where the scale
-            is `log`; None where the records alone decide.
-    """
-
-    name: str
-    unit: str
-    start: float
-    low: float
-    high: float
-    scale: Literal["log", "linear"]
-    owner: str
-    neutral: float | None = None
-    prior: float | None = None
-
-
-class Slot(NamedTuple):
-    """A free parameter and its place in the parameter table.
-
-    Attributes:
-        free: The parameter.
-        column: Name of the structure's parameter, `calibration.name` for one of `Calibration`, or
-            one of `SENSORS`.
-        factor: Factor from the free parameter to the column.
-        record: Index of its record, or None for all.
-    """
-
-    free: Free
-    column: str
-    factor: float = 1.0
-    record: int | None = None
 
 
 class Local(NamedTuple):
@@ -193,6 +154,12 @@ class DiagnosedModel(ABC):
         slowest_Hz = min(m.sampling_Hz for m in self.measurements)
         return max(LEAST_SQUARINGS, squarings_for(fastest_rad_s, slowest_Hz))
 
+    def window_s(self, wanted_s: float, shortest_samples: int) -> float:
+        """A window's length within a share of the shortest record, and above some samples."""
+        longest_s = LONGEST_share * min(m.duration_s for m in self.measurements)
+        rate_Hz = max(m.sampling_Hz for m in self.measurements)
+        return max(min(wanted_s, longest_s), shortest_samples / rate_Hz)
+
     def _sizes(self) -> RecordScale:
         commands = [m.command_A(self.newtons_per_ampere) for m in self.measurements]
         return signal_scale(
@@ -233,7 +200,7 @@ class DiagnosedModel(ABC):
         """The base-model parameters with their initial values."""
         listed = [*self._calibrations(), *self.sensors(), *self._current_sensor()]
         known = stated(self.model)
-        return [s._replace(free=_informed(s.free, known.get(s.free.name))) for s in listed]
+        return [s._replace(free=informed(s.free, known.get(s.free.name))) for s in listed]
 
     def slots(self, added: Sequence[type[Effect]]) -> list[Slot]:
         """All free parameters: of the base model, the records and the effects."""
@@ -324,33 +291,6 @@ class DiagnosedModel(ABC):
             owner=slug,
             neutral=p.neutral,
         )
-
-
-def _informed(free: Free, deviation: float | None) -> Free:
-    """A parameter with a relative standard deviation of what the model states of it."""
-    if deviation is None or not free.start:
-        return free
-    return replace(free, prior=deviation * (1.0 if free.scale == "log" else abs(free.start)))
-
-
-def positive(name: str, unit: str, value: float, owner: str = BASE) -> Free:
-    """A positive parameter, within a factor of its given value."""
-    return Free(name, unit, value, value / RANGE, value * RANGE, "log", owner)
-
-
-def either_way(name: str, unit: str, value: float, reach: float, owner: str = BASE) -> Free:
-    """A parameter that may differ by so much from its given value."""
-    return Free(name, unit, value, value - reach, value + reach, "linear", owner)
-
-
-def from_zero(name: str, unit: str, value: float, most: float) -> Free:
-    """A parameter between zero and a greatest value."""
-    return Free(name, unit, value, 0.0, most, "linear", BASE)
-
-
-def of_calibration(free: Free, name: str = "", factor: float = 1.0) -> Slot:
-    """A parameter of the calibration, by its own name there."""
-    return Slot(free, f"{CALIBRATION}.{name or free.name}", factor)
 
 
 def diagnosed(model: Any, measurements: Sequence[MeasuredRecord]) -> DiagnosedModel:

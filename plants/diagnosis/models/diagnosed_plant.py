@@ -1,4 +1,4 @@
-"""A plant of one input and one output compared with records."""
+"""A plant of one input and one output compared with records, as is a Python function."""
 
 import math
 from collections.abc import Sequence
@@ -9,14 +9,13 @@ import numpy as np
 
 from estune.core.quantities import FloatArray
 from plants.diagnosis.data.measured_record import MeasuredRecord
-from plants.diagnosis.models.diagnosed_model import (
-    DiagnosedModel,
-    Slot,
-    either_way,
-    of_calibration,
-)
+from plants.diagnosis.models.diagnosed_model import DiagnosedModel, Local
+from plants.diagnosis.models.free_parameters import Slot, either_way, of_calibration, positive
 from plants.diagnosis.models.signal_scales import units
+from plants.effects import Effect
 from plants.models.linear_signal_path import READINGS_PER_ANGLE
+from plants.models.python_plant import PythonPlant
+from plants.models.symbolic_plant import TracedStructure, trace
 
 
 class DiagnosedPlant(DiagnosedModel):
@@ -50,3 +49,32 @@ class DiagnosedPlant(DiagnosedModel):
         reach = 2.0 * max(float(np.abs(y).max()) for y in outputs) + abs(start)
         free = either_way("output_offset", "", start, reach)
         return of_calibration(free, "gauge_offset_N", 1.0 / self.reading_unit)
+
+
+class DiagnosedFunction(DiagnosedPlant):
+    """A `PythonPlant`. Its state is not observable: predictions are free runs."""
+
+    model: PythonPlant
+    placed_by = None
+    suggested_horizon_s = None
+
+    def __init__(self, model: PythonPlant, measurements: Sequence[MeasuredRecord]) -> None:
+        whole = model.traced(())
+        trace(whole.step, whole.shape)  # raises where it cannot be
+        super().__init__(model, measurements)
+
+    def unavailable(self, effect: type[Effect]) -> str | None:
+        """Only input and output are accessible."""
+        return self.model.unavailable(effect)
+
+    def structure(self, effects: tuple[type[Effect], ...]) -> TracedStructure:
+        """The function with these effects."""
+        return self.model.traced(effects)
+
+    def local(self, measurement: MeasuredRecord) -> Local:
+        """Unknown: the state is the function's own."""
+        raise NotImplementedError(f"nothing places a function in {measurement.name}")
+
+    def _calibrations(self) -> list[Slot]:
+        gain = positive("input_gain", "", self.calibration.torque_gain)
+        return [of_calibration(gain, "torque_gain"), self.output_offset()]

@@ -1,5 +1,6 @@
 """A linear plant compared with records: gain, modes, time constants, offset of the output."""
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
@@ -11,16 +12,16 @@ from scipy.linalg import expm
 from estune.interop import linear_model, sampled_model
 from plants.diagnosis.data.measured_record import MeasuredRecord
 from plants.diagnosis.data.noise_floor import noise_floor
-from plants.diagnosis.models.diagnosed_model import (
+from plants.diagnosis.models.diagnosed_model import HORIZON, SHOWS, Local
+from plants.diagnosis.models.diagnosed_plant import DiagnosedPlant
+from plants.diagnosis.models.free_parameters import (
     RANGE,
     Free,
-    Local,
     Slot,
     either_way,
     of_calibration,
     positive,
 )
-from plants.diagnosis.models.diagnosed_plant import DiagnosedPlant
 from plants.diagnosis.models.initial_states import shifted
 from plants.effects import Effect
 from plants.models.effect_applicability import unavailable
@@ -28,13 +29,9 @@ from plants.models.linear_plant import LinearPlant, linear_plant
 from plants.models.linear_with_effects import LinearEffectStructure
 from plants.models.pole_zero_form import transfer_function
 
-HORIZON = 5.0
-"""A prediction's length times the geometric mean of the poles' rates."""
-SHORTEST_samples, LONGEST_share = 24, 0.2
+SHORTEST_samples = 24
 MOST_RATE = 4.0
 """Greatest growth of the fastest pole in a fit that keeps the matrix exponential exact."""
-SHOWS = 30.0
-"""Travel of an integrating plant in a window due to a tenth of the input, in times its noise."""
 TIMES = 60
 LEAST_DAMPING = 1e-5
 RESIDUAL_RATIO = 0.8
@@ -131,12 +128,11 @@ class DiagnosedLinear(DiagnosedPlant):
     @cached_property
     def suggested_horizon_s(self) -> float:
         """Most of a period of the plant, with enough samples."""
-        rate = max(m.sampling_Hz for m in self.measurements)
-        longest = LONGEST_share * min(m.duration_s for m in self.measurements)
         wanted = float(HORIZON / self.values["rate_rad_s"])
         if "origin" in self.kinds.poles:
-            wanted = min(wanted, self._travelling_s(SHORTEST_samples / rate, longest))
-        return max(min(wanted, longest), SHORTEST_samples / rate)
+            ends = (self.window_s(end, SHORTEST_samples) for end in (0.0, math.inf))
+            wanted = min(wanted, self._travelling_s(*ends))
+        return self.window_s(wanted, SHORTEST_samples)
 
     def _travelling_s(self, shortest_s: float, longest_s: float) -> float:
         """Time in which a tenth of the input's rms moves the output well past its noise.

@@ -10,12 +10,10 @@ from estune.core.quantities import FloatArray
 from plants.cable.taut import GRAVITY_M_S2
 from plants.diagnosis.data.measured_record import MeasuredRecord
 from plants.diagnosis.models.calibration import SaggingCalibration
-from plants.diagnosis.models.diagnosed_model import (
-    DiagnosedModel,
-    Local,
+from plants.diagnosis.models.diagnosed_model import HORIZON, DiagnosedModel, Local, free_drum
+from plants.diagnosis.models.free_parameters import (
     Slot,
     either_way,
-    free_drum,
     from_zero,
     of_calibration,
     positive,
@@ -30,8 +28,6 @@ from plants.models.reel_equations import (
     viscous_friction_Nms,
 )
 
-HORIZON = 5.0
-"""A prediction's length times the natural frequency of drum and cable: most of a period."""
 LENGTHS_DIFFER = 0.05
 """Spread of the cable lengths, relative to their mean, that identifies parameters by length."""
 OFTEN = 0.1

@@ -9,12 +9,10 @@ import numpy as np
 from estune.core.quantities import FloatArray
 from plants.diagnosis.data.measured_record import MeasuredRecord
 from plants.diagnosis.data.noise import step_of
-from plants.diagnosis.models.diagnosed_model import (
-    DiagnosedModel,
-    Local,
+from plants.diagnosis.models.diagnosed_model import SHOWS, DiagnosedModel, Local, free_drum
+from plants.diagnosis.models.free_parameters import (
     Slot,
     either_way,
-    free_drum,
     from_zero,
     of_calibration,
     positive,
@@ -27,13 +25,9 @@ from plants.models.unloaded_reel import UnloadedReel
 
 MOST_RATE = 100.0
 """Greatest growth of friction over inertia in a fit that keeps the matrix exponential exact."""
-SHOWS = 30.0
-"""Travel within the horizon due to a tenth of the torque's rms, in times the encoder's noise."""
 SHORTEST_samples = 10
 """Least samples of a window: its initial state takes two. Longer windows weigh slow errors more:
 with 24 Coulomb friction of a measured drive at 100 Hz comes out 7 % off, with 10 or 8 3 %."""
-LONGEST_share = 0.2
-"""Longest window, relative to the shortest record."""
 
 
 class DiagnosedDrum(DiagnosedModel):
@@ -121,6 +115,4 @@ class DiagnosedDrum(DiagnosedModel):
         step /= math.sqrt(12.0)
         torque = 0.1 * max(self.sizes.torque_rms_Nm, 1e-300)
         wanted = math.sqrt(12.0 * 2.0 * self.model.drum_inertia_kg_m2 * SHOWS * step / torque)
-        rate = max(m.sampling_Hz for m in self.measurements)
-        longest = LONGEST_share * min(m.duration_s for m in self.measurements)
-        return max(min(wanted, longest), SHORTEST_samples / rate)
+        return self.window_s(wanted, SHORTEST_samples)

@@ -12,9 +12,7 @@ from dataclasses import dataclass, replace
 
 from plants.diagnosis.data.measured_record import MeasuredRecord
 from plants.diagnosis.data.records import FolderContents
-from plants.diagnosis.hold_out import free_run_rms, moved_rms
 from plants.diagnosis.models.base import BaseNumbers
-from plants.diagnosis.models.diagnosed_model import DiagnosedModel
 from plants.diagnosis.pipeline.fit import BaseFit
 from plants.diagnosis.progress import Progress, portion
 from plants.diagnosis.residual.localisation import ResidualLocation
@@ -29,7 +27,7 @@ from plants.diagnosis.search.model_fitter import CandidateFit, ModelFitter
 from plants.diagnosis.search.more_records import AllRecords, on_all_records
 from plants.diagnosis.search.screening import Screening
 from plants.diagnosis.search.search import search
-from plants.diagnosis.search.validation import ModelStage, stage
+from plants.diagnosis.search.validation import ModelStage, free_run_rms, moved_rms, stage
 from plants.diagnosis.search.wrong_parameter import find_wrong_parameter
 from plants.effects import Cogging, Effect, MainsInterference, Quantisation
 from plants.effects.plant_scale import si, written_unit
@@ -113,13 +111,13 @@ def compare(
         steps = _with_rounding(steps, coarse_step_N)
     waves = None
     if Cogging in choices.in_torque and conclusion.verdict in ("unknown", "none"):
-        waves = _waves(fitted.plant, held_out)
+        waves = _waves(fitted, held_out)
     effects = _effects(stages, every.line, steps, waves)
     too_few = most_refused(usable.measurements, usable.findings)
     return EffectComparison(
         fitted=fitted,
         screening=screening,
-        verdict=_verdict(conclusion.verdict, beside=bool(effects), too_few=too_few),
+        verdict=_verdict(conclusion.verdict, effects, waves, too_few=too_few),
         conclusion=conclusion,
         models=every.models,
         stages=stages,
@@ -211,10 +209,13 @@ def _with_rounding(steps: tuple[SearchStep, ...], step_N: float) -> tuple[Search
     return (*unrounded, rounded) if last.ratio**2 > CONSTANTS.floor and explains else steps
 
 
-def _waves(plant: DiagnosedModel, held_out: Sequence[MeasuredRecord]) -> TorqueWaves | None:
+def _waves(fitted: BaseFit, held_out: Sequence[MeasuredRecord]) -> TorqueWaves | None:
     """The waves over the angle in the torque, where they explain enough of it."""
+    plant, noise = fitted.plant, fitted.noise.floor.channels.get("current_A")
     numbers = [BaseNumbers.of(plant.model, m) for m in plant.measurements]
-    waves = torque_waves(plant.measurements, numbers, held_out)
+    if noise is None:
+        return None
+    waves = torque_waves(plant.measurements, numbers, noise.rms, held_out)
     return waves if waves is not None and waves.share >= CONSTANTS.named_share else None
 
 
@@ -238,15 +239,27 @@ def _effects(
     return (*fitted, *(effect for effect, is_there in beside if is_there))
 
 
-def _verdict(concluded: Verdict, *, beside: bool, too_few: bool) -> Verdict:
+def _verdict(
+    concluded: Verdict,
+    effects: Sequence[type[Effect]],
+    waves: TorqueWaves | None,
+    *,
+    too_few: bool,
+) -> Verdict:
     """The conclusion of the search, with what was found beside it.
+
+    Waves over the angle are judged by the current that they leave, as any model by its residual.
 
     Args:
         concluded: That of the search.
-        beside: Whether an effect is believed, of whatever kind.
+        effects: The effects believed, of whatever kind.
+        waves: The waves over the angle, or None.
         too_few: Whether more records were refused than are left.
     """
     verdict: Verdict = "unknown" if concluded == "none" and too_few else concluded
-    if beside and verdict == "none":
+    if waves is not None:
+        complete = waves.after_A**2 <= CONSTANTS.incomplete * waves.noise_A**2
+        return "named" if complete else "incomplete"
+    if effects and verdict == "none":
         return "named"
-    return "incomplete" if beside and verdict == "unknown" else verdict
+    return "incomplete" if effects and verdict == "unknown" else verdict

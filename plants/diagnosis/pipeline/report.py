@@ -9,7 +9,6 @@ from plants.diagnosis.data.measured_record import OUTPUTS
 from plants.diagnosis.data.records import FolderContents
 from plants.diagnosis.declared_effects import declared_effects
 from plants.diagnosis.experiments.next_experiment import Evidence, next_experiment
-from plants.diagnosis.hold_out import free_run_rms, held_errors, hold_out
 from plants.diagnosis.interval import Interval
 from plants.diagnosis.models.diagnosed_model import DiagnosedModel
 from plants.diagnosis.pipeline.compare import EffectComparison
@@ -28,7 +27,13 @@ from plants.diagnosis.result import (
 from plants.diagnosis.search.conclusion import candidates, not_excited, verdict_sentence
 from plants.diagnosis.search.limitations import limitations
 from plants.diagnosis.search.model_fitter import CandidateFit
-from plants.diagnosis.search.validation import ModelStage, segments
+from plants.diagnosis.search.validation import (
+    ModelStage,
+    free_run_rms,
+    held_errors,
+    hold_out,
+    segments,
+)
 from plants.effects import Effect
 from plants.effects.plant_scale import PlantScale, written_unit
 

@@ -20,13 +20,8 @@ from estune.core.quantities import FloatArray
 from estune.errors import InvalidInput, PlantError
 from plants.diagnosis.data.measured_record import MeasuredRecord
 from plants.diagnosis.data.noise_floor import NoiseFloor
-from plants.diagnosis.models.diagnosed_model import (
-    CALIBRATION,
-    SENSORS,
-    DiagnosedModel,
-    Free,
-    Slot,
-)
+from plants.diagnosis.models.diagnosed_model import SENSORS, DiagnosedModel
+from plants.diagnosis.models.free_parameters import CALIBRATION, Free, Slot
 from plants.diagnosis.prediction.data import Index, PredictionData, prepare_data, with_window_sigma
 from plants.diagnosis.prediction.library import CHANNELS, Library, Task, library
 from plants.diagnosis.prediction.window_projection import WindowProjection

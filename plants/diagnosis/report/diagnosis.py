@@ -91,10 +91,6 @@ class Diagnosis(DiagnosisResult):
         """Draws how the base model's numbers shifted."""
         return _drawn("calibrations", ax, self)
 
-    def plot_splits(self, ax: "Axes | None" = None) -> "Axes":
-        """Draws which third of the data each stretch of the records is left out with."""
-        return _drawn("splits", ax, self)
-
     def figure(self) -> "Figure":
         """Before and after, the error step by step, and where it is, on one page."""
         from plants.diagnosis.report import figures  # noqa: PLC0415  slow to import

@@ -23,6 +23,7 @@ from estune.support.plot_style import (
     legend,
     new_figure,
 )
+from plants.diagnosis.data.noise import SEGMENT
 from plants.diagnosis.report.residual_figures import NOISE, draw_shares
 from plants.diagnosis.report.summary import main_channel, step_name, worst_trace
 from plants.diagnosis.residual.residuals import spectrum
@@ -32,15 +33,9 @@ from plants.effects.plant_scale import digits, si
 BEFORE: dict[str, Any] = {"color": ORANGE, "linewidth": 1.1}
 AFTER: dict[str, Any] = {"color": BLUE, "linewidth": 1.1}
 MEASURED: dict[str, Any] = {"color": BLACK, "linewidth": 3.0, "alpha": 0.3}
-THIRD_COLOURS = (LIGHT, ORANGE, BLUE)
 
 _EXCERPT_samples = 1200
 _BINS = 600
-WINDOW = 1024
-"""Samples in a segment of the spectrum of an error."""
-NAME_MAX = 18
-"""Characters of a record's name, its last, beside its bar: more leave no room on a small page."""
-
 BARS_MAX = 14
 """Effects that a ranking draws; the rest are in its table."""
 
@@ -142,29 +137,6 @@ def draw_ranking(ax: Axes, d: DiagnosisResult) -> Axes:
     return ax
 
 
-def draw_splits(ax: Axes, d: DiagnosisResult) -> Axes:
-    """Which third of the data each stretch of the records is left out with."""
-    records = list(dict.fromkeys(segment.record for segment in d.splits))
-    for third, colour in enumerate(THIRD_COLOURS):
-        parts = [segment for segment in d.splits if segment.third == third]
-        ax.barh(
-            [len(records) - 1 - records.index(segment.record) for segment in parts],
-            [segment.end_s - segment.start_s for segment in parts],
-            left=[segment.start_s for segment in parts],
-            height=0.7,
-            color=colour,
-            zorder=2,
-            antialiased=False,
-            label=f"left out with third {third + 1}",
-        )
-    ends = [n if len(n) <= NAME_MAX else f"…{n[1 - NAME_MAX :]}" for n in records]
-    ax.set_yticks(range(len(records)), ends[::-1])
-    finish(ax, "", "time in the record, s")
-    ax.grid(visible=False, axis="y")
-    legend(ax, columns=3)
-    return ax
-
-
 def draw_calibrations(ax: Axes, d: DiagnosisResult) -> Axes:
     """The base model's numbers relative to those given, fitted without and with the effects."""
     shown = scalable(d)
@@ -209,7 +181,7 @@ def error_density(traces: Iterable[Trace], which: str) -> tuple[FloatArray, Floa
     rate = _rate_Hz(traces[0].time_s)
     same = [t for t in traces if math.isclose(_rate_Hz(t.time_s), rate, rel_tol=1e-3)]
     errors = [t.measured - getattr(t, which) for t in same]
-    frequency, power = spectrum([error - np.nanmean(error) for error in errors], rate, WINDOW)
+    frequency, power = spectrum([error - np.nanmean(error) for error in errors], rate, SEGMENT)
     return frequency, np.sqrt(np.maximum(power, 1e-300))
 
 

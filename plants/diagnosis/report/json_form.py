@@ -6,13 +6,16 @@ from dataclasses import fields, is_dataclass
 from typing import Any
 
 from plants.diagnosis.report import summary
+from plants.diagnosis.report.plant_units import own_names
 from plants.diagnosis.result import (
     Candidate,
     DiagnosisResult,
     HoldOut,
+    NamedEffect,
     NextExperiment,
     SearchStep,
 )
+from plants.effects.plant_scale import PlantScale
 from plants.remedies.text import to_json as remedies_to_json
 
 
@@ -24,7 +27,7 @@ def to_json(d: DiagnosisResult) -> dict[str, Any]:
         "heading": summary.heading(d),
         "verdict": d.verdict,
         "sentence": d.sentence,
-        "effects": [_fields(effect, "effect") for effect in d.effects],
+        "effects": [_effect(effect, d) for effect in d.effects],
         "ambiguous": d.ambiguous,
         "candidates": [_candidate(c, d) for c in d.candidates],
         **{f"gap_{name}_{unit}": e.gap for name, e in errors.items()},
@@ -53,6 +56,14 @@ def to_json(d: DiagnosisResult) -> dict[str, Any]:
 def _fields(value: Any, without: str = "") -> dict[str, Any]:
     """The fields of a dataclass, without one of them."""
     return {f.name: getattr(value, f.name) for f in fields(value) if f.name != without}
+
+
+def _effect(found: NamedEffect, d: DiagnosisResult) -> dict[str, Any]:
+    """An effect; its parameters by names that end in the plant's own units."""
+    scale = PlantScale.of(d.base_model)
+    names = own_names(type(found.effect), found.parameters, scale)
+    parameters = {names[name]: at for name, at in found.parameters.items()}
+    return _fields(found, "effect") | {"parameters": parameters}
 
 
 def _candidate(c: Candidate, d: DiagnosisResult) -> dict[str, Any]:

@@ -166,14 +166,12 @@ def _next_experiment(d: DiagnosisResult) -> list[Block]:
 
 def _data(d: DiagnosisResult) -> list[Block]:
     records = len({segment.record for segment in d.splits})
-    height = 0.9 + 0.24 * max(records, 2)
     blocks: list[Block] = [
         Paragraph(
             f"{records} records. Models are fitted to all data and compared there. Prediction "
             "errors are cross-validated: a model is refitted without one third of the data, a "
             "stretch of every record, and tested on that third."
         ),
-        _plot(lambda ax: figures.draw_splits(ax, d), "splits", "splits", height),
         Heading("Noise"),
         _table(summary.noises(d)),
     ]

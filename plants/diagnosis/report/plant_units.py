@@ -5,6 +5,7 @@ output alone `plants.models.linear_signal_path` defines the equivalents.
 """
 
 import re
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -31,6 +32,21 @@ def in_own_units(effect: type[Effect], name: str, fitted: Interval, model: Any) 
         size = abs(size)
     low, high = sorted((fitted.low * size, fitted.high * size))
     return Interval(fitted.value * size, low, high, unit)
+
+
+def own_names(
+    effect: type[Effect], fitted: Mapping[str, Interval], scale: PlantScale
+) -> dict[str, str]:
+    """Names of an effect's parameters in the plant's own units, by those declared.
+
+    Args:
+        effect: The effect's class.
+        fitted: Its values, as `in_own_units` gives them.
+        scale: Words and sizes of the plant.
+    """
+    declared = effect.parameters()
+    units = {name: "" if declared[name].is_phase else declared[name].unit for name in fitted}
+    return {name: scale.parameter(name, units[name], at.unit) for name, at in fitted.items()}
 
 
 def located_in_own_units(where: ResidualLocation, scale: PlantScale) -> ResidualLocation:

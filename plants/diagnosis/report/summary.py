@@ -8,6 +8,7 @@ import numpy as np
 
 from estune.errors import InvalidInput
 from plants.diagnosis.interval import Interval
+from plants.diagnosis.report.plant_units import own_names
 from plants.diagnosis.result import DiagnosisResult, Trace
 from plants.effects import EFFECTS
 from plants.effects.plant_scale import PlantScale, digits, si
@@ -124,12 +125,12 @@ def parameters(d: DiagnosisResult) -> TextTable:
     rows = []
     for effect in d.effects:
         declared = effect.effect.parameters()
+        names = own_names(type(effect.effect), effect.parameters, scale)
         for name, interval_of in effect.parameters.items():
             value, interval, unit = _interval(interval_of)
             known = interval_of.is_determined or declared[name].is_phase
             shown = value if known else "not determined"
-            unit_of = "" if declared[name].is_phase else declared[name].unit
-            rows.append((effect.name, scale.parameter(name, unit_of), shown, interval, unit))
+            rows.append((effect.name, names[name], shown, interval, unit))
     return TextTable(("effect", "parameter", "value", "95 % interval", "unit"), tuple(rows))
 
 

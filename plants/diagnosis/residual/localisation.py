@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from estune.core.quantities import FloatArray
 from plants.diagnosis.data.measured_record import MeasuredRecord
+from plants.diagnosis.data.noise import FEWEST
 from plants.diagnosis.data.noise_floor import ALLOWANCE, NoiseFloor
 from plants.diagnosis.data.smoothing import Smoother
 from plants.diagnosis.models.base import BaseNumbers
@@ -26,7 +27,6 @@ from plants.diagnosis.residual.dependence import (
     views,
 )
 from plants.diagnosis.residual.residuals import (
-    FEWEST,
     BalanceFit,
     fit_balance,
     inner,

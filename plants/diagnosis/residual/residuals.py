@@ -9,6 +9,7 @@ import numpy as np
 
 from estune.core.quantities import FloatArray
 from plants.diagnosis.data.measured_record import MeasuredRecord
+from plants.diagnosis.data.noise import FEWEST
 from plants.diagnosis.data.noise_floor import NoiseFloor
 from plants.diagnosis.data.smoothing import Smoother, least_width
 from plants.diagnosis.models.base import BaseNumbers
@@ -23,8 +24,6 @@ VELOCITY_NOISE_MAX = 0.1
 """Noise of the velocity, as a share of it, at which its sign is reliable."""
 SEGMENT = 512
 """Samples in a segment of the spectrum."""
-FEWEST = 64
-"""Fewest samples of a balance."""
 
 
 def prepared(

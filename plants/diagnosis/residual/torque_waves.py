@@ -21,17 +21,13 @@ import numpy as np
 from estune.core.quantities import FloatArray
 from plants.diagnosis.data.measured_record import MeasuredRecord
 from plants.diagnosis.data.smoothing import Smoother
-from plants.diagnosis.interval import Interval
+from plants.diagnosis.interval import QUANTILE, Interval
 from plants.diagnosis.models.base import BaseNumbers
+from plants.diagnosis.residual.angle_periods import ResidualOverAngle, per_turn
 from plants.effects.cogging import WAVES
 
 FEWEST_PERIODS = 3.0
 """Periods of a wave that the widest record has to show."""
-FINE, SPREAD_samples, SEARCHED, FINEST = 0.25, 8, 1500, 512.0
-"""Step between the orders tried, over a turn; samples a period of the finest; most samples for the
-search; the greatest order."""
-DISTINCT = 1e-4
-"""Share of two waves' power by which they must differ from what there is."""
 WORTH = 0.1
 """Share of the power left that each further wave takes off at least."""
 WIDTH_s = 0.005
@@ -42,7 +38,6 @@ is meant."""
 FAST = 5.0
 """Speed, in times the usual one, above which a motion is no slow one: it starts or jumps."""
 PARTS = 3
-QUANTILE = 1.96
 
 
 class TorqueMotion(NamedTuple):
@@ -61,6 +56,7 @@ class TorqueWaves(NamedTuple):
         offset_Nm: The constant torque of the drive beside them.
         before_A: Root mean square of the current about its mean, on data left out.
         after_A: What the waves leave of it.
+        noise_A: Noise of the current, smoothed alike.
         orders: Periods a turn, the greatest wave first.
         held_A: The same two on records held out of all fits, or None.
     """
@@ -69,6 +65,7 @@ class TorqueWaves(NamedTuple):
     offset_Nm: float
     before_A: float
     after_A: float
+    noise_A: float
     orders: tuple[float, ...]
     held_A: tuple[float, float] | None = None
 
@@ -83,7 +80,7 @@ class TorqueWaves(NamedTuple):
         said = (
             f"Over the angle it explains {self.share:.0%} of the current on data left out, "
             f"{self.before_A:.3g} A rms about its mean, of which {self.after_A:.3g} A are left "
-            "in slow motion."
+            f"in slow motion, {self.after_A / self.noise_A:.2g} times its noise."
         )
         if self.held_A is not None:
             said += f" On the held-out records {self.held_A[1]:.3g} of {self.held_A[0]:.3g} A."
@@ -93,6 +90,7 @@ class TorqueWaves(NamedTuple):
 def torque_waves(
     measurements: Sequence[MeasuredRecord],
     numbers: Sequence[BaseNumbers | None],
+    noise_A: float,
     held: Sequence[MeasuredRecord] = (),
 ) -> TorqueWaves | None:
     """The waves over the angle in the current of some records; None where there are none.
@@ -100,6 +98,7 @@ def torque_waves(
     Args:
         measurements: The records, whose angle counts from one zero.
         numbers: Numbers of the model, of each record.
+        noise_A: Noise of the current, A rms.
         held: Records held out of all fits.
     """
     first = numbers[0]
@@ -112,7 +111,7 @@ def torque_waves(
     if not orders:
         return None
     parts = _parts(motions)
-    K = first.newtons_per_ampere * first.drum_radius_m
+    K, rate_Hz = first.newtons_per_ampere * first.drum_radius_m, first.sampling_Hz
     after, moving = min(
         (_left_out(parts, orders, moving=moving), moving) for moving in (False, True)
     )
@@ -134,6 +133,8 @@ def torque_waves(
         -float(fitted[0]),
         before / K,
         after / K,
+        # A Gaussian of s samples leaves 1/(2 sqrt(pi) s) of the power of white noise.
+        noise_A / math.sqrt(max(2.0 * math.sqrt(math.pi) * WIDTH_s * rate_Hz, 1.0)),
         orders,
         apart,
     )
@@ -200,59 +201,34 @@ def _parts(motions: Sequence[TorqueMotion]) -> list[TorqueMotion]:
 def _orders(motions: Sequence[TorqueMotion]) -> tuple[float, ...]:
     """Periods a turn of the waves that are worth it, the greatest first."""
     extent = max(float(np.ptp(m.angle_rad)) for m in motions)
-    samples = sum(m.angle_rad.size for m in motions)
-    if not extent > 0.0:
-        return ()
-    least = 2.0 * math.pi * FEWEST_PERIODS / extent
-    most = 2.0 * math.pi * min(m.angle_rad.size for m in motions) / extent / SPREAD_samples
-    grid = np.arange(max(least, 1.0), min(most, FINEST), FINE * min(1.0, 2.0 * math.pi / extent))
-    if not grid.size:
-        return ()
-    stride = max(1, samples // SEARCHED)
-    thinned = [
-        TorqueMotion(m.torque_Nm[::stride], m.angle_rad[::stride], m.terms[::stride])
-        for m in motions
-    ]
-    angle = np.concatenate([m.angle_rad for m in thinned])
-    torque = np.concatenate([m.torque_Nm for m in thinned])
-    orders: list[float] = []
-    power = float(np.mean((torque - torque.mean()) ** 2))
+    angle = np.concatenate([m.angle_rad for m in motions])
+
+    def left(orders: Sequence[float]) -> FloatArray:
+        fitted = _fitted(motions, orders, moving=False)
+        return np.concatenate([_rest(m, orders, fitted, moving=False) for m in motions])
+
+    orders: tuple[float, ...] = ()
+    residual = left(orders)
     for _ in range(WAVES):
-        basis = np.linalg.qr(np.vstack([_columns(m, orders, moving=False) for m in thinned]))[0]
-        residual = torque - basis @ (basis.T @ torque)
-        gains = _gains(grid, angle, basis, residual)
-        order, most = float(grid[int(gains.argmax())]), float(gains.max())
-        if extent >= WHOLE * 2.0 * math.pi:
-            whole = np.array([round(order)], dtype=np.float64)
-            near = float(_gains(whole, angle, basis, residual)[0]) >= WHOLE * most
-            order = float(whole[0]) if near else order
-        after = power - most / torque.size
-        if after > (1.0 - WORTH) * power or order in orders:
+        found = per_turn([ResidualOverAngle(angle, residual)], 0.0, FEWEST_PERIODS)
+        if not found:
             break
-        orders.append(order)
-        power = after
-    return tuple(orders)
+        tried = {(*orders, found[0]): left((*orders, found[0]))}
+        if extent >= WHOLE * 2.0 * math.pi:
+            whole = (*orders, float(round(found[0])))
+            tried[whole] = left(whole)
+        gained = {added: _power(residual) - _power(rest) for added, rest in tried.items()}
+        # The last tried is the whole number.
+        most, (last, gain) = max(gained.values()), list(gained.items())[-1]
+        added = last if gain >= WHOLE * most else next(iter(tried))
+        if gained[added] < WORTH * _power(residual) or added[-1] in orders:
+            break
+        orders, residual = added, tried[added]
+    return orders
 
 
-def _gains(
-    orders: FloatArray, angle: FloatArray, basis: FloatArray, residual: FloatArray
-) -> FloatArray:
-    """Power that a wave of each order takes off a residual beside what there is."""
-    turned = np.outer(angle, orders)
-    sine, cosine = np.sin(turned), np.cos(turned)
-    along = [basis.T @ wave for wave in (sine, cosine)]
-    ss, sc, cc = (
-        np.einsum("ij,ij->j", a, b) - np.einsum("ij,ij->j", p, q)
-        for a, b, p, q in (
-            (sine, sine, along[0], along[0]),
-            (sine, cosine, along[0], along[1]),
-            (cosine, cosine, along[1], along[1]),
-        )
-    )
-    s, c = residual @ sine, residual @ cosine
-    area = np.maximum(ss * cc - sc**2, DISTINCT * angle.size**2)
-    gains: FloatArray = (cc * s**2 - 2.0 * sc * s * c + ss * c**2) / area
-    return gains
+def _power(residual: FloatArray) -> float:
+    return float(np.mean(residual**2))
 
 
 def _parameters(

@@ -8,13 +8,11 @@ import numpy as np
 
 from plants.diagnosis.data.measured_record import MeasuredRecord
 from plants.diagnosis.data.noise import step_of
+from plants.diagnosis.residual.angle_periods import PEAKS, ResidualOverAngle, per_turn
 from plants.diagnosis.residual.localisation import Block, ResidualLocation
-from plants.diagnosis.search.angle_periods import ResidualOverAngle, per_turn
 from plants.diagnosis.search.model_fitter import ModelFitter
 from plants.effects import RecordScale
 
-PEAKS = 3
-"""Peaks taken of a spectrum."""
 FEW = np.array([1.0, 1.5, 2.0, 3.0, 4.0])
 """Periods in all the turning there is that are tried at any rate."""
 FEWEST = 4
@@ -44,15 +42,16 @@ def record_scale(
 
 def _spectral_peaks(block: Block) -> list[float]:
     """Frequencies at which a block's residual stands highest above its surroundings."""
+    from scipy.ndimage import median_filter  # noqa: PLC0415  slow to import
+    from scipy.signal import find_peaks  # noqa: PLC0415  slow to import
+
     power = np.maximum(block.power - block.noise_power, 0.0)
     if power.size < 5 or not power.any():
         return []
-    around = np.array([np.median(power[max(0, n - 8) : n + 9]) for n in range(power.size)])
+    around = median_filter(power, 17, mode="nearest")
     height = power / (around + 0.01 * power.max())
-    inner = np.arange(2, power.size - 1)
-    peaks = inner[(power[inner] >= power[inner - 1]) & (power[inner] >= power[inner + 1])]
-    best = peaks[np.argsort(-height[peaks])][:PEAKS]
-    return [float(block.frequency_Hz[n]) for n in best if height[n] > 2.0]
+    peaks = [n for n in find_peaks(power)[0] if n > 1 and height[n] > 2.0]
+    return [float(block.frequency_Hz[n]) for n in sorted(peaks, key=lambda n: -height[n])[:PEAKS]]
 
 
 def _per_turn(

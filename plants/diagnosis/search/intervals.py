@@ -20,13 +20,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estune.core.quantities import FloatArray
-from plants.diagnosis.interval import Interval
-from plants.diagnosis.models.diagnosed_model import BASE, Free
+from plants.diagnosis.interval import QUANTILE, Interval
+from plants.diagnosis.models.free_parameters import BASE, Free
 from plants.diagnosis.search.constants import CONSTANTS
 from plants.diagnosis.search.model_fitter import CandidateFit, ModelFitter, record_of
 
-QUANTILE = 1.96
-"""Half the width of a 95 % interval, in standard errors."""
 LACKING = 0.5
 """Share of what a base model leaves that lacks an effect by which its values are shifted: of 32
 values on machines with an effect that has no name 0.3, 0.4, 0.5 and 0.7 hold 0.81, 0.84, 0.91

@@ -8,7 +8,7 @@ import numpy as np
 from estune.recordings.issue import DataIssue
 from plants.diagnosis.data.measured_record import MeasuredRecord
 from plants.diagnosis.data.noise import step_of, upper_rms
-from plants.diagnosis.models.diagnosed_model import Free
+from plants.diagnosis.models.free_parameters import Free
 from plants.diagnosis.models.signal_scales import travels
 from plants.diagnosis.result import Limitation
 from plants.diagnosis.search.model_fitter import CandidateFit

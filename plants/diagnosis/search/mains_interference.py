@@ -115,14 +115,12 @@ class _Line:
 
 def _powers(lines: Sequence[_Line], first_Hz: float, step_Hz: float, number: int) -> FloatArray:
     """Power of all records at frequencies a step apart, shape (number,)."""
+    turns = -2j * math.pi * (first_Hz + step_Hz * np.arange(number))
     power = np.zeros(number)
     for line in lines:
         residual = line.left_N - line.left_N.mean()
-        wave = residual * np.exp(-2j * math.pi * first_Hz * line.time_s)
-        step = np.exp(-2j * math.pi * step_Hz * line.time_s)
-        for n in range(number):
-            power[n] += 4.0 * abs(wave.sum()) ** 2 / line.time_s.size
-            wave *= step
+        sums = [np.exp(turn * line.time_s) @ residual for turn in turns]
+        power += 4.0 * np.abs(sums) ** 2 / line.time_s.size
     return power
 
 

@@ -12,7 +12,8 @@ from estune.core.quantities import FloatArray
 from plants.diagnosis.data.measured_record import MeasuredRecord
 from plants.diagnosis.data.noise_floor import NoiseFloor
 from plants.diagnosis.models.base import BaseNumbers
-from plants.diagnosis.models.diagnosed_model import DiagnosedModel, Free
+from plants.diagnosis.models.diagnosed_model import DiagnosedModel
+from plants.diagnosis.models.free_parameters import Free
 from plants.diagnosis.prediction.prediction import Prediction, Predictor
 from plants.diagnosis.search.constants import CONSTANTS
 from plants.diagnosis.search.least_squares import FINAL, WhitenedFit, fit

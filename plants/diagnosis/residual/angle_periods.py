@@ -31,12 +31,15 @@ class ResidualOverAngle(NamedTuple):
     residual: FloatArray
 
 
-def per_turn(turnings: Sequence[ResidualOverAngle], read_rad: float) -> list[float]:
+def per_turn(
+    turnings: Sequence[ResidualOverAngle], read_rad: float, fewest: float = 1.0
+) -> list[float]:
     """Periods in a turn that explain the most of residuals, the best first; often none.
 
     Args:
         turnings: Residuals, each with a wave of its own phase.
         read_rad: Step in which the angle is read; it shows no period below two of them.
+        fewest: Fewest periods in all the turning there is.
     """
     extent = max((float(np.ptp(t.angle_rad)) for t in turnings), default=0.0)
     if extent == 0.0:
@@ -45,8 +48,7 @@ def per_turn(turnings: Sequence[ResidualOverAngle], read_rad: float) -> list[flo
     size = 2 ** math.ceil(math.log2(FINE * extent / step))
     orders = 2.0 * math.pi / (size * step) * np.arange(size // 2)
     explained = np.sum([_explained(t, step, size) for t in turnings], axis=0)
-    # From one period in all the turning there is.
-    inner = np.flatnonzero(orders * extent >= 2.0 * math.pi)
+    inner = np.flatnonzero(orders * extent >= 2.0 * math.pi * fewest)
     inner = inner[inner < orders.size - 1]
     top = (explained[inner] > explained[inner - 1]) & (explained[inner] > explained[inner + 1])
     peaks = inner[top]
