@@ -2,7 +2,7 @@
 
 import math
 from collections import defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import NamedTuple
 
 from plants.diagnosis.result import ModelSummary as Model
@@ -169,17 +169,17 @@ def probabilities(
 
 def effect_probabilities(models: Sequence[Model], p: Mapping[Slugs, float]) -> dict[str, float]:
     """Probability that each effect is there, members of a family apart."""
-    total: dict[str, float] = defaultdict(float)
-    for model in models:
-        for name in model.names:
-            total[name] += p[model.names]
-    return total
+    return _totals((m.names, p[m.names]) for m in models)
 
 
 def family_probabilities(models: Sequence[Model], p: Mapping[Slugs, float]) -> dict[str, float]:
     """Probability that each family is there."""
+    return _totals((m.families, p[m.names]) for m in models)
+
+
+def _totals(listed: Iterable[tuple[Slugs, float]]) -> dict[str, float]:
     total: dict[str, float] = defaultdict(float)
-    for model in models:
-        for family in model.families:
-            total[family] += p[model.names]
+    for names, probability in listed:
+        for name in names:
+            total[name] += probability
     return total
