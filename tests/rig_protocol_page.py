@@ -7,23 +7,16 @@ are made from the code. Run it after each change of the protocol:
 
 import argparse
 import inspect
-import json
 import re
-import types
-from collections.abc import Callable, Iterable, Iterator
-from dataclasses import MISSING, fields
+from collections.abc import Callable, Iterator
+from dataclasses import fields
 from pathlib import Path
-from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
-
-import numpy as np
 
 from estune.core.controller_form import ControllerForm
 from estune.core.gains import Gains
 from estune.core.pidf import ControllerSettings
 from estune.remote import messages
-from estune.remote.messages import VERBS, Answer, Description, Following, Inquire, Keys, Status
-from estune.remote.messages.codec import Message
-from estune.remote.messages.replies import Failure
+from estune.remote.messages import VERBS, Keys
 from estune.remote.state_machine import client, events, rig, state
 from estune.remote.state_machine.client import ClientInput, ClientStage
 from estune.remote.state_machine.reply_codes import OF_TRIAL, ReplyCode
@@ -39,55 +32,25 @@ from estune.trial import (
     RigDescription,
     RigLimits,
     Setpoint,
-    Telemetry,
     TrialRecord,
     TrialRequest,
     record_frame,
 )
 from estune.trial.profiles import PROFILES
-from experiments.inert_rig import DESCRIBED, GAINS, RECORD, REQUEST
+from experiments.inert_rig import RECORD
+from tests.protocol_examples import EXAMPLES, SAMPLES
+from tests.protocol_tables import (
+    default,
+    fields_table,
+    hex_dump,
+    link,
+    message_section,
+    table,
+    title,
+)
 
 PAGE = Path(__file__).parents[1] / "docs" / "reference" / "rig-protocol.md"
 
-LEASE = "5ad1e7c0ffee0042"
-SAMPLES = Telemetry(
-    *(REQUEST.trial_id, 32, 632.0, np.array([15.0, 15.0])),
-    *(np.array([14.75, 15.25]), np.array([0.75, 0.5]), np.array([0.0, 0.25])),
-)
-VALUES: dict[str, Any] = {
-    "action": "acquire",
-    "lease": LEASE,
-    "holder": "anna@lab, process 4711",
-    "request": REQUEST,
-    "digest": messages.digest(REQUEST),
-    "trial_id": REQUEST.trial_id,
-    "gains": GAINS,
-    "reason": "anna: the cable smokes",
-    "sent_s": 4711.25,
-    "setpoint": Setpoint(18.5),
-}
-"""Values of the fields of the example commands, by name; others have those of their type."""
-OF_TYPE = {float: 2.5, int: 3, str: "a text", bool: True}
-
-
-def _example(kind: Any) -> Message:
-    hints = get_type_hints(kind)
-    made: Message = kind(
-        **{f.name: VALUES.get(f.name, OF_TYPE.get(hints[f.name])) for f in fields(kind)}
-    )
-    return made
-
-
-COMMANDS: dict[str, Message] = {name: _example(verb.message) for name, verb in VERBS.items()}
-EXAMPLES: tuple[Any, ...] = (
-    *COMMANDS.values(),
-    Inquire(messages.digest(REQUEST), 1024, 1024),
-    Following(4711.25, Feedback(86.125, 18.25, -3.5, 0.875)),
-    Answer(ReplyCode.HELD, sentence="the rig is held by anna@lab, process 4711"),
-    Status("9f3c01aa", Mode.RUNNING, REQUEST.trial_id, 7, "anna@lab, process 4711", ""),
-    Description(DESCRIBED, "9f3c01aa", "d1a5c0de00000001"),
-    Failure("rig drum: the gauge's cable is broken; check the rig, then start it anew"),
-)
 PARTS = (
     TrialRequest,
     Gains,
@@ -111,7 +74,7 @@ def keys() -> Iterator[str]:
         (made.telemetry("<trial id>"), "published, optional"),
         (made.failure, "published, optional"),
     )
-    yield from _table(("key", "declared by the rig as"), ((f"`{k}`", what) for k, what in shown))
+    yield from table(("key", "declared by the rig as"), ((f"`{k}`", what) for k, what in shown))
 
 
 def verbs() -> Iterator[str]:
@@ -119,7 +82,7 @@ def verbs() -> Iterator[str]:
     commands = (
         (
             f"`@cmd/<instance>/{name}`",
-            _link(verb.message.__name__),
+            link(verb.message.__name__),
             "yes" if verb.needs_lease else "no",
             verb.reply,
         )
@@ -127,24 +90,24 @@ def verbs() -> Iterator[str]:
     )
     whole = "[Answer](#answer), the frame, or a part of it"
     queries = (
-        ("`result/<trial id>`", _link("Inquire"), "no", whole),
-        ("`status`", "none", "no", _link("Status")),
-        ("`describe`", "none", "no", _link("Description")),
+        ("`result/<trial id>`", link("Inquire"), "no", whole),
+        ("`status`", "none", "no", link("Status")),
+        ("`describe`", "none", "no", link("Description")),
     )
-    yield from _table(("sent to", "message", "needs the lease", "reply"), (*commands, *queries))
+    yield from table(("sent to", "message", "needs the lease", "reply"), (*commands, *queries))
 
 
 def message_examples() -> Iterator[str]:
     """Fields and an example of each message."""
     for example in EXAMPLES:
-        yield from _object(type(example))
+        yield from message_section(type(example))
         yield f"```json\n{messages.encode(example).decode()}\n```\n\n"
 
 
 def parts() -> Iterator[str]:
     """Objects inside the messages."""
     for kind in PARTS:
-        yield from _object(kind)
+        yield from message_section(kind)
 
 
 def profiles() -> Iterator[str]:
@@ -152,22 +115,22 @@ def profiles() -> Iterator[str]:
     for kind in PROFILES:
         text = inspect.getdoc(kind) or ""
         prose = text.split("Attributes:")[0].partition("\n")[2].strip("\n")
-        yield f"### {kind.__name__}: `{_default(kind, 'kind')}`\n\n{_title(kind)}\n\n"
+        yield f"### {kind.__name__}: `{default(kind, 'kind')}`\n\n{title(kind)}\n\n"
         yield f"```text\n{inspect.cleandoc(prose)}\n```\n\n" if prose else ""
-        yield from _fields(kind)
+        yield from fields_table(kind)
 
 
 def verdicts() -> Iterator[str]:
     """Reply codes."""
-    yield from _table(("verdict", "meaning"), ((f"`{c}`", c.sentence) for c in ReplyCode))
+    yield from table(("verdict", "meaning"), ((f"`{c}`", c.sentence) for c in ReplyCode))
 
 
 def modes() -> Iterator[str]:
     """Modes of a rig, and the effect of each event in each mode."""
-    yield from _table(("mode", "meaning"), ((f"`{mode}`", mode.sentence) for mode in Mode))
+    yield from table(("mode", "meaning"), ((f"`{mode}`", mode.sentence) for mode in Mode))
     yield "\n"
     yield from printed(
-        rig.TABLE, lambda kind: f"**{kind.__name__.removesuffix('Event')}**: {_title(kind)}"
+        rig.TABLE, lambda kind: f"**{kind.__name__.removesuffix('Event')}**: {title(kind)}"
     )
 
 
@@ -195,7 +158,7 @@ def submits() -> Iterator[str]:
     for before in STATES:
         codes = [rig.step(before, event, 0.0).reply_code for event in commands.values()]
         rows.append((f"`{before.mode}`", "its state", *(f"`{code}`" for code in codes[1:])))
-    yield from _table(("in mode", *commands), rows)
+    yield from table(("in mode", *commands), rows)
 
 
 CASES: tuple[tuple[str, state.RigState, events.Event], ...] = (
@@ -243,7 +206,7 @@ def cases() -> Iterator[str]:
         orders = ", ".join(order.value for order in move.orders) or "nothing"
         modes = f"`{before.mode}`, `{move.state.mode}`"
         rows.append((situation, f"`{move.reply_code}`", modes, orders))
-    yield from _table(("command", "reply", "mode before and after", "ordered"), rows)
+    yield from table(("command", "reply", "mode before and after", "ordered"), rows)
 
 
 def trials() -> Iterator[str]:
@@ -255,7 +218,7 @@ def trials() -> Iterator[str]:
         reply = "the frame" if trial is TrialState.ENDED else f"`{OF_TRIAL[trial]}`"
         reply += ", with the error in the ledger" if trial is TrialState.FAILED else ""
         rows.append((f"`{trial}`", *cells, reply))
-    yield from _table(("state", *TrialEvent, "reply to an Inquire"), rows)
+    yield from table(("state", *TrialEvent, "reply to an Inquire"), rows)
 
 
 def clients() -> Iterator[str]:
@@ -267,33 +230,33 @@ def clients() -> Iterator[str]:
         cells = (IMPOSSIBLE if isinstance(m, str) else sentence_of(m) for m in moves)
         meaning = heard.sentence if isinstance(heard, ClientInput) else f"`{heard}`"
         rows.append((meaning, *cells))
-    yield from _table(("input", *stages), rows)
+    yield from table(("input", *stages), rows)
 
 
 def outcomes() -> Iterator[str]:
     """Outcomes of a trial."""
     rows = ((f"`{o}`", o.sentence, "yes" if o.is_void else "no") for o in Outcome)
-    yield from _table(("outcome", "meaning", "void"), rows)
+    yield from table(("outcome", "meaning", "void"), rows)
 
 
 def header() -> Iterator[str]:
     """Header of a record's frame."""
-    yield from _fields(record_frame.Header, {f.name: f for f in fields(TrialRecord)})
+    yield from fields_table(record_frame.Header, {f.name: f for f in fields(TrialRecord)})
 
 
 def frame_bytes() -> Iterator[str]:
     """A complete frame."""
-    yield from _hex(record_frame.encode(RECORD))
+    yield from hex_dump(record_frame.encode(RECORD))
 
 
 def part_bytes() -> Iterator[str]:
     """A part of that frame: its first 32 bytes."""
-    yield from _hex(messages.encode_part(record_frame.encode(RECORD), 0, 32))
+    yield from hex_dump(messages.encode_part(record_frame.encode(RECORD), 0, 32))
 
 
 def live_bytes() -> Iterator[str]:
     """Live samples of a trial."""
-    yield from _hex(messages.encode_live(SAMPLES))
+    yield from hex_dump(messages.encode_live(SAMPLES))
 
 
 def limits() -> Iterator[str]:
@@ -313,7 +276,7 @@ def limits() -> Iterator[str]:
         ("time for which a client waits for a silent rig, by default, s", client.PATIENCE_S),
         ("transport lease of estune's sessions, ms", zenoh_session.LEASE_MS),
     )
-    yield from _table(("what", "value"), rows)
+    yield from table(("what", "value"), rows)
 
 
 SECTIONS: dict[str, Callable[[], Iterator[str]]] = {
@@ -334,113 +297,6 @@ def page(text: str) -> str:
         return f"{found[1]}\n{''.join(SECTIONS[found[2]]()).strip()}\n\n{found[3]}"
 
     return _SECTION.sub(renewed, text)
-
-
-def _table(head: Iterable[str], rows: Iterable[Iterable[Any]]) -> Iterator[str]:
-    columns = tuple(head)
-    for row in (columns, ("---",) * len(columns), *rows):
-        yield f"| {' | '.join(map(str, row))} |\n"
-
-
-def _object(kind: type) -> Iterator[str]:
-    """Name, meaning and fields of a message."""
-    yield f"### {kind.__name__}\n\n{_title(kind)}\n\n"
-    yield from _fields(kind)
-
-
-def _fields(kind: type, others: dict[str, Any] | None = None) -> Iterator[str]:
-    """The fields of a message as a table."""
-    if not fields(kind):
-        yield "No fields: `{}`.\n\n"
-        return
-    hints, meanings = get_type_hints(kind), _attributes(kind)
-    if others:
-        meanings = _attributes(TrialRecord) | meanings
-    rows = []
-    for field in fields(kind):
-        default = "" if field.default is MISSING else f"; default {_json(field.default)}"
-        meaning = meanings.get(field.name, _OWN.get(field.name, "")).replace("|", "\\|")
-        rows.append((f"`{field.name}`", f"{_type(hints[field.name])}{default}", meaning))
-    yield from _table(("field", "type", "meaning"), rows)
-    yield "\n"
-
-
-_OWN = {
-    "columns": "The columns that follow, in this order: the five of a record, and those "
-    "of the optional ones that there are. `flags` is always the last and is not named.",
-    "samples": "Number of samples in each column.",
-}
-
-
-def _json(value: object) -> str:
-    return f"`{json.dumps(value)}`"
-
-
-_PLAIN: dict[Any, str] = {
-    float: "number",
-    int: "integer",
-    str: "string",
-    bool: "true or false",
-    type(None): "null",
-    Outcome: "an outcome",
-    **dict.fromkeys(PROFILES, "a profile"),
-    ReplyCode: "a reply code",
-    Mode: "a mode",
-}
-
-
-def _type(hint: Any) -> str:
-    """JSON name of a type."""
-    origin, inside = get_origin(hint), get_args(hint)
-    if hint in _PLAIN:
-        return _PLAIN[hint]
-    if origin is Literal:
-        return " or ".join(f"`{json.dumps(value)}`" for value in inside)
-    if origin in (Union, types.UnionType):
-        return " or ".join(dict.fromkeys(map(_type, inside)))
-    if origin is tuple:
-        return f"array of {_type(inside[0])}"
-    return _link(hint.__name__)
-
-
-def _link(name: str) -> str:
-    return f"[{name}](#{name.lower()})"
-
-
-def _title(thing: Any) -> str:
-    text = inspect.getdoc(thing) or ""
-    return text.split("\n")[0]
-
-
-def _default(kind: type, name: str) -> str:
-    return str(next(f.default for f in fields(kind) if f.name == name))
-
-
-def _attributes(kind: type) -> dict[str, str]:
-    """Meanings of the attributes, from a docstring."""
-    text = inspect.getdoc(kind) or ""
-    _, _, section = text.partition("Attributes:\n")
-    found: dict[str, str] = {}
-    name = ""
-    for line in section.split("\n"):
-        if not line.strip() and found:
-            break
-        if (match := re.match(r"    (\w+): (.*)", line)) is not None:
-            name = match[1]
-            found[name] = match[2]
-        elif name:
-            found[name] += f" {line.strip()}"
-    return found
-
-
-def _hex(data: bytes) -> Iterator[str]:
-    """Hexadecimal dump: offset, sixteen bytes, and their text."""
-    yield "```text\n"
-    for at in range(0, len(data), 16):
-        line = data[at : at + 16]
-        text = "".join(chr(byte) if 32 <= byte < 127 else "." for byte in line)
-        yield f"{at:04x}  {line.hex(' '):47}  {text}".rstrip() + "\n"
-    yield "```\n"
 
 
 def main() -> None:

@@ -32,7 +32,7 @@ from estune.trial.profiles import (
     TriangleProfile,
 )
 from experiments.inert_rig import DESCRIBED, RECORD, REQUEST, InertRig
-from tests.rig_protocol_page import COMMANDS, EXAMPLES, LEASE, SAMPLES
+from tests.protocol_examples import COMMANDS, EXAMPLES, LEASE, SAMPLES
 
 EXTREMES = (
     *("NaN", "Infinity", "-Infinity", "1e999", "-1e999", "1e308", "5e-324", "-0.0", "0"),

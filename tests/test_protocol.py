@@ -32,7 +32,7 @@ from estune.trial.profiles import (
     StepProfile,
     TriangleProfile,
 )
-from tests.rig_protocol_page import EXAMPLES
+from tests.protocol_examples import EXAMPLES
 from tests.support_rigs import description, response
 
 finite = st.floats(allow_nan=False, allow_infinity=False)

@@ -14,7 +14,8 @@ from estune.remote.state_machine.state import Mode
 from estune.remote.state_machine.trials import TrialState
 from estune.trial import record_frame
 from experiments.inert_rig import RECORD
-from tests.rig_protocol_page import EXAMPLES, PAGE, SAMPLES, SECTIONS, STATES, page
+from tests.protocol_examples import EXAMPLES, SAMPLES
+from tests.rig_protocol_page import PAGE, SECTIONS, STATES, page
 from tests.support_rigs import same
 
 TEXT = PAGE.read_text("utf-8")
