@@ -57,13 +57,19 @@ function controlLaw(c, gains, rest) {
   };
 }
 
-// Output and effort of the loop as deviations from rest, for columns of setpoint, load and noise.
-export function simulate(problem, model, gains, { setpoint, load, noise }, limited = true) {
-  const n = setpoint.length, y = new Float64Array(n), u = new Float64Array(n);
+// Numbers that the next call for the same name overwrites: a search makes thousands of responses.
+const spares = {};
+const spare = (name, n) => (spares[name]?.length === n ? spares[name] : (spares[name] = new Float64Array(n)));
+
+// Output and effort of the loop as deviations from rest, for columns of setpoint, load and noise;
+// in numbers of their own, or in spare ones of a name.
+export function simulate(problem, model, gains, { setpoint, load, noise }, limited = true, name = "") {
+  const n = setpoint.length, made = (of) => (name ? spare(`${of} ${name}`, n) : new Float64Array(n));
+  const y = made("y"), u = made("u");
   const c = limited ? problem.controller : { ...problem.controller, limits: [null, null] };
   const act = controlLaw(c, gains, problem.rest);
   const sections = model.sections.map((p) => ({ p, unit: p[0] + p[1] + p[2], x: 0, dx: 0 }));
-  const B = model.numerator, dead = model.dead_samples, past = new Float64Array(n + dead + B.length + 1);
+  const B = model.numerator, dead = model.dead_samples, past = spare("past", n + dead + B.length + 1).fill(0);
   const differences = new Float64Array(B.length), friction = model.friction ?? 0;
   const origin = dead + B.length; // past[k + origin] is the plant's last state at sample k
   for (let k = 0; k < n; k++) {
@@ -148,8 +154,8 @@ function evaluated(problem, model, angles) {
 }
 
 // The loop gain G S / R at known angles: lists of real and imaginary parts.
-function gainOf(k, S) {
-  const count = k.angles.length, re = new Float64Array(count), im = new Float64Array(count), top = S.length - 1;
+function gainOf(k, S, re = new Float64Array(k.angles.length), im = new Float64Array(k.angles.length)) {
+  const count = k.angles.length, top = S.length - 1;
   for (let n = 0; n < count; n++) {
     let sr = S[top], si = 0;
     for (let m = top - 1; m >= 0; m--) [sr, si] = [sr * k.cos[n] - si * k.sin[n] + S[m], sr * k.sin[n] + si * k.cos[n]];
@@ -169,8 +175,8 @@ export function loopGain(problem, model, gains, angles) {
 // characteristic polynomial turns about the origin, or is not above zero at q^-1 = 1.
 export function robustness(problem, model, gains) {
   const k = known(problem, model, "grid", grid(model));
-  const { S } = controller(problem.controller, gains), { re, im } = gainOf(k, S);
-  const size = new Float64Array(re.length);
+  const { S } = controller(problem.controller, gains), count = k.angles.length;
+  const { re, im } = gainOf(k, S, spare("re", count), spare("im", count)), size = spare("size", count);
   let least = 0, total = 0, margin = Infinity, cr = 1, ci = 0;
   for (let n = 0; n < re.length; n++) {
     const pr = k.Ar[n] * k.Rr[n] - k.Ai[n] * k.Ri[n], pi = k.Ar[n] * k.Ri[n] + k.Ai[n] * k.Rr[n];
@@ -217,11 +223,12 @@ export function columns(problem) {
 }
 
 // What is to be expected of a trial with some gains; cost and Ms are infinite where it is unstable.
-export function predict(problem, model, gains, weights = problem.cost) {
+// Response and effort are in spare numbers of a name where one is given.
+export function predict(problem, model, gains, weights = problem.cost, name = "") {
   const margins = robustness(problem, model, gains);
   if (!Number.isFinite(margins.Ms)) return { ...margins, cost: Infinity, overshoot: Infinity, y: null, u: null };
   const { setpoint, load } = columns(problem), { trial } = problem;
-  const { y, u } = simulate(problem, model, gains, { setpoint, load });
+  const { y, u } = simulate(problem, model, gains, { setpoint, load }, true, name);
   let peak = -Infinity;
   const end = trial.load_N ? trial.load_index : trial.samples;
   for (let k = trial.step_index; k < end; k++) peak = Math.max(peak, y[k] / trial.step_N);
@@ -231,19 +238,19 @@ export function predict(problem, model, gains, weights = problem.cost) {
 // The cost with the share that noise has in it: by its variance where the cost is quadratic, else
 // as the mean over one sequence of noise and its negative.
 function cost(problem, model, gains, y, u, weights) {
-  const { setpoint } = columns(problem), { noise_N: sd, noise } = problem, zero = new Float64Array(setpoint.length);
+  const { setpoint } = columns(problem), { noise_N: sd, noise } = problem;
   if (weights.unknown) return NaN;
   const plain = () => ofColumns(problem, weights, y, u);
   if (!sd) return plain();
   if (noise) {
     const scaled = Float64Array.from(noise, (x) => sd * x);
-    const moved = simulate(problem, model, gains, { setpoint: zero, noise: scaled }, false);
+    const moved = simulate(problem, model, gains, { setpoint: new Float64Array(setpoint.length), noise: scaled }, false);
     const shifted = (sign) => ofColumns(problem, weights, y.map((v, k) => v + sign * (moved.y[k] + scaled[k])), u.map((v, k) => v + sign * moved.u[k]));
     return 0.5 * (shifted(1) + shifted(-1));
   }
-  const after = problem.trial.samples - problem.trial.step_index, impulse = zero.slice(0, after);
-  impulse[0] = 1;
-  const answer = simulate(problem, model, gains, { setpoint: zero.slice(0, after), noise: impulse }, false);
+  const after = problem.trial.samples - problem.trial.step_index;
+  const { noise: impulse } = (problem.impulse ??= { setpoint: new Float64Array(after), noise: new Float64Array(after).fill(1, 0, 1) });
+  const answer = simulate(problem, model, gains, problem.impulse, false, "noise");
   let error = 0, move = answer.u[0] ** 2;
   for (let k = 0; k < after; k++) {
     error += (answer.y[k] + impulse[k]) ** 2;

@@ -8,7 +8,7 @@ const PENALTY = 30, UNSTABLE = 100;
 
 // How much worse than nothing some gains are: the log cost, and what they exceed of the limits.
 function score(problem, gains, limits, weights) {
-  const p = predict(problem, problem.models[0], gains, weights);
+  const p = predict(problem, problem.models[0], gains, weights, "search");
   if (!Number.isFinite(p.cost)) return UNSTABLE;
   const excess = [Math.log(p.Ms / limits.Ms), p.overshoot - limits.overshoot];
   if (limits.phase_margin_deg) excess.push(((limits.phase_margin_deg - p.phase_margin_deg) * Math.PI) / 180);
