@@ -18,8 +18,9 @@ from estune.support.html_page import render
 from estune.support.plot_style import new_figure, to_png
 from plants.diagnosis.interval import Interval
 from plants.diagnosis.report import figures, summary
+from plants.diagnosis.report.json_form import to_json
 from plants.diagnosis.report.page import page
-from plants.diagnosis.result import ModelErrors, NamedEffect
+from plants.diagnosis.result import DeclaredEffect, ModelErrors, NamedEffect
 from plants.effects import EFFECTS, CoulombFriction, Effect, Port, parameter, plant_scale
 from tests.support_diagnosis import FOUND, NO_BLOCKS, deciding, diagnosis, nothing_found
 
@@ -309,6 +310,11 @@ def test_numbers_of_effects_are_named_in_the_plants_units_and_not_beyond_their_i
     d = replace(named, effects=(shown,), base_model=plants.stage(95.0, 200.0))
     (_, force, value, *_), (_, creep, unknown, *_) = summary.parameters(d).rows
     assert (force, value, creep, unknown) == ("force_N", "20.0", "creep_m_s", "not determined")
+    kept = {"supported": True, "explained": 0.9, "sentence": ""}
+    declared = DeclaredEffect(effect.name, effect.title, fitted, **kept)
+    told = to_json(replace(d, declared=(declared,), model=d.base_model + effect))
+    for (shown_as,) in (told["effects"], told["declared"]):
+        assert list(shown_as["parameters"]) == ["force_N", "creep_m_s"]
 
 
 def test_tables_round_to_the_digits_of_the_interval(named):

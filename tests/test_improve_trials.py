@@ -15,6 +15,7 @@ from estune.support.html_page import prose, render
 from estune.trial import GUARD, LATE, Outcome, record_frame
 from plants.diagnosis.improvement import improve as module
 from plants.diagnosis.improvement.page import page
+from plants.diagnosis.improvement.result import OWN, REACHED, TUNED, Costs
 from plants.diagnosis.improvement.tuning import ImprovementOptions
 from plants.emulator import RIG_FILE
 from plants.emulator.virtual_loop import virtual_rig
@@ -43,6 +44,26 @@ def test_page_of_an_improvement_has_its_costs_last_diagnosis_and_tuning(whole):
         assert str(prose(shown)) in text
     assert ("Tuning on the rig" in text) == (whole.tuning is not None)
     assert whole.heading() in repr(whole)
+    assert repr(whole).splitlines()[-1] == whole.conclusion
+
+
+@pytest.mark.parametrize(
+    ("reached", "tuned", "said"),
+    [
+        (2.0, None, "the model's gains cut the measured cost by 50 %; tuning on the rig found"),
+        (2.0, 1.0, "cut the measured cost by 50 %; tuning on the rig cut it by 75 % in all"),
+        (3.9, None, "do not cut the measured cost beyond its error"),
+        (None, None, "no gains of the model could be reached"),
+    ],
+)
+def test_improvement_ends_with_what_model_and_tuning_brought(whole, reached, tuned, said):
+    measured = {OWN: 4.0, REACHED: reached, TUNED: tuned}
+    costs = [
+        Costs(label, GAINS, cost, cost, cost, 0.1)
+        for label, cost in measured.items()
+        if cost is not None
+    ]
+    assert said in replace(whole, costs=tuple(costs)).conclusion
 
 
 @pytest.mark.parametrize("at", [3, 16])  # among the experiments, and in the rig's tuning

@@ -9,12 +9,14 @@ from plants.diagnosis.report import summary
 from plants.diagnosis.report.plant_units import own_names
 from plants.diagnosis.result import (
     Candidate,
+    DeclaredEffect,
     DiagnosisResult,
     HoldOut,
     NamedEffect,
     NextExperiment,
     SearchStep,
 )
+from plants.effects import Effect
 from plants.effects.plant_scale import PlantScale
 from plants.remedies.text import to_json as remedies_to_json
 
@@ -23,11 +25,12 @@ def to_json(d: DiagnosisResult) -> dict[str, Any]:
     """The diagnosis as JSON values; what is not a finite number is null."""
     unit = d.unit
     errors = {"given": d.given, "before": d.before, "after": d.after}
+    declared = {type(e).name: type(e) for e in getattr(d.model, "effects", ())}
     values = {
         "heading": summary.heading(d),
         "verdict": d.verdict,
         "sentence": d.sentence,
-        "effects": [_effect(effect, d) for effect in d.effects],
+        "effects": [_effect(found, type(found.effect), d) for found in d.effects],
         "ambiguous": d.ambiguous,
         "candidates": [_candidate(c, d) for c in d.candidates],
         **{f"gap_{name}_{unit}": e.gap for name, e in errors.items()},
@@ -39,7 +42,7 @@ def to_json(d: DiagnosisResult) -> dict[str, Any]:
         "not_excited": d.not_excited,
         "ruled_out": d.ruled_out,
         "next_experiment": d.next_experiment and _trial(d.next_experiment),
-        "declared": d.declared,
+        "declared": [_effect(found, declared[found.name], d) for found in d.declared],
         "hold_out": d.hold_out and _hold_out(d.hold_out, unit),
         "calibrations": {c.name: _fields(c, "name") for c in d.calibrations},
         "steps": [_step(step, unit) for step in d.steps],
@@ -58,10 +61,11 @@ def _fields(value: Any, without: str = "") -> dict[str, Any]:
     return {f.name: getattr(value, f.name) for f in fields(value) if f.name != without}
 
 
-def _effect(found: NamedEffect, d: DiagnosisResult) -> dict[str, Any]:
-    """An effect; its parameters by names that end in the plant's own units."""
-    scale = PlantScale.of(d.base_model)
-    names = own_names(type(found.effect), found.parameters, scale)
+def _effect(
+    found: NamedEffect | DeclaredEffect, effect: type[Effect], d: DiagnosisResult
+) -> dict[str, Any]:
+    """An effect of a class; its parameters by names that end in the plant's own units."""
+    names = own_names(effect, found.parameters, PlantScale.of(d.base_model))
     parameters = {names[name]: at for name, at in found.parameters.items()}
     return _fields(found, "effect") | {"parameters": parameters}
 
