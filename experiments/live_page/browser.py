@@ -75,7 +75,8 @@ def _look_at(
     usable_s = statistics.median(_usable_s(page, address) for _ in range(OPENED))
     answers.clear()
     _usable_s(page, address)
-    whole = [one for one in answers if "event-stream" not in one.headers["content-type"]]
+    files_sent = [one for one in answers if one.status == 200]  # not a list that the page has
+    whole = [one for one in files_sent if "event-stream" not in one.headers["content-type"]]
     page_kB = sum(len(one.body()) for one in whole) / 1e3
     faults = _faults(page)
     page.evaluate(NOTE_TRIALS)

@@ -74,13 +74,16 @@ export class RunTable {
       return tr;
     }));
     this.drawn = drawn;
+    const empty = COLUMNS.map(([key]) => this.rows.every((row) => row[key] == null || row[key].length === 0));
+    for (const { cells } of $("views").querySelectorAll("tr"))
+      empty.forEach((none, n) => { if (cells[n].hidden !== none) cells[n].hidden = none; });
   }
 
   // A row of the table.
   made(row) {
     const tr = Object.assign(document.createElement("tr"), { className: row.stale ? "stale" : "" });
     COLUMNS.forEach(([key, , form], n) => {
-      const cell = tr.insertCell();
+      const cell = Object.assign(tr.insertCell(), { className: key === "Ms" ? "whole" : "" });
       if (n) return cell.append(form(row[key], row));
       const link = Object.assign(document.createElement("a"), { href: `?view=${encodeURIComponent(row.name)}`, textContent: row.name });
       if (row.name === this.current) link.setAttribute("aria-current", "page");
