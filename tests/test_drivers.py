@@ -59,6 +59,20 @@ DRIVER_TABLES = {"serial": of_serial, "can": of_can}
 
 
 class _OnTheEmulatedReel(DriverConformance):
+    """Each test opens its own driver of one emulated reel, as programs do that follow each other.
+
+    Attributes:
+        device: The protocol between them.
+    """
+
+    device = None
+
+    @pytest.fixture(scope="class")
+    @classmethod
+    def address(cls):
+        with hardware(cls.device) as address:
+            yield address
+
     @pytest.fixture
     def moves(self):
         return MOVES
@@ -66,27 +80,28 @@ class _OnTheEmulatedReel(DriverConformance):
 
 class TestEmulated(_OnTheEmulatedReel):
     @pytest.fixture
-    def driver(self):
-        with hardware(None) as address, EmulatedDriver(address) as driver:
+    def driver(self, address):
+        with EmulatedDriver(address) as driver:
             yield driver
 
 
 class TestSerialBoard(_OnTheEmulatedReel):
+    device = "serial"
+
     @pytest.fixture
-    def driver(self):
-        with hardware("serial") as address:
-            table = of_serial(address)
-            with closing(load_driver(table["use"], table["settings"])) as driver:
-                yield driver
+    def driver(self, address):
+        table = of_serial(address)
+        with closing(load_driver(table["use"], table["settings"])) as driver:
+            yield driver
 
 
 class TestODriveWithCanGauge(_OnTheEmulatedReel):
+    device = "can"
+
     @pytest.fixture
-    def driver(self):
-        with hardware("can") as address:
-            rig = quick(driver=of_can(address))
-            with closing(load_driver(*rig.driver.driver)) as driver:
-                yield driver
+    def driver(self, address):
+        with closing(load_driver(*quick(driver=of_can(address)).driver.driver)) as driver:
+            yield driver
 
 
 @pytest.mark.parametrize("device", DRIVER_TABLES)
