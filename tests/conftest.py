@@ -37,6 +37,8 @@ LONGEST = (
     "test_hardware",
     "test_drivers",
     "test_model_based",
+    "test_behaviour",
+    "test_daemon_margins",
     "test_explain_cli",
     "test_force_bench",
     "test_journal",

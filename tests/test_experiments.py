@@ -2,6 +2,7 @@
 
 import ast
 import re
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -68,6 +69,7 @@ FORM = re.compile(
 """First lines of an experiment: its question, its command, its target."""
 
 
+@cache
 def experiments() -> dict[str, str]:
     """Docstrings of the modules and packages that can be run and print results, by name."""
     folder = ROOT / "experiments"

@@ -1,5 +1,6 @@
 import math
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -144,6 +145,7 @@ def test_inertia_is_compensated_at_high_speed_only():
 TRUTH = {"inertia": 2e-3, "viscous": 0.022, "coulomb": 0.02, "static": 0.03, "stribeck": 0.8}
 
 
+@cache
 def ramp(
     *,
     slope=0.03,
