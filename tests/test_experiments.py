@@ -30,6 +30,7 @@ TIMES = "_restored_max_s"
 SAMPLED = {
     "confirmation",
     "diagnosis_constants",
+    "growing_oscillations",
     "hidden_effects",
     "hidden_remedies",
     "loop_prior",

@@ -2,7 +2,7 @@
 
 import math
 import re
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import control
 import numpy as np
@@ -21,7 +21,7 @@ from estune.run.robustness import claim_from, identify
 from estune.run.session import Phase
 from estune.trial import Outcome, TrialRequest
 from estune.trial.loop_records import loop_signals
-from estune.trial.profiles import StepProfile
+from estune.trial.profiles import LoadStepProfile, StepProfile
 from experiments.loop_claims import true_sensitivity
 from plants.effects import CoulombFriction, EyeletFriction
 
@@ -111,6 +111,35 @@ def test_page_shows_each_trial_with_its_own_record_where_one_was_refused(tuned):
     for one in shown:
         record = [r for r in others if list(r.gains.as_tuple()) == list(one["gains"].values())][-1]
         assert one["y"] == pytest.approx(record.tension_N[:: one["every"]], rel=1e-4)
+
+
+class Knocked(StepsOnly):
+    """A rig on which a load falls in one step trial of five, which no record says."""
+
+    def __init__(self, rig, before):
+        super().__init__(rig)
+        self._trials = before
+
+    def run(self, request):
+        self._trials += 1
+        step = request.profile
+        if self._trials % 5 or not isinstance(step, StepProfile):
+            return self._rig.run(request)
+        same = {field.name: getattr(step, field.name) for field in fields(StepProfile)}
+        same |= {"kind": "load_step", "load_N": 0.1 * step.step_N, "load_at_s": 0.5}
+        record = self._rig.run(replace(request, profile=LoadStepProfile(**same)))
+        return replace(record, profile=step.kind)
+
+
+@pytest.mark.parametrize("before", [0, 4])
+def test_disturbance_in_one_trial_of_five_costs_few_trials(before):
+    rig = Knocked(plants.reference_reel(0.8).rig(seed=1), before)
+    result = tune(rig)
+    assert result.improvement.estimate < -0.45
+    assert result.nfev <= 20
+    margins = result.claim.margins
+    truth = true_sensitivity(plants.reference_reel(0.8), result.gains)
+    assert margins is None or truth <= margins.sensitivity.high
 
 
 @pytest.mark.parametrize("cut_after", [1, 2, 3])

@@ -1,6 +1,5 @@
 """An oscillation that grows, however slowly, makes a trial unsafe."""
 
-import control
 import numpy as np
 import pytest
 
@@ -11,8 +10,8 @@ from estune.core.oscillation import growing_oscillation
 from estune.errors import UnsafeStart
 from estune.interop import margins
 from estune.trial import TrialRequest
-from estune.trial.profiles import StepProfile
 from estune.trial.scoring import growing_oscillation_Hz
+from experiments.growing_oscillations import trials
 from plants.effects import CoulombFriction, TorqueRipple
 from tests.support_binomial import least_hits
 from tests.support_targets import slowly_unstable
@@ -46,41 +45,12 @@ def test_response_without_an_oscillation_has_none_that_grows(noise):
     assert growing_oscillation(np.array([1.0, np.nan])) is None
 
 
-def random_loop(rng, *, mode):
-    """A plant of lags, or of one lag in series with a lightly damped mode."""
-    transfer = control.tf([1.0], [1.0])
-    for lag in [rng.uniform(0.02, 0.2)] if mode else rng.uniform(0.01, 0.2, rng.integers(2, 5)):
-        transfer *= control.tf([1.0], [float(lag), 1.0])
-    if mode:
-        w, damping = 2.0 * np.pi * rng.uniform(5.0, 25.0), rng.uniform(0.005, 0.05)
-        transfer *= control.tf([w * w], [1.0, 2.0 * damping * w, w * w])
-    return plants.linear_plant(
-        transfer,
-        dead_time_s=float(rng.choice([0.0, 0.01, 0.05])),
-        sampling_Hz=float(rng.choice([200.0, 632.0])),
-        gains=Gains(0.1, 3.0, 0.001, 0.02),
-        noise_rms_N=float(rng.choice([0.0, 0.003, 0.03])),
-        profile=StepProfile(0.0, 1.0, 0.2, 1.4),
-        settling_time_s=0.3,
-    )
-
-
-@pytest.mark.parametrize("plants_drawn", [30, pytest.param(300, marks=pytest.mark.nightly)])
-def test_unstable_random_loops_are_named_and_no_stable_ones(plants_drawn):
-    rng, centre = np.random.default_rng(1), np.array([-0.7, 1.5, -5.0, -3.5])
-    named = {True: [], False: []}
-    for number in range(plants_drawn):
-        rig = random_loop(rng, mode=bool(number % 2)).rig(seed=number)
-        about = rig.describe()
-        for trial in range(3):
-            gains = Gains(*np.exp(rng.normal(centre, [1.0, 1.0, 1.2, 0.7])).tolist())
-            record = rig.run(TrialRequest("loop", trial, gains, about.step))
-            if not np.isfinite(record.tension_N).all():
-                continue
-            stable = margins(about.linear_model, gains, about.controller).stable
-            named[stable].append(growing_oscillation_Hz(record, about.step) is not None)
-    assert not any(named[True])
-    assert sum(named[False]) >= least_hits(len(named[False]), 0.8)
+@pytest.mark.parametrize("loops", [30, pytest.param(300, marks=pytest.mark.nightly)])
+def test_unstable_random_loops_are_named_and_no_stable_ones(loops):
+    found = list(trials(loops, seed=1))
+    unstable = [named for stable, named in found if not stable]
+    assert not any(named for stable, named in found if stable)
+    assert sum(unstable) >= least_hits(len(unstable), 0.8)
 
 
 @pytest.mark.parametrize("effect", [CoulombFriction(0.05), TorqueRipple()])

@@ -67,29 +67,33 @@ def fit_loop(
     """
     again = last is None or len(records) in TRIED_WITH
     fit = _fit(records, sampling_Hz, settling_time_s, last, again=again)
-    out: tuple[int, ...] = ()
-    while (len(records) - len(out)) > OTHERS * (len(out) + 1):
-        kept = [i for i in range(len(records)) if i not in out]
-        worst = kept[int(np.argmax([_power(fit.errors[i]) for i in kept]))]
-        if not _stands_out(fit, kept, worst):
-            break
-        others = [i for i in kept if i != worst]
-        kept_records = [records[i] for i in others]
-        without = _fit(kept_records, sampling_Hz, settling_time_s, fit, again=False)
-        powers = [_power(e) for e in without.errors]
-        error = prediction_error(without, records[worst])
-        if not _power(error) > APART**2 * max(powers):
-            break
-        out = (*out, worst)
-        fit = _with_all(without, records, others, out)
+    suspects = _standing_out(fit)
+    while suspects:
+        others = [i for i in range(len(records)) if i not in suspects]
+        kept = [records[i] for i in others]
+        # Anew: the poles that took up the disturbance would stay, and foretell unstable loops.
+        without = _fit(kept, sampling_Hz, settling_time_s, None, again=True)
+        most = APART**2 * max(_power(errors) for errors in without.errors)
+        out = [i for i in suspects if _power(prediction_error(without, records[i])) > most]
+        if out == suspects:
+            return _with_all(without, records, others, tuple(out))
+        suspects = out
     return fit
 
 
-def _stands_out(fit: LoopFit, kept: list[int], worst: int) -> bool:
-    """Whether a record has the largest residual by far, beyond what chance gives."""
-    others = [_power(fit.errors[i]) for i in kept if i != worst]
-    chance = 1.0 + 5.0 * math.sqrt(2.0 / fit.errors[worst].size)
-    return _power(fit.errors[worst]) > chance * max(others)
+def _standing_out(fit: LoopFit) -> list[int]:
+    """The records of the largest residuals by far, beyond what chance gives.
+
+    All at once: with one of two disturbed records the fit is as wrong as with both.
+    """
+    powers = [_power(errors) for errors in fit.errors]
+    order = sorted(range(len(powers)), key=powers.__getitem__, reverse=True)
+    for count in range(len(powers) // (OTHERS + 1), 0, -1):
+        least, next_one = order[count - 1], order[count]
+        chance = 1.0 + 5.0 * math.sqrt(2.0 / fit.errors[least].size)
+        if powers[least] > chance * powers[next_one]:
+            return sorted(order[:count])
+    return []
 
 
 def _power(errors: FloatArray) -> float:

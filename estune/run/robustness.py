@@ -80,6 +80,16 @@ class IdentifiedLoop(NamedTuple):
         """The records in the order of the fit: step trials, then excitations."""
         return (*(step.signals for step in self.steps), *self.excitations)
 
+    def undisturbed(self, records: Iterable[TrialRecord]) -> list[TrialRecord]:
+        """The records that the loop rests on, and all records of gains of which it has none.
+
+        Not those that the others contradict, nor those that do not follow from their gains.
+        """
+        out = () if self.fit is None else self.fit.left_out
+        kept = [step.record for i, step in enumerate(self.steps) if i not in out]
+        known, shown = {r.trial_id for r in kept}, {r.gains for r in kept}
+        return [r for r in records if r.trial_id in known or r.gains not in shown]
+
 
 @one_blas_thread()
 def identify(
@@ -183,8 +193,9 @@ def verdict_on(run: TuningRun, change: Change | None) -> Verdict:
         broken = plan.limits.broken_by(start.margins) if start.margins else ""
     if not (change.is_decrease or broken):
         return Verdict(loop=loop)
-    fault = not_robust(run.recent_records, plan, claimed, gains, rig)
-    return Verdict(fault, broken, loop, limit_verdict(plan, claimed, gains, run.recent_records))
+    records = loop.undisturbed(run.recent_records)
+    fault = not_robust(records, plan, claimed, gains, rig)
+    return Verdict(fault, broken, loop, limit_verdict(plan, claimed, gains, records))
 
 
 def not_robust(

@@ -159,7 +159,8 @@ class RunResult(OptimizeResult):  # type: ignore[misc]  # scipy ships no type in
 
     def _with_mean_overshoot(self, performance: Performance) -> Performance:
         """The performance with the overshoot of all records with its gains, as limits judge it."""
-        mean = measured_overshoot(self.plan, performance.gains, self.recent_records)
+        records = self.identified.undisturbed(self.recent_records)
+        mean = measured_overshoot(self.plan, performance.gains, records)
         if mean is None or performance.metrics is None:
             return performance
         return replace(performance, metrics=performance.metrics._replace(overshoot=mean.value))
