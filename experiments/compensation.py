@@ -173,8 +173,10 @@ def tuned(compensation: dict[str, Any]) -> TuneResult:
         return estune.tune(reel, trials=40, folder=Path(folder), watch=None)
 
 
-def held(compensation: dict[str, Any], gains: Gains) -> dict[str, float]:
-    """Rest, errors in each motion in N, and the cost of a step trial."""
+def held(
+    compensation: dict[str, Any], gains: Gains, announcements: tuple[bool, ...] = (False, True)
+) -> dict[str, float]:
+    """Rest, errors in each motion in N, announced or not, and the cost of a step trial."""
     found: dict[str, float] = {"rest_std_N": rest_std_N(compensation, gains)}
     for name, profile in TRIANGLES.items():
         with rig(compensation) as reel:
@@ -182,7 +184,7 @@ def held(compensation: dict[str, Any], gains: Gains) -> dict[str, float]:
             found[f"{name}_rms_N"] = float(np.std(error))
             found.setdefault("mean_N", float(error.mean()))
     for name, motion in MOTIONS.items():
-        for announced in (False, True):
+        for announced in announcements:
             with rig(compensation, motion, announced=announced) as reel:
                 error = errors_N(reel, gains, HOLD, BEGIN_s)
             found[f"{name}{'_announced' if announced else ''}_rms_N"] = float(np.std(error))
@@ -202,13 +204,14 @@ def row(compensation: dict[str, Any], result: TuneResult) -> dict[str, Any]:
 
 def main() -> int:
     """Measures and prints; returns 1 where a target is missed."""
-    arguments = command_line(__doc__, quick="no tunings, and three compensations").parse_args()
+    arguments = command_line(__doc__, quick="no tunings, announced motion only").parse_args()
     quick = arguments.quick
     known = "friction, known motion of the far end"
     chosen = ("none", "friction", known, "gravity") if quick else COMPENSATIONS
     with rig({}) as reel:
         live = reel.describe().gains
-    at_live = {name: held(COMPENSATIONS[name], live) for name in chosen}
+    announcements = (True,) if quick else (False, True)
+    at_live = {name: held(COMPENSATIONS[name], live, announcements) for name in chosen}
     figures: dict[str, Any] = {"with the gains of the rig's file": at_live}
     if not quick:
         figures |= {
