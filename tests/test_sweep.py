@@ -75,7 +75,7 @@ def test_design_reports_all_faults_with_their_keys():
     for words in (
         "lengths_m: 0.5 m is there more than once",
         "tensions_N: 15 N comes after 25 N; give them in ascending order",
-        "start.Q: no gain; the gains are P, I, D, setpoint_filter_s",
+        "start.Q: there is no such gain; the gains are P, I, D, setpoint_filter_s",
     ):
         assert words in str(caught.value), words
 
@@ -272,7 +272,7 @@ def test_rigs_are_tuned_in_parallel_and_resume_after_an_interrupt(tmp_path):
 @pytest.mark.parametrize(
     ("length", "entry", "lengths", "words"),
     [
-        (1.6, {}, [0.5, 1.4], "it stands at 1.6 m, outside the sweep's range of 0.5 to 1.4 m"),
+        (1.6, {}, [0.5, 1.4], "its cable is 1.6 m, outside the sweep's range of 0.5 to 1.4 m"),
         (None, {}, [0.5, 1.4], "it does not state its cable length; give cable_length_m"),
         (0.8, {"cable_length_m": 0.9}, [0.5, 1.4], "its description has a cable of 0.8 m"),
         (0.8, {}, [], "one length only, which gives no law over length"),

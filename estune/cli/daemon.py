@@ -212,7 +212,7 @@ def _show_statuses(statuses: list[DaemonStatus]) -> None:
 
 def _facts(status: DaemonStatus) -> Mapping[str, object]:
     """The fields of a status that an operator sees, by name."""
-    live = f"{status.live} gains" if status.live else "not confirmed by the rig now"
+    live = f"{status.live} gains" if status.live else "not confirmed by the rig at present"
     facts: dict[str, object] = {
         "rig": status.rig,
         "mode": f"{status.mode}: {status.sentence}",

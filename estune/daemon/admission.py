@@ -65,7 +65,7 @@ class Admission:
         with self._lock:
             if rig not in self._held:
                 if len(self._held) >= self._rigs_max:
-                    return f"this daemon holds {self._rigs_max} rigs already, as rigs_max says"
+                    return f"this daemon supervises {self._rigs_max} rigs, its limit rigs_max"
                 if self._is_late() and self._held:
                     return "this daemon is overloaded: it renews leases too late"
                 self._held.add(rig)

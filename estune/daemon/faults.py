@@ -12,7 +12,7 @@ class FaultCode(SentenceEnum):
     FOREIGN_GAINS = "foreign-gains", "decide whose gains are right: resume, or revert"
     EMERGENCY_STOP = "emergency-stop", "check the rig, estune clear, then resume"
     TRIAL_CUT_OFF = "trial-cut-off", "the reel may have moved unrecorded; check it, then resume"
-    VOID_TRIALS = "void-trials", "read the rig's own log, mend the cause, then resume"
+    VOID_TRIALS = "void-trials", "read the rig's own log, fix the cause, then resume"
     UNSAFE_GAINS = "unsafe-gains", "the original gains are live; check the machine, then resume"
     DRIFT = "drift", "it is tuned again by itself; look for wear if that happens often"
     SETTINGS = "settings", "correct the daemon's file for this rig, then start the daemon again"

@@ -119,7 +119,7 @@ class MarginWatch:
             return [self._stop(record.reason or record.outcome.sentence)]
         effort = recomputed_effort(record, description, 0.0)
         if (record.flags & SATURATED).any():
-            self.sentence = "cannot tell: a limit of the controller acted"
+            self.sentence = "not known: the command was at a limit of the controller"
             return []
         signals = LoopRecord(effort, record.tension_N, record.setpoint_N, gains)
         return self._observe(signals, description, gains)

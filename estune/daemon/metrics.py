@@ -214,7 +214,7 @@ class DaemonHealth(NamedTuple):
     @property
     def obstacle(self) -> str:
         """Why it takes no commands; empty if it does."""
-        return "" if self.ready else "the supervisions have not begun"
+        return "" if self.ready else "no supervisor has started"
 
 
 def build_info(metric: str) -> Family:

@@ -144,7 +144,7 @@ class RigSupervisor:
             self._rig.apply_event(SupervisorEvent.LOST, sentence, EventKind.LOST)
         else:
             self._rig.refused = f"held by {holder}; stop one of the two daemons"
-            sentence = f"rig {self.name} is left alone: it is {self._rig.refused}"
+            sentence = f"rig {self.name} is not supervised: it is {self._rig.refused}"
             self._rig.log_event(EventKind.FAILED, sentence, fault=FaultCode.RIG_HELD)
 
     def _fail(self, why: str, fault: FaultCode) -> None:

@@ -105,7 +105,7 @@ def _tunings(folder: Path) -> tuple[TunedGains, ...]:
     tunings = tuple(_data_point(r) for r in tuned if _aim(r) == _aim(tuned[-1]))
     if not tunings:
         raise JournalError(
-            f"{folder} holds neither a sweep nor a tuned run of a reel with a cable length; "
+            f"{folder} contains neither a sweep nor a tuned run of a reel with a cable length; "
             "give the folder of a sweep or of runs"
         )
     return tunings

@@ -158,8 +158,7 @@ def expand_cells(design: SweepDesign) -> LazySequence[Cell]:
     if not faults and len(lengths) < 2:
         only = ", ".join(f"{length:g} m" for length in lengths)
         faults.append(
-            f"all rigs stand at {only}: one length only, which gives no law over length; add rigs "
-            "at other lengths"
+            f"all rigs have a cable of {only}, and a law needs several lengths; add rigs with others"
         )
     if faults:
         raise InvalidInput("\n".join(faults))
@@ -207,7 +206,7 @@ def _remote_length(design: SweepDesign, rig: SweptRig) -> float:
         raise InvalidInput(f"{rig.label}: it does not state its cable length; give cable_length_m")
     if design.lengths_m and not design.lengths_m[0] <= length <= design.lengths_m[-1]:
         raise InvalidInput(
-            f"{rig.label}: it stands at {length:g} m, outside the sweep's range of "
+            f"{rig.label}: its cable is {length:g} m, outside the sweep's range of "
             f"{design.lengths_m[0]:g} to {design.lengths_m[-1]:g} m; widen lengths_m or leave "
             "the rig out"
         )

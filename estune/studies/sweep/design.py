@@ -120,7 +120,7 @@ class SweepDesign(SearchTable):
         if "preload_N" in self.step.given:
             wrong.append("step.preload_N: in a sweep that is tensions_N; give it there")
         wrong += [
-            f"start.{name}: no gain; the gains are {', '.join(GAIN_NAMES)}"
+            f"start.{name}: there is no such gain; the gains are {', '.join(GAIN_NAMES)}"
             for name in (() if isinstance(self.start, str) else self.start)
             if name not in GAIN_NAMES
         ]
@@ -159,7 +159,7 @@ def _with_paths_from(rig: SweptRig, folder: Path) -> SweptRig:
 def _order_fault(key: str, values: list[float], unit: str) -> list[str]:
     duplicates = [value for value, count in Counter(values).items() if count > 1]
     if duplicates:
-        fault = f"{key}: {duplicates[0]:g} {unit} is there more than once; give each once, and "
+        fault = f"{key}: {duplicates[0]:g} {unit} appears more than once; give each once, and "
         return [fault + "the number of tunings as seeds"]
     for before, after in pairwise(values):
         if after < before:
@@ -170,7 +170,7 @@ def _order_fault(key: str, values: list[float], unit: str) -> list[str]:
 
 def _duplicates(key: str, names: list[str]) -> list[str]:
     return [
-        f"{key}: {name} is there more than once; give each once, or names of their own"
+        f"{key}: {name} appears more than once; give each once, or names of their own"
         for name, count in Counter(names).items()
         if count > 1
     ]

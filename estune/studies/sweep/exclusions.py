@@ -24,7 +24,7 @@ def exclusion_sentences(outcomes: LazySequence[CellOutcome]) -> tuple[str, ...]:
     total = len(outcomes)
     sentences = []
     if failed:
-        remedy = "remove the cause and call the sweep again, which tries them again"
+        remedy = "fix the cause, then run the sweep again: it repeats them"
         sentences.append(f"{_count(failed, total)} failed ({_messages(failed)}): {remedy}")
     if unsafe:
         remedy = "give gentler initial gains (start) or raise eta_max"
@@ -37,7 +37,7 @@ def exclusion_sentences(outcomes: LazySequence[CellOutcome]) -> tuple[str, ...]:
     if known:
         sentences.append(f"{_count(known, total)} had {_remaining(known)}: {_more_trials(known)}")
     if unknown:
-        what = "ended without an estimate of what was left to gain"
+        what = "ended without an estimate of the remaining improvement"
         sentences.append(f"{_count(unknown, total)} {what}: {_more_trials(unknown)}")
     return tuple(sentences)
 
@@ -58,12 +58,12 @@ def _messages(failed: Sequence[CellOutcome]) -> str:
 
 
 def _remaining(unfinished: Sequence[CellOutcome]) -> str:
-    """The range of what was left to gain."""
+    """The range of the remaining improvement."""
     least = min(outcome.remaining for outcome in unfinished)
     most = max(outcome.remaining for outcome in unfinished)
     low, high = f"{100.0 * least:.2g}", f"{100.0 * most:.2g}"
     share = f"{low} to {high} %" if low != high else f"{low} %"
-    return f"{share} left to gain (limit {100.0 * CONVERGED_BELOW:g} %)"
+    return f"{share} remaining improvement (limit {100.0 * CONVERGED_BELOW:g} %)"
 
 
 def _more_trials(unfinished: Sequence[CellOutcome]) -> str:

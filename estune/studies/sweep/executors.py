@@ -188,7 +188,7 @@ def _from_cluster(dask: Any, client: Any, cells: Sequence[Cell]) -> Iterator[Cel
 
 def _check_alive(client: Any, done: Sequence[Any]) -> None:
     """Raises an EstuneError if the cluster has no scheduler or no worker."""
-    advice = "finished cells are kept: call the sweep again once it is back"
+    advice = "finished cells are kept; run the sweep again once it is back"
     if client.status != "running" or any(future.cancelled() for future in done):
         raise EstuneError(f"the cluster's scheduler has ended; {advice}")
     if not done and not client.scheduler_info(n_workers=1)["workers"]:

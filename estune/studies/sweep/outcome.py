@@ -41,7 +41,7 @@ CREATE TABLE cell (
 ) WITHOUT ROWID
 """,
     ),
-    "call the sweep again",
+    "run the sweep again",
     lock_name="sweep.lock",
 )
 """The file of a sweep; `estune.studies.sweep.store` writes it."""
@@ -113,7 +113,7 @@ class CellOutcome:
         percent = f"{100.0 * self.remaining:.1f} %"
         share = percent if math.isfinite(self.remaining) else "an unknown share"
         return (
-            f"the search had not converged: {share} of the cost may remain to be gained (limit "
+            f"the search did not converge: its remaining improvement is {share} of the cost (limit "
             f"{100.0 * CONVERGED_BELOW:g} %); give it more trials"
         )
 

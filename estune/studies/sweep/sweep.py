@@ -77,7 +77,9 @@ def sweep(
 
 def _default_folder(design: SweepDesign | str | Path | Mapping[str, Any]) -> Path:
     if not isinstance(design, str | Path):
-        raise InvalidInput("give a folder: it stores the sweep, to be continued if it is cut off")
+        raise InvalidInput(
+            "give a folder, in which the sweep is stored and from which it continues if interrupted"
+        )
     return Path(SWEEPS) / Path(design).stem
 
 
