@@ -73,7 +73,7 @@ def test_design_reports_all_faults_with_their_keys():
     with pytest.raises(InvalidInput) as caught:
         read_design(right)
     for words in (
-        "lengths_m: 0.5 m is there more than once",
+        "lengths_m: 0.5 m appears more than once",
         "tensions_N: 15 N comes after 25 N; give them in ascending order",
         "start.Q: there is no such gain; the gains are P, I, D, setpoint_filter_s",
     ):
@@ -199,12 +199,14 @@ def test_failed_cell_is_stored_and_tried_again(tmp_path):
 
 def test_law_excludes_and_lists_unsafe_and_unconverged_tunings(tmp_path):
     unfinished = run_sweep(tmp_path / "unfinished")
-    assert all("the search had not converged" in o.excluded for o in unfinished.excluded)
+    assert all("the search did not converge" in o.excluded for o in unfinished.excluded)
     assert len(unfinished.excluded) == 6
     with pytest.raises(InvalidInput, match=r"too few for a law over length.*: 6 not converged"):
         unfinished.law()
     reason = unfinished.series[0].law_or_reason()
-    assert "6 of 6 tunings ended without an estimate" in reason or "left to gain" in reason
+    assert (
+        "6 of 6 tunings ended without an estimate" in reason or "remaining improvement" in reason
+    )
     assert 'give them more trials (trials = 24 instead of 12), or tuners = ["' in reason
     unsafe = run_sweep(tmp_path / "unsafe", {**SMALL, "eta_max": 1.0})
     assert all("the start gains" in o.excluded for o in unsafe.outcomes)

@@ -158,9 +158,7 @@ def run(arguments: Sequence[str]) -> int:
 def _usage_fault(error: CycloptsError) -> str:
     if isinstance(error, UnusedCliTokensError) and error.unused_tokens:
         words = " ".join(error.unused_tokens)
-        return (
-            f"{words!r} is one word too many; if it is part of a path with spaces, quote the path"
-        )
+        return f"{words!r} is one word too many; quote a path that contains spaces"
     return " ".join(str(error).split())
 
 

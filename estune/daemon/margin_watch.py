@@ -149,7 +149,7 @@ class MarginWatch:
         most = self._settings.margins.max_sensitivity
         above = self.sensitivity is not None and Ms.low > most
         if above and not self._above:
-            sentence = f"{self.sentence}: above {most:g} by the whole interval"
+            sentence = f"{self.sentence}: the whole interval is above {most:g}"
             reports.append(self._report(EventKind.MARGINS, sentence, found, description, gains))
         self._above = above
         return reports

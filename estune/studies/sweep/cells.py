@@ -158,7 +158,8 @@ def expand_cells(design: SweepDesign) -> LazySequence[Cell]:
     if not faults and len(lengths) < 2:
         only = ", ".join(f"{length:g} m" for length in lengths)
         faults.append(
-            f"all rigs have a cable of {only}, and a law needs several lengths; add rigs with others"
+            f"all rigs have a cable of {only}: one length only, which gives no law over length; "
+            "add rigs with other lengths"
         )
     if faults:
         raise InvalidInput("\n".join(faults))

@@ -104,7 +104,7 @@ def on_cores(cells: Sequence[Cell], jobs: int) -> Iterator[CellOutcome]:
     except TerminatedWorkerError as error:
         raise EstuneError(
             "a worker process was killed, possibly for lack of memory; finished cells are kept: "
-            "call the sweep again, with fewer --jobs"
+            "run the sweep again, with fewer --jobs"
         ) from error
 
 

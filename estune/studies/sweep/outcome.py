@@ -113,8 +113,8 @@ class CellOutcome:
         percent = f"{100.0 * self.remaining:.1f} %"
         share = percent if math.isfinite(self.remaining) else "an unknown share"
         return (
-            f"the search did not converge: its remaining improvement is {share} of the cost (limit "
-            f"{100.0 * CONVERGED_BELOW:g} %); give it more trials"
+            f"the search did not converge: the remaining improvement is {share} of the cost "
+            f"(limit {100.0 * CONVERGED_BELOW:g} %); give it more trials"
         )
 
     def tuned(self) -> TunedGains:

@@ -77,9 +77,7 @@ def sweep(
 
 def _default_folder(design: SweepDesign | str | Path | Mapping[str, Any]) -> Path:
     if not isinstance(design, str | Path):
-        raise InvalidInput(
-            "give a folder, in which the sweep is stored and from which it continues if interrupted"
-        )
+        raise InvalidInput("no folder is given; give one, which stores the sweep to continue it")
     return Path(SWEEPS) / Path(design).stem
 
 
