@@ -115,7 +115,7 @@ def test_terminal_progress_shows_status_and_live_gains(tmp_path, width):
     line = " ".join(text.split())
     plan = result.plan
     most = plan.baseline_trials + plan.trials + 2 * plan.repeats  # both gains in the confirmation
-    assert f"20 of {most} trials" in line
+    assert f"20 of at most {most} trials" in line
     assert "1 unsafe" in line
     assert f"start {result.start.cost:.3g}" in line
     assert "live P 0.5 N/N" in line

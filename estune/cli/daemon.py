@@ -57,7 +57,8 @@ def daemon(
     from estune.daemon.service import DaemonService  # noqa: PLC0415  as above
 
     if check:
-        print(f"{config}: {check_file(config)} rigs, nothing wrong")
+        rigs = check_file(config)
+        print(f"{config}: {rigs} {'rig' if rigs == 1 else 'rigs'}, nothing wrong")
         return
     settings, credentials = read_config(config), security_from(security)
     if dither is not None:
@@ -255,8 +256,9 @@ def _show_history(rig: str, history: History) -> None:
         )
         for row in history.gains
     ]
-    output.show_table(("at", "gain set", *GAIN_NAMES, "why"), sets)
+    output.show_table(("at", "gain set", "P", "I", "D", "setpoint filter, s", "why"), sets)
     commands = [
         (output.local_time(row["at"]), row["verb"], row["sentence"]) for row in history.commands
     ]
-    output.show_table(("at", "verb", ""), commands)
+    if commands:
+        output.show_table(("at", "command", "answer"), commands)

@@ -225,7 +225,8 @@ class RigSupervisor:
         self._rig.session = run.session
         self._disk = DiskForecast(run.journal) if run.journal is not None else None
         try:
-            sentence = f"run {run.plan.run}: trials {run.session.number} to {run.plan.max_trials}"
+            done = f"{run.session.number} trials done, " if run.session.number else ""
+            sentence = f"tuning {run.plan.run}: {done}at most {run.plan.max_trials}"
             self._rig.log_event(EventKind.TUNING, sentence)
             self._follow_phase(run)
             with self._connection.trials():

@@ -22,6 +22,7 @@ from rich.text import Text
 
 from estune.run.disk_space import DiskForecast
 from estune.run.loop import Progress, ProgressListener, TuningRun
+from estune.run.session import Phase
 
 _REDRAW_S = 0.25
 """Minimum time between two drawings."""
@@ -45,6 +46,7 @@ class ProgressStatus(NamedTuple):
         summary: Everything else for a plain line.
         details: Everything else for a live display: label and text of each row.
         remaining_s: Time of the missing steps at the rate so far; nan until it is known.
+        at_most: Whether there may be fewer steps than that.
     """
 
     stage: str
@@ -55,19 +57,24 @@ class ProgressStatus(NamedTuple):
     summary: str
     details: tuple[tuple[str, str], ...]
     remaining_s: float
+    at_most: bool = False
 
     @property
     def steps(self) -> str:
         """Completed steps and failures."""
         width = len(str(self.total))
         alerts = f", {self.alerts}" if self.alerts else ""
-        return f"{self.done:>{width}} of {self.total} {self.unit}{alerts}"
+        return f"{self.done:>{width}} of {self._bound}{self.total} {self.unit}{alerts}"
 
     @property
     def remaining(self) -> str:
         """Remaining time in words; empty when nothing is missing or it is not known."""
         known = self.done < self.total and math.isfinite(self.remaining_s)
-        return f"{duration(self.remaining_s)} left" if known else ""
+        return f"{self._bound}{duration(self.remaining_s)} left" if known else ""
+
+    @property
+    def _bound(self) -> str:
+        return "at most " if self.at_most else ""
 
     def line(self) -> str:
         """The status in one line."""
@@ -291,6 +298,7 @@ class ProgressCounter:
             summary=f"{costs}  tried {tried}",
             details=(("now", costs), ("tried", tried), ("live", live)),
             remaining_s=rate_s * session.trials_left,
+            at_most=session.phase in (Phase.BASELINE, Phase.EXCITE, Phase.SEARCH),
         )
 
 
