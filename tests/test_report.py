@@ -36,7 +36,8 @@ def test_report_of_an_improvement_recommends_the_gains_with_the_interval(tuned):
     made = page(tuned)
     assert made.headline.good is None  # its logged effort shows no limits
     assert made.headline.text.startswith("Tuned, limits not shown: no sensitivity is claimed")
-    assert f"With {tuned.rig.gains_text(tuned.gains)} the cost falls" in made.headline.text
+    assert f"With {tuned.rig.gains_text(tuned.gains)}: rise " in made.headline.text
+    assert "; the cost falls" in made.headline.text
     assert str(tuned.improvement) in made.headline.text
 
 

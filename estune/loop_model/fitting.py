@@ -148,8 +148,9 @@ def _fit(
     first = searched_dead_time(signals, _starts(records, settling, last))
     first = without_slowest_pole(signals, first)
     fit = _explaining(records, signals, first, last, again=again)
-    # In records of service a load takes the place of what a pole less leaves.
-    if fit.order != 2 or fit.model.friction_N or not fit.noise.is_white:
+    # In records of service a load may take the place of a pole.
+    in_motion = any(group.history for group in signals.groups)
+    if fit.order != 2 or fit.model.friction_N or in_motion:
         return fit
     two = PoleFit(math.nan, np.array(fit.model.coordinates), fit.model.dead_samples)
     return _summarised(records, signals, without_spare_pole(signals, two))

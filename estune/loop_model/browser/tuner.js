@@ -225,7 +225,7 @@ export class Tuner {
     const d = this.data, unit = d.command_unit;
     const rise = (p) => (p.y ? riseTime(p.y, d.trial, d.controller.sampling_Hz) : NaN);
     const largest = (p) => (p.u ? p.u.reduce((m, x) => Math.max(m, Math.abs(x)), 0) : NaN);
-    const between = ([low, high], show) => (high - low > 1e-3 * Math.abs(high) ? ` (${show(low)} to ${show(high)})` : "");
+    const between = ([low, high], show) => (show(low) === show(high) ? "" : ` (${show(low)} to ${show(high)})`);
     const time = (t) => (t < 1 ? `${short(1e3 * t)} ms` : `${short(t)} s`);
     const rows = [
       ["rise time, 10 to 90 %", time(rise(base)), time(rise(own))],

@@ -19,6 +19,7 @@ from estune.run.results.frequency_figures import (
     response_columns,
 )
 from estune.run.results.run_result import RunResult
+from estune.run.results.sentences import claimed_robustness, response_changes
 from estune.run.results.tuning_data import tuning_data
 from estune.support.html_page import (
     Block,
@@ -72,10 +73,14 @@ def _recommendation(result: RunResult) -> str:
     gains = result.rig.gains_text(result.gains)
     if result.success:
         cost = f"{result.verdict.start_cost:.3g} to {result.verdict.cost:.3g}"
+        shown = ", ".join(response_changes(result.start, result.tuned))
         fall = f"the cost falls from {cost}, {result.improvement}"
         if result.limits is None or not result.limits.reason:
-            return f"Use {gains}: {fall}."
-        return f"{result.ending.capitalize()}: {result.limits.reason}. With {gains} {fall}."
+            robust = claimed_robustness(result.claim, result.limits)
+            return f"Use {gains}: {', '.join(filter(None, (shown, robust)))}; {fall}."
+        return (
+            f"{result.ending.capitalize()}: {result.limits.reason}. With {gains}: {shown}; {fall}."
+        )
     return f"{result.ending.capitalize()}: keep {gains}."
 
 
