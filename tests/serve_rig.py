@@ -31,6 +31,10 @@ def make(kind: str, name: str) -> Rig:
 
         slow = {"step__duration_s": SLOW_S, "limits__duration_max_s": SLOW_S}
         return HardwareRig(quick(name=name, **(slow if kind.startswith("slow") else {})))
+    if kind.startswith("rippled"):
+        from tests.support_ripple import rippled  # noqa: PLC0415  slow to import
+
+        return rippled(name, moved="moved" in kind)
     return {
         "scripted": lambda: ScriptedRig(name=name),
         "diverging": lambda: ScriptedRig(diverged, name=name),

@@ -31,6 +31,7 @@ FIELDS = {
     "cancel": ({"lease"}, {"trial_id"}),
     "void": ({"lease", "trial_id", "digest"}, set()),
     "gains": ({"lease", "gains"}, set()),
+    "switch_off": ({"lease", "tables"}, set()),
     "follow": ({"lease", "sent_s", "setpoint"}, set()),
     "setpoint": ({"tension_N"}, {"angle_rad"}),
     "clear": (set(), set()),
@@ -162,6 +163,19 @@ def set_gains(message):
     return answer("accepted")
 
 
+def refuse_switch_off(message):
+    tables = message["tables"]
+    if not (isinstance(tables, list) and tables and all(isinstance(t, str) for t in tables)):
+        raise Refused("ProtocolError", "tables: no names")
+    if ledger["latched"] and now.trial is None:
+        return answer("safe", sentence=ledger["latched"])
+    if not holds(message["lease"]):
+        return lease_refusal()
+    if now.trial:
+        return busy()
+    raise Refused("RigError", "this board has no compensations")
+
+
 def refuse_setpoint(message):
     setpoint = check_fields("setpoint", message["setpoint"])
     finite(message["sent_s"], setpoint["tension_N"], setpoint.get("angle_rad") or 0.0)
@@ -240,6 +254,7 @@ COMMANDS = {
     "cancel": cancel,
     "void": void,
     "gains": set_gains,
+    "switch_off": refuse_switch_off,
     "follow": refuse_setpoint,
     "clear": clear,
 }

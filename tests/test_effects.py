@@ -125,12 +125,10 @@ def test_friction_adds_no_energy(name, share):
 @pytest.mark.parametrize("order", [1, -1], ids=["forward", "backward"])
 def test_compiled_trial_equals_that_of_the_virtual_machine(order, monkeypatch):
     reel = all_on(order)
-    functions = loop_functions(reel.structure.equations())
+    equations = reel.structure.equations()
     seen = []
-    for kind in (CompiledLoop, CasadiLoop):
-        monkeypatch.setattr(
-            "plants.models.plant_model.trial_loop", lambda _, kind=kind: kind(functions)
-        )
+    for loop in (CompiledLoop(equations), CasadiLoop(loop_functions(equations))):
+        monkeypatch.setattr("plants.models.plant_model.trial_loop", lambda _, loop=loop: loop)
         noise = np.random.default_rng(3).normal(0.0, 0.05, UP.samples(REEL.sampling_Hz))
         seen.append(plants.simulate(reel, GAINS, UP, noise_N=noise))
     for column in ("tension_N", "effort_N", "angle_rad", "reference_N"):

@@ -12,9 +12,9 @@ import plants
 from estune.cli import run
 from estune.errors import InvalidInput, RigError
 from estune.hardware.config import read_config
+from estune.proof.patch import Patch, patch_of, read_patch
+from estune.proof.trials import MeasuredRatio, Proof, prove
 from estune.remote import zenoh
-from estune.studies.prove.patch import Patch, patch_of, read_patch
-from estune.studies.prove.trials import MeasuredRatio, Proof, prove
 from estune.trial import Outcome, TrialRequest
 from plants.effects import CoulombFriction
 from plants.emulator import RIG_FILE
@@ -25,6 +25,9 @@ HIDDEN, COMPENSATION = friction_table("Coulomb, large", 0.8)
 TABLES = {"friction": COMPENSATION["friction"]}
 PATCH = Patch("coulomb_friction", "feed friction forward", "", TABLES)
 REEL = plants.reference_reel() + CoulombFriction(0.08)
+
+
+ON = PATCH.compensation("", on=True)
 
 
 def patch(**changes):
@@ -72,7 +75,7 @@ def test_compensation_of_a_trial_is_on_for_that_trial_alone():
         about = rig.describe()
         first, second, third = (
             rig.run(TrialRequest("c", n, about.gains, about.step, compensation=text))
-            for n, text in enumerate(("", patch().compensation, ""))
+            for n, text in enumerate(("", ON, ""))
         )
         named = '{"friction": {"file": "/etc/passwd", "tension_per_rad_N": 1.0}}'
         with pytest.raises(InvalidInput, match="own file alone"):
@@ -86,13 +89,9 @@ def test_compensation_of_a_trial_is_on_for_that_trial_alone():
 def test_simulated_rig_feeds_forward_what_the_loop_does():
     with rig_with(effects=[HIDDEN], take_up_A=1.0) as rig:
         about = rig.describe()
-        about_loop = rig.run(
-            TrialRequest("c", 0, GAINS, about.step, compensation=patch().compensation)
-        )
+        about_loop = rig.run(TrialRequest("c", 0, GAINS, about.step, compensation=ON))
     with closing(REEL.rig()) as rig:
-        record = rig.run(
-            TrialRequest("c", 0, GAINS, about.step, compensation=patch().compensation)
-        )
+        record = rig.run(TrialRequest("c", 0, GAINS, about.step, compensation=ON))
         text = json.dumps({"known_motion": {"inertia_kgm2": 1e-3}})
         with pytest.raises(InvalidInput, match="is simulated"):
             rig.run(TrialRequest("c", 1, GAINS, about.step, compensation=text))

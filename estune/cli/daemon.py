@@ -233,6 +233,10 @@ def _facts(status: DaemonStatus) -> Mapping[str, object]:
         facts["next check"] = f"in {status.next_check_s:.0f} s, {status.checks} so far"
     if status.margins:
         facts["margins"] = status.margins
+    if status.behaviour is not None:
+        tracking, reversal, rest = status.behaviour
+        facts["tracking"] = f"error {tracking:.3g}, at reversals {reversal:.3g}, rest {rest:.3g}"
+    facts |= {f"remedy {effect}": said for effect, said in status.remedies.items()}
     if status.paused:
         facts["paused"] = status.paused
     if status.trouble:

@@ -10,8 +10,8 @@ from rich.text import Text
 from estune.cli import output
 from estune.cli.values import Flag, command_line, security_from
 from estune.errors import InvalidInput
+from estune.proof.patch import SUFFIX, Patch, patch_of, read_patch
 from estune.run.targets import open_target
-from estune.studies.prove.patch import SUFFIX, Patch, patch_of, read_patch
 
 
 def remedy(
@@ -81,8 +81,8 @@ def prove(
         RigError: the rig cannot be reached, or cannot run trials with a remedy.
     """
     from estune import api  # noqa: PLC0415  slow to import
-    from estune.studies.prove.trials import RemedyRig  # noqa: PLC0415  as above
-    from estune.studies.prove.trials import prove as run  # noqa: PLC0415  as above
+    from estune.proof.trials import RemedyRig  # noqa: PLC0415  as above
+    from estune.proof.trials import prove as run  # noqa: PLC0415  as above
 
     told = read_patch(patch)
     with open_target(target, rig, security_from(security)) as the_rig:
@@ -92,9 +92,7 @@ def prove(
         proof = run(the_rig, told, pairs=pairs, say=_say)
         if proof.proven and trials:
             _say("tuning with the remedy on")
-            tuned = api.tune(
-                RemedyRig(the_rig, told.compensation), trials=trials, journal=False, watch=None
-            )
+            tuned = api.tune(RemedyRig(the_rig, told), trials=trials, journal=False, watch=None)
             if tuned.tuned is not None:
                 proof = replace(proof, tuned=(tuned.start.cost, tuned.tuned.cost))
     told = replace(told, proof=proof.to_json())

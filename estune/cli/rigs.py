@@ -11,12 +11,12 @@ from estune.cli.values import Flag, RunName, command_line, security_from, share_
 from estune.core.gain_forms import backed_off
 from estune.core.gains import GAIN_NAMES, Gains
 from estune.errors import InvalidInput, RigError
+from estune.proof.patch import SUFFIX as PATCH_SUFFIX
 from estune.remote import messages, zenoh
 from estune.remote.security import Security
 from estune.run.limit_verdict import LimitState
 from estune.run.robustness import claim_from
 from estune.run.targets import open_target
-from estune.studies.prove.patch import SUFFIX as PATCH_SUFFIX
 from estune.support.quantity_text import with_unit
 from estune.trial import RigDescription
 

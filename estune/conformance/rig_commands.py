@@ -12,7 +12,15 @@ import zenoh
 from estune.conformance.wire_client import ANSWERED_WITHIN_S, HOLDER, WireClient
 from estune.remote import messages
 from estune.remote.messages import VERBS, Answer, Following, digest
-from estune.remote.messages.commands import Clear, Estop, Lease, SetGains, Submit, Void
+from estune.remote.messages.commands import (
+    Clear,
+    Estop,
+    Lease,
+    SetGains,
+    Submit,
+    SwitchOff,
+    Void,
+)
 from estune.remote.state_machine.reply_codes import ReplyCode
 from estune.remote.state_machine.state import LEASE_S, Mode
 from estune.trial import Outcome, Setpoint, TrialRequest
@@ -30,6 +38,7 @@ def example(wire: WireClient, verb: str, request: TrialRequest) -> Any:
         "trial_id": request.trial_id,
         "digest": digest(request),
         "gains": replace(gains, P=0.8 * gains.P),
+        "tables": ("friction",),
         "sent_s": time.monotonic(),
         "setpoint": Setpoint(wire.describe().rig.step.preload_N),
     }
@@ -53,6 +62,7 @@ class CommandTests:
             *(wire.send("lease", Lease(action, wire.lease)) for action in ("renew", "release")),
             wire.submit(request),
             wire.send("gains", SetGains(wire.lease, gains)),
+            wire.send("switch_off", SwitchOff(wire.lease, ("friction",))),
             wire.send("void", Void(wire.lease, request.trial_id, digest(request))),
         ):
             assert answer.verdict is ReplyCode.HELD
@@ -63,6 +73,14 @@ class CommandTests:
         assert wire.status().holder == ""
         wire.lease = mine
         wire.acquire()
+
+    def test_a_compensation_that_is_not_on_cannot_be_switched_off(self, wire: WireClient) -> None:
+        before = wire.describe()
+        for tables in (("no_such_table",), ("friction", "no_such_table")):
+            answer = wire.send("switch_off", SwitchOff(wire.lease, tables))
+            assert answer.verdict is ReplyCode.REFUSED
+            assert answer.sentence
+        assert wire.describe() == before
 
     def test_lease_not_renewed_expires_and_stops_the_trial(self, wire: WireClient) -> None:
         request = wire.long_trial()
@@ -101,6 +119,7 @@ class CommandTests:
         for answer in (
             wire.submit(wire.trial(1)),
             wire.send("gains", SetGains(wire.lease, gains)),
+            wire.send("switch_off", SwitchOff(wire.lease, ("friction",))),
         ):
             assert answer.verdict is ReplyCode.SAFE
         assert wire.send("estop", Estop("again")).verdict is ReplyCode.ACCEPTED

@@ -2,13 +2,12 @@
 
 import math
 import time
-from datetime import UTC, datetime
 from typing import NamedTuple
 
 from estune.core.control_chart import ChartSignal, ChartState
 from estune.core.gains import Gains
 from estune.daemon.config import RigTable
-from estune.daemon.store import DaemonStore
+from estune.daemon.store import DaemonStore, age_s
 from estune.daemon.supervisor_state import GainSet
 from estune.errors import Interrupted
 from estune.run.session import UNSAFE_RATIO
@@ -76,7 +75,7 @@ class CheckTrials:
     def is_cooldown_over(self) -> bool:
         """Whether the last tuning is long enough ago for a drift to start the next."""
         ended = self._store.fact("run_ended_at")
-        return ended is None or not 0.0 <= _age_s(ended) < self._settings.watch.rest_s
+        return ended is None or not 0.0 <= age_s(ended) < self._settings.watch.rest_s
 
     def run(
         self, rig: Rig, description: RigDescription, name: GainSet, gains: Gains
@@ -117,9 +116,4 @@ class CheckTrials:
 
     def _age_of_last_s(self) -> float:
         finished = [check.told_at for check in self._store.checks(1) if check.told_at]
-        return _age_s(finished[0]) if finished else math.inf
-
-
-def _age_s(at: str) -> float:
-    """Time since, by the time of day; negative if that was set back."""
-    return (datetime.now(UTC) - datetime.fromisoformat(at)).total_seconds()
+        return age_s(finished[0]) if finished else math.inf

@@ -15,6 +15,7 @@ from pydantic import Field, model_validator
 from estune.core.control_chart import ControlChart
 from estune.daemon.events import EventKind
 from estune.errors import InvalidInput
+from estune.proof.patch import read_proven
 from estune.remote.security import read_security
 from estune.remote.zenoh.endpoints import check_endpoint, check_loopback, host_and_port
 from estune.run.planning import suited_step
@@ -126,6 +127,7 @@ class WatchTable(TomlTable):
         false_alarm_checks: Mean number of checks between false alarms.
         scatter_min: Lower bound of the relative standard deviation of the cost.
         rest_s: Least time from the end of a tuning to the next one that a drift starts.
+        tracking: Beside each check, a step with the rest after it and a slow triangle.
     """
 
     every_s: Positive = 3600.0
@@ -134,6 +136,7 @@ class WatchTable(TomlTable):
     false_alarm_checks: float = 1000.0
     scatter_min: float = 0.01
     rest_s: NotNegative = 3600.0
+    tracking: bool = False
 
     @property
     def chart(self) -> ControlChart:
@@ -173,6 +176,8 @@ class RigTable(TomlTable):
         look_every_s: Polling interval of an idle rig.
         retry_first_s: Wait after a first failure; doubled with each further one.
         retry_max_s: Longest wait.
+        remedies: Patches with the proof of remedies that the rig's file has: one that has lost its
+            gain is switched off.
     """
 
     name: str
@@ -182,6 +187,7 @@ class RigTable(TomlTable):
     look_every_s: Positive = 2.0
     retry_first_s: Positive = 1.0
     retry_max_s: Positive = 60.0
+    remedies: list[Annotated[Path, Field(strict=False)]] = Field(default=[])
     step: StepTable = StepTable()
     cost: CostTable = CostTable()
     tuning: TuningTable = TuningTable()
@@ -272,9 +278,12 @@ def config_from(data: dict[str, Any], source: str, beside: Path) -> DaemonConfig
     file, security = config.metrics.file, config.service.security
     metrics = config.metrics.model_copy(update={"file": file and beside / file})
     service = config.service.model_copy(update={"security": security and beside / security})
-    return config.model_copy(
-        update={"state": beside / config.state, "metrics": metrics, "service": service}
-    )
+    rigs = [
+        rig.model_copy(update={"remedies": [beside / path for path in rig.remedies]})
+        for rig in config.rig
+    ]
+    paths = {"state": beside / config.state, "metrics": metrics, "service": service, "rig": rigs}
+    return config.model_copy(update=paths)
 
 
 def check_file(path: Path) -> int:
@@ -319,12 +328,14 @@ def _named(
     if isinstance(state := data.get("state", "estune-state"), str):
         yield "state", _check_writable, beside / state
     for number, hook in enumerate(_tables(data, "hook"), 1):
-        command = hook.get("command")
-        if isinstance(command, list) and command and isinstance(command[0], str):
-            yield f"hook {number}: command", _check_program, command[0]
+        for program in _texts(hook, "command")[:1]:
+            yield f"hook {number}: command", _check_program, program
     for number, rig in enumerate(_tables(data, "rig"), 1):
+        place = f"rig {rig.get('name', number)}"
         if isinstance(target := rig.get("target"), str):
-            yield f"rig {rig.get('name', number)}: target", _check_target, target
+            yield f"{place}: target", _check_target, target
+        for path in _texts(rig, "remedies"):
+            yield f"{place}: remedies", read_proven, beside / path
 
 
 def _table(data: dict[str, Any], name: str) -> dict[str, Any]:
@@ -335,6 +346,11 @@ def _table(data: dict[str, Any], name: str) -> dict[str, Any]:
 def _tables(data: dict[str, Any], name: str) -> list[dict[str, Any]]:
     tables = data.get(name)
     return [t for t in tables if isinstance(t, dict)] if isinstance(tables, list) else []
+
+
+def _texts(data: dict[str, Any], name: str) -> list[str]:
+    texts = data.get(name)
+    return [t for t in texts if isinstance(t, str)] if isinstance(texts, list) else []
 
 
 def _check_target(target: str) -> None:

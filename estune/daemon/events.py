@@ -27,6 +27,7 @@ class EventKind(StrEnum):
     MARGINS = "margins"
     PLANT = "plant"
     DITHER = "dither"
+    REMEDY = "remedy"
     UNSAFE = "unsafe"
     COMMAND = "command"
     PAUSED = "paused"

@@ -15,6 +15,7 @@ class FaultCode(SentenceEnum):
     VOID_TRIALS = "void-trials", "read the rig's own log, fix the cause, then resume"
     UNSAFE_GAINS = "unsafe-gains", "the original gains are live; check the machine, then resume"
     DRIFT = "drift", "it is tuned again by itself; look for wear if that happens often"
+    REMEDY_LOST = "remedy-lost", "explain new records, then write and prove the remedy anew"
     SETTINGS = "settings", "correct the daemon's file for this rig, then start the daemon again"
     STORAGE = "storage", "make room on the disk, or restore its permissions; it is retried"
     DISK_LOW = "disk-low", "make room on the disk within a day"

@@ -71,6 +71,12 @@ class MarginWatch:
         self._above = False
 
     @property
+    def bounds(self) -> tuple[float | None, ...] | None:
+        """`sensitivity` as a message has it: an end without bound is none."""
+        found = self.sensitivity
+        return found and tuple(end if np.isfinite(end) else None for end in found)
+
+    @property
     def wait_s(self) -> float:
         """Time until the next multisine; infinite without any."""
         if not self._settings.margins.dither or self.stopped:

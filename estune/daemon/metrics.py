@@ -1,8 +1,9 @@
 """Metrics for Prometheus: in a file for the node exporter's collector, or over loopback HTTP."""
 
+import math
 import threading
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from socketserver import ThreadingMixIn
 from typing import Any, NamedTuple
@@ -65,9 +66,11 @@ def _gains(rig: RigFigures) -> Iterator[MetricSample]:
             yield MetricSample({"set": name, "gain": gain}, getattr(gains, gain))
 
 
-def _sensitivity(status: DaemonStatus) -> Iterator[MetricSample]:
-    for end, value in zip(("estimate", "low", "high"), status.sensitivity or (), strict=False):
-        yield MetricSample({"end": end}, value)
+def _named(
+    names: Sequence[str], label: str, values: Sequence[float | None] | None
+) -> Iterator[MetricSample]:
+    for name, value in zip(names, values or (), strict=False):
+        yield MetricSample({label: name}, math.inf if value is None else value)
 
 
 METRICS = (
@@ -148,7 +151,12 @@ METRICS = (
     Metric(
         "estune_sensitivity",
         "Ms of the live gains, and the ends of its 95 % interval, while it is known.",
-        lambda r: _sensitivity(r.status),
+        lambda r: _named(("estimate", "low", "high"), "end", r.status.sensitivity),
+    ),
+    Metric(
+        "estune_behaviour",
+        "Error on a slow triangle, at its reversals, and deviation at rest, once measured.",
+        lambda r: _named(("tracking", "reversal", "rest"), "measure", r.status.behaviour),
     ),
 )
 

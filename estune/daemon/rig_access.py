@@ -6,7 +6,7 @@ through this daemon are foreign: they are left as they are until an operator dec
 
 import logging
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, ExitStack, nullcontext, suppress
 from datetime import UTC, datetime
 
@@ -21,9 +21,17 @@ from estune.errors import EstuneError, PlantError, RigError
 from estune.remote import zenoh
 from estune.remote.zenoh import RemoteRig
 from estune.remote.zenoh.network import Network
-from estune.run.failed_trials import run_trial
+from estune.run.failed_trials import FailureMemory, run_trial
 from estune.run.targets import is_endpoint, open_target
-from estune.trial import Outcome, Rig, RigDescription, TrialRecord, TrialRequest, empty_record
+from estune.trial import (
+    CompensatedRig,
+    Outcome,
+    Rig,
+    RigDescription,
+    TrialRecord,
+    TrialRequest,
+    empty_record,
+)
 from estune.trial.record_checks import record_fault
 
 VOID_TRIALS_MAX = 5
@@ -152,6 +160,18 @@ class RigAccess:
                 f"{live}"
             )
 
+    def switch_off(self, tables: Sequence[str]) -> None:
+        """Switches compensations off.
+
+        Raises:
+            InvalidInput: one of them is not on.
+            RigError: the rig has none, or cannot be reached.
+        """
+        if not isinstance(self._rig, CompensatedRig):
+            raise RigError(f"rig {self.description.name} cannot switch compensations off")
+        self._rig.switch_off(tables)
+        self.describe()
+
     def run(self, request: TrialRequest) -> TrialRecord:
         """Runs a trial. A record with a fault, or a failure of the rig's program, makes it void.
 
@@ -178,6 +198,10 @@ class RigAccess:
         if not (record.outcome is Outcome.CANCELLED and lost):
             self._void_trials.count(record)  # an overload, which ends by itself, needs no operator
         return record
+
+    def has_failed(self, request: TrialRequest) -> bool:
+        """Whether no record can ever be had under a trial's id."""
+        return isinstance(self._rig, FailureMemory) and self._rig.has_failed(request)
 
     def estop_reason(self) -> str:
         """Reason of the rig's emergency stop; empty if there is none or it is not known."""
@@ -280,6 +304,9 @@ def apply_nominal_gains(
         access.apply(gains, store.gains()[GainSet.ORIGINAL] if shared else None)
         sentence = f"{home} gains are live: {rig.state.why}"
         rig.log_event(EventKind.GAINS, sentence, gains=str(gains))
+    if off := rig.behaviour.enforce(access, access.description):
+        sentence = f"the rig had {off} on again, whose gain was lost; switched off"
+        rig.log_event(EventKind.REMEDY, sentence)
     return None
 
 

@@ -320,3 +320,8 @@ class DaemonStore:
 def now() -> str:
     """The time of day, ISO 8601 with offset."""
     return datetime.now(UTC).isoformat(timespec="milliseconds")
+
+
+def age_s(at: str) -> float:
+    """Time since, by the time of day; negative if that was set back."""
+    return (datetime.now(UTC) - datetime.fromisoformat(at)).total_seconds()

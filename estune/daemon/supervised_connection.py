@@ -3,7 +3,6 @@
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
-from functools import partial
 
 from estune.daemon import rig_access
 from estune.daemon.config import RigTable
@@ -52,7 +51,7 @@ class SupervisedConnection:
         with shared.admission.connecting(self._settings.answer_within_s):
             self.access = rig_access.open_rig(
                 *(self._settings, shared.holder, self._void_trials, shared.network),
-                turn=partial(shared.admission.trial, self._wait),
+                turn=self._turn,
                 counts=self._rig.counts,
             )
         return self.access
@@ -76,6 +75,14 @@ class SupervisedConnection:
         self._shared.admission.leave_place(self._settings.name)
         if self._shared.fleet is not None:
             self._shared.fleet.withdraw(self._settings.name)
+
+    @contextmanager
+    def _turn(self) -> Iterator[None]:
+        """Block of one trial, which is not begun once the mode needs none."""
+        if self._rig.mode not in TRIAL_MODES:
+            raise Preempted
+        with self._shared.admission.trial(self._wait):
+            yield
 
     @contextmanager
     def trials(self) -> Iterator[None]:

@@ -13,6 +13,7 @@ from typing import Any
 
 from estune.core.control_chart import ChartSignal
 from estune.core.gains import Gains
+from estune.daemon.behaviour_checks import BehaviourChecks
 from estune.daemon.check_trials import CheckTrials
 from estune.daemon.config import RigTable
 from estune.daemon.events import Event, EventKind
@@ -96,6 +97,7 @@ class SupervisedRig:
         self.tuning_runs = TuningRuns(store, settings)
         self.checks = CheckTrials(store, settings)
         self.margins = MarginWatch(settings, f"{store.identity}-{instance}")
+        self.behaviour = BehaviourChecks(store, settings)
         self.changed = threading.Event()
         self.live: GainSet | None = None
         self.session: Session | None = None
@@ -105,8 +107,7 @@ class SupervisedRig:
         self.waits_for = ""
         self.abort_trial: Callable[[], None] = lambda: None
         self.counts = RigCounts()
-        self._instance = instance
-        self._listener = listener
+        self._instance, self._listener = instance, listener
         self._since = now()
         self._lock = threading.RLock()
         self._state = next_state(store.state, SupervisorEvent.BOOT)
@@ -140,16 +141,16 @@ class SupervisedRig:
         session, state = self.session, self._state
         made_of, made = self._status
         if made is None or made_of != (self.store.changes, state):
-            made_of = self.store.changes, state
-            made = self._stored_status(state)
+            made_of, made = (self.store.changes, state), self._stored_status(state)
         present: dict[str, Any] = {
             "sentence": self.refused or self.waits_for or state.mode.sentence,
             "live": self.live.value if self.live else "",
             "trials": session.number if session else self._earlier_trials[0],
             "trials_max": session.plan.max_trials if session else self._earlier_trials[1],
             "cost": self.cost,
-            "sensitivity": self.margins.sensitivity and tuple(self.margins.sensitivity),
+            "sensitivity": self.margins.bounds,
             "margins": self.margins.sentence,
+            **self.behaviour.status,
         }
         if made.next_check_s is not None:
             present["next_check_s"] = self.checks.wait_s(state.home)

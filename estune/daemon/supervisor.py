@@ -8,6 +8,7 @@ from contextlib import suppress
 from typing import Any
 
 from estune.core.control_chart import ChartSignal
+from estune.core.gains import Gains
 from estune.daemon import rig_access
 from estune.daemon.config import RigTable
 from estune.daemon.events import EventKind
@@ -17,7 +18,7 @@ from estune.daemon.rig_access import HeldByOtherDaemon, RigAccess, TooManyVoidTr
 from estune.daemon.shared_resources import SharedResources
 from estune.daemon.supervised_connection import TRIAL_MODES, SupervisedConnection
 from estune.daemon.supervised_rig import Preempted, SupervisedRig
-from estune.daemon.supervisor_state import SupervisorEvent, SupervisorMode
+from estune.daemon.supervisor_state import GainSet, SupervisorEvent, SupervisorMode
 from estune.daemon.tuning_runs import RunDecision
 from estune.errors import (
     EstuneError,
@@ -276,12 +277,21 @@ class RigSupervisor:
             rig.apply_event(SupervisorEvent.DRIFTED, reason, EventKind.DRIFTED)
             return
         wait_s, gains = rig.checks.wait_s(home), rig.store.gains()[home]
-        if (next_s := min(wait_s, rig.margins.wait_s)) > 0.0:
+        check_s = min(wait_s, rig.margins.wait_s)
+        if (next_s := min(check_s, rig.behaviour.wait_s)) > 0.0:
             self._monitor_gains(min(next_s, self._settings.look_every_s))
             return
+        if not check_s:
+            self._check(access, home, gains, with_step=not wait_s)
+        if rig.mode is SupervisorMode.WATCHING and not rig.behaviour.wait_s:
+            self._check_behaviour(access)
+
+    def _check(self, access: RigAccess, home: GainSet, gains: Gains, *, with_step: bool) -> None:
+        """Runs a check trial, or a multisine alone, and evaluates margins and control chart."""
+        rig = self._rig
         with self._shared.admission.computing, self._connection.trials():
             about = access.description
-            check = None if wait_s else rig.checks.run(access, about, home, gains)
+            check = rig.checks.run(access, about, home, gains) if with_step else None
             rig.handle_margins(rig.margins.take(check and check.record, access, about, gains))
         self._consecutive_failures = 0
         if check is None:
@@ -295,6 +305,15 @@ class RigSupervisor:
             rig.log_event(EventKind(check.signal), sentence, cost=rig.cost)
         if check.signal in (ChartSignal.WORSE, ChartSignal.BETTER):
             rig.handle_drift(check.cost, check.signal)
+
+    def _check_behaviour(self, access: RigAccess) -> None:
+        """Measures tracking and rest, and whether a remedy has kept its gain."""
+        with self._shared.admission.computing, self._connection.trials():
+            for effect, why in self._rig.behaviour.take(access, access.describe()):
+                sentence = f"the remedy against {effect} is switched off: {why}"
+                fault = FaultCode.REMEDY_LOST
+                self._rig.log_event(EventKind.REMEDY, sentence, fault=fault)
+        self._consecutive_failures = 0
 
     def _monitor_gains(self, seconds: float) -> None:
         """Waits, then compares the rig's live gains with the nominal ones."""

@@ -115,6 +115,7 @@ class RigConfig(TomlTable):
             settling_time_s=self.settling_time_s,
             cable_length_m=self.reel.cable_length_m,
             software=f"estune {version('estune')}",
+            compensation=self.compensation.text if self.compensation else "",
         )
 
     def calibrations(self) -> tuple[GaugeScale, CurrentScale]:

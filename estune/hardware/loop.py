@@ -36,6 +36,7 @@ from estune.hardware.loop_messages import (
     Ready,
     RealTime,
     ResetEstop,
+    SetCompensation,
     SetLiveGains,
 )
 from estune.hardware.real_time import request_priority
@@ -155,6 +156,8 @@ class Loop:
                 return
             case SetLiveGains(live):
                 machine.set_live_gains(live)
+            case SetCompensation():
+                machine.set_compensation(command)
             case ResetEstop():
                 machine.reset()
             case EndLoop():

@@ -144,6 +144,13 @@ class SetLiveGains(NamedTuple):
     live: Coefficients
 
 
+class SetCompensation(NamedTuple):
+    """Command: replace the rig's own compensations, and their C text."""
+
+    plan: CompensationPlan | None
+    source: str
+
+
 class ResetEstop(NamedTuple):
     """Command: let a rig that has stopped itself take trials again."""
 

@@ -4,7 +4,7 @@ import logging
 import math
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from datetime import UTC, datetime
 from typing import Self
@@ -19,7 +19,7 @@ from estune.core.quantities import FloatArray
 from estune.errors import InvalidInput, RigError
 from estune.hardware.compensation.plan import CompensationPlan
 from estune.hardware.compensation.runtime import make_compensation
-from estune.hardware.compensation.tables import table_of
+from estune.hardware.compensation.tables import CompensationTable, table_of
 from estune.hardware.config import RigConfig
 from estune.hardware.loop_messages import (
     BeginTrial,
@@ -27,6 +27,7 @@ from estune.hardware.loop_messages import (
     Ended,
     LoopPlan,
     ResetEstop,
+    SetCompensation,
     SetLiveGains,
 )
 from estune.hardware.process import ANSWER_WITHIN_s, LoopProcess, RunningLoop
@@ -78,6 +79,7 @@ class HardwareRig:
         self._config = config
         self._description = config.describe()
         self._length_source = plan.length_source
+        self._compensation = config.compensation
         self._optional_columns = plan.compensation.columns if plan.compensation else ()
         self._cost = StepCost(config.settling_time_s)
         self._live_cost: tuple[Profile, float] | None = None
@@ -151,6 +153,23 @@ class HardwareRig:
             self._description = replace(self._description, gains=gains)
             self._length_source = None
             self._live_cost = None
+
+    def switch_off(self, tables: Sequence[str]) -> None:
+        """Switches compensations of the rig's file off, until its next start.
+
+        Raises:
+            InvalidInput: one of them is not on; nothing is changed.
+            RigError: the rig is closed, or its loop has failed.
+        """
+        with self._trial:
+            self._check_alive()
+            left = (self._compensation or CompensationTable()).without(tables)
+            plan, source = self._compiled(left)
+            self._loop.request(SetCompensation(plan, source), Done, ANSWER_WITHIN_s)
+            self._compensation, self._live_cost = left, None
+            self._optional_columns = plan.columns if plan else ()
+            text = left.text if left else ""
+            self._description = replace(self._description, compensation=text)
 
     def abort(self) -> RigDescription:
         """Stops the trial under way, if any, and returns once the live gains are back."""
@@ -253,14 +272,19 @@ class HardwareRig:
     def _trial_compensation(
         self, request: TrialRequest
     ) -> tuple[CompensationPlan | None, str] | None:
-        """Compensations of a trial, compiled beforehand: the loop takes them from the cache.
+        """Compensations of a trial; None for the rig's own.
 
         Raises:
             InvalidInput: the table has mistakes.
         """
         if not request.compensation:
             return None
-        table = table_of(request.compensation, f"compensation of trial {request.trial_id}")
+        return self._compiled(
+            table_of(request.compensation, f"compensation of trial {request.trial_id}")
+        )
+
+    def _compiled(self, table: CompensationTable | None) -> tuple[CompensationPlan | None, str]:
+        """Compensations and their C text, compiled: the loop takes them from the cache."""
         plan = None if table is None else self._config.compensation_plan(table)
         source = self._config.compensation_text(plan)
         make_compensation(plan, source)

@@ -1,7 +1,7 @@
 """How a loop behaves beside its step: tracking and rest, measured by two trials more.
 
 A step hides much of what a machine does to a loop; see `estune.trial.tracking`. The same numbers
-prove a remedy (`estune.studies.prove`) and stand beside the cost in results and comparisons.
+prove a remedy (`estune.proof`) and stand beside the cost in results and comparisons.
 """
 
 from collections.abc import Callable, Mapping

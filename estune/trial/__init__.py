@@ -12,7 +12,7 @@ from estune.trial.records import (
     TrialRequest,
     empty_record,
 )
-from estune.trial.rig import Rig, TelemetrySource
+from estune.trial.rig import CompensatedRig, Rig, TelemetrySource
 from estune.trial.setpoints import SETPOINT_S, Feedback, Setpoint, SetpointFollower
 
 __all__ = [
@@ -21,6 +21,7 @@ __all__ = [
     "OPTIONAL_COLUMNS",
     "SATURATED",
     "SETPOINT_S",
+    "CompensatedRig",
     "Feedback",
     "LinearModel",
     "Outcome",

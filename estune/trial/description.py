@@ -155,6 +155,7 @@ class RigDescription(NamedSignals):
         measurement: What is measured, with its unit after the last comma: "speed, rad/s". Fields
             named in N hold this unit.
         command: What the controller commands, as `measurement`: "voltage, V".
+        compensation: Its own compensations, as a trial's request has them; empty without any.
 
     Raises:
         InvalidInput: a number is not finite, or not above zero.
@@ -173,6 +174,7 @@ class RigDescription(NamedSignals):
     simulated: bool = False
     measurement: Annotated[str, omitted_if(TENSION)] = TENSION
     command: Annotated[str, omitted_if(EFFORT)] = EFFORT
+    compensation: Annotated[str, omitted_if("")] = ""
 
     @property
     def effort_scale(self) -> float | None:

@@ -1,5 +1,6 @@
 """The rig: anything that answers a trial request with a trial record."""
 
+from collections.abc import Sequence
 from typing import Protocol, runtime_checkable
 
 from estune.core.gains import Gains
@@ -60,5 +61,21 @@ class TelemetrySource(Protocol):
         """A copy of the running trial's samples from index `after` on; None without a trial.
 
         Any thread may call, often; the trial must not be delayed.
+        """
+        ...
+
+
+@runtime_checkable
+class CompensatedRig(Protocol):
+    """A rig with compensations of its own beside the controller."""
+
+    def switch_off(self, tables: Sequence[str]) -> None:
+        """Switches compensations off, without a jump of the effort, until the rig's next start.
+
+        Args:
+            tables: Their tables in `[compensation]` of the rig's file.
+
+        Raises:
+            InvalidInput: one of them is not on; nothing is changed.
         """
         ...

@@ -9,17 +9,22 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from estune.core.quantities import check_not_negative, check_positive
+from estune.core.quantities import FloatArray, check_not_negative, check_positive
 from estune.errors import InvalidInput
 from plants.effects.effect import Port
+from plants.effects.parameter import Role
 from plants.emulator.wire import TrueState
 from plants.models.reel import Reel
 from plants.models.reel_signal_path import THETA
 from plants.simulation.buffers import Buffers
+from plants.simulation.equations import Equations
 from plants.simulation.trial_loop import loop_functions
 
 STEPS_PER_SAMPLE = 8
 _NOISE_AT_ONCE = 4096
+NEARLY_SLACK_N = 1.0
+"""A slack cable has no state at rest. At 1 N the reference reel's drum stands 0.013 rad from its
+zero, so that waves of up to 75 periods a turn follow it back there within a radian."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -217,6 +222,7 @@ class _Motion(Buffers):
         rooms |= dict.fromkeys(("effort", "drive", "before", "after", "noise", "y", "angle"), 1)
         super().__init__(rooms)
         self.memory["constants"][:] = np.asarray(constants).ravel().data
+        self.memory["x"][:] = _slack(equations, reel).data
         self._effort_per_A = reel.newtons_per_ampere
         self._ring = [0.0] * reel.delay_samples
         self._drum_radius_m = reel.drum_radius_m
@@ -253,6 +259,17 @@ class _Motion(Buffers):
         self.memory["noise"][0] = noise_N
         self._observe()
         return self.memory["y"][0], self.memory["angle"][0] - self._end_rad
+
+
+def _slack(equations: Equations, reel: Reel) -> FloatArray:
+    """State of a reel without tension: zero, but for waves, which begin at their phase."""
+    state = np.zeros(equations.drive.numel_out(0))
+    parameters = (p for effect in reel.effects for p in effect.parameters().values())
+    if any(p.role is Role.PHASE for p in parameters):
+        _, rest, _ = equations.prepare(reel.parameter_values, NEARLY_SLACK_N)
+        own = replace(reel.structure, rounded=False, effects=()).equations().drive.numel_out(0)
+        state[own:] = np.asarray(rest).ravel()[own:]
+    return state
 
 
 def _polynomial(coefficients: tuple[float, ...], x: float) -> float:

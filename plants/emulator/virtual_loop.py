@@ -19,6 +19,7 @@ from estune.hardware.loop_messages import (
     LoopPlan,
     Refused,
     ResetEstop,
+    SetCompensation,
     SetLiveGains,
 )
 from estune.hardware.reel_machine.machine import ReelStateMachine
@@ -83,6 +84,8 @@ class VirtualLoop:
                 answer, self.machine.answer = self.machine.answer, None
             case SetLiveGains(live):
                 self.machine.set_live_gains(live)
+            case SetCompensation():
+                self.machine.set_compensation(command)
             case ResetEstop():
                 self.machine.reset()
         if isinstance(answer, Refused):

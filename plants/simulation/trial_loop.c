@@ -1,6 +1,6 @@
 /* The closed-loop trial: a loop around the generated functions estune_prepare, estune_sense and
  * estune_substep. The compiled file has them before this text, with the sizes CONSTANTS, STATES,
- * SUBSTEPS, PIDF_STATES and COEFFICIENTS.
+ * SUBSTEPS, PIDF_STATES and COEFFICIENTS, and COMPENSATED, 1 for trials with compensations, else 0.
  *
  * The dead time is a ring buffer of past drives. During sample k the plant is driven by
  * drive[k - delay - 1] for the dead time's fraction of a sample, then by drive[k - delay].
@@ -57,7 +57,7 @@ static long one_trial(long samples, long delay, double bound, double preload, do
       /* One call in the text: the compiler expands it in place. */
       for (sensed = 0;; sensed = 1) {
         estune_sense(arg, res, 0, 0, 0);
-        if (!compensate || sensed) break;
+        if (!COMPENSATED || sensed) break;
         compensate(compensation, k * period, tension[k], angle[k],
                    open ? NAN : pidf[FILTERED_SETPOINT], 0.0, terms);
         if (open) terms[GRAVITY] = terms[NOTCH] = 0.0;

@@ -2,7 +2,7 @@
 
 import ctypes
 import math
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol
 
@@ -55,12 +55,12 @@ class Batch(NamedTuple):
 @lru_cache(maxsize=64)
 def trial_loop(structure: Structure) -> "CompiledLoop | CasadiLoop":
     """Trial loop of a structure, compiled if there is a compiler."""
-    functions = loop_functions(structure.equations())
+    equations = structure.equations()
     try:
-        return CompiledLoop(functions)
+        return CompiledLoop(equations)
     except PlantError as error:
         c_compiler.notice(str(error))
-        return CasadiLoop(functions)
+        return CasadiLoop(loop_functions(equations))
 
 
 class Functions(NamedTuple):
@@ -82,8 +82,14 @@ class Functions(NamedTuple):
         return bool(self.sense.numel_out(7))
 
 
-def loop_functions(plant: Equations) -> Functions:
-    """The closed loop of a plant and the PIDF."""
+def loop_functions(plant: Equations, *, compensated: bool = True) -> Functions:
+    """The closed loop of a plant and the PIDF.
+
+    Args:
+        plant: The plant.
+        compensated: Whether what is fed forward and taken off has any effect; where it has none,
+            the compiler leaves it out, with the second sensing of each sample.
+    """
     parameters, preload = plant.prepare.sx_in()
     constants, rest, rest_effort = plant.prepare(parameters, preload)
     _, rest_drive = plant.drive(constants, rest, rest_effort)
@@ -96,7 +102,8 @@ def loop_functions(plant: Equations) -> Functions:
     coefficients = ca.SX.sym("coefficients", COEFFICIENTS)
     memory, setpoint = ca.SX.sym("memory", PIDF_STATES), ca.SX.sym("setpoint")
     is_open, load = ca.SX.sym("is_open"), ca.SX.sym("load")
-    forward, off = ca.SX.sym("forward"), ca.SX.sym("off")
+    beside = [ca.SX.sym(name) for name in ("forward", "off")]
+    forward, off = beside if compensated else (ca.SX(0), ca.SX(0))
     observed, measurement, angle = plant.observe(c, x, in_force, noise)
     controller = pidf.Coefficients(*ca.vertsplit(coefficients))
     own = controller._replace(
@@ -116,7 +123,7 @@ def loop_functions(plant: Equations) -> Functions:
     outputs = [driven, measurement, angle, ca.vertcat(*following), effort, drive, excess, outside]
     sense = ca.Function(
         "estune_sense",
-        [c, x, in_force, noise, coefficients, memory, setpoint, is_open, load, forward, off],
+        [c, x, in_force, noise, coefficients, memory, setpoint, is_open, load, *beside],
         [ca.densify(output) for output in outputs],  # C writes structural nonzeros only
     )
     *arguments, n = plant.substep.sx_in()
@@ -128,23 +135,32 @@ def loop_functions(plant: Equations) -> Functions:
 class CompiledLoop:
     """The trial as a C library. Calls release the interpreter's lock."""
 
-    def __init__(self, functions: Functions) -> None:
-        """Compiles the functions inside the loop of `trial_loop.c`.
+    def __init__(self, plant: Equations) -> None:
+        """Compiles the loop of `trial_loop.c` without compensations; with them at the first use.
 
         Raises:
             PlantError: no compiler, or it failed.
         """
-        self._reference = functions.has_reference
-        library = c_compiler.load(_source(functions))
-        self._trials = library.estune_trials
+        self._plant = plant
+        self._reference = plant.outside is not None
+        self._plain = self._compiled(compensated=False)
+
+    @cached_property
+    def _compensated(self) -> Any:
+        return self._compiled(compensated=True)
+
+    def _compiled(self, *, compensated: bool) -> Any:
+        functions = loop_functions(self._plant, compensated=compensated)
+        trials = c_compiler.load(_source(functions, compensated=compensated)).estune_trials
         address, count = ctypes.c_void_p, ctypes.c_long
-        self._trials.argtypes = (
+        trials.argtypes = (
             *(count, count, count, ctypes.c_double, ctypes.c_double, ctypes.c_double),
             *(address, count, address, address, address, address, count),
             *(address, address, address, address, address, address),
             *(address, count, ctypes.c_double, address),
         )
-        self._trials.restype = ctypes.c_int
+        trials.restype = ctypes.c_int
+        return trials
 
     def run(self, batch: Batch) -> Columns:
         """Runs the trials, one after the other."""
@@ -163,7 +179,7 @@ class CompiledLoop:
         compensation = batch.compensation
         compiled = None if compensation is None else compensation.compiled()
         terms = None if compiled is None else np.empty((trials, samples, TERMS))
-        failed = self._trials(
+        failed = (self._plain if compiled is None else self._compensated)(
             *(trials, samples, batch.delay, batch.bound_N, batch.preload_N, batch.open_loop),
             _address(parameters),
             parameters.shape[1] if parameters.ndim > 1 else 0,
@@ -194,7 +210,7 @@ def _address(array: Any) -> int:
     return int(array.__array_interface__["data"][0])
 
 
-def _source(functions: Functions) -> str:
+def _source(functions: Functions, *, compensated: bool) -> str:
     """The C file: sizes, generated functions, loop."""
     sizes = {
         "CONSTANTS": functions.prepare.numel_out(0),
@@ -202,6 +218,7 @@ def _source(functions: Functions) -> str:
         "SUBSTEPS": functions.substeps,
         "PIDF_STATES": PIDF_STATES,
         "COEFFICIENTS": COEFFICIENTS,
+        "COMPENSATED": int(compensated),
         "INTEGRAL": INTEGRAL,
         "FILTERED_SETPOINT": FILTERED_SETPOINT,
     }

@@ -2,6 +2,8 @@
 
 import json
 import math
+from collections.abc import Sequence
+from dataclasses import asdict
 from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
@@ -163,6 +165,10 @@ def table_of(text: str, source: str) -> "CompensationTable | None":
     return table
 
 
+COMPENSATIONS = "friction", "inertia", "known_motion", "gravity", "angle_map", "hum", "mode"
+"""Tables of `[compensation]` that switch something on."""
+
+
 class CompensationTable(TomlTable):
     """Compensations that run beside the controller; each is on if its table is there.
 
@@ -193,6 +199,32 @@ class CompensationTable(TomlTable):
             "notch_N": self.hum or self.mode,
         }
         return tuple(name for name, table in columns.items() if table is not None)
+
+    @property
+    def text(self) -> str:
+        """The keys that were given as JSON, as a trial's request has them, friction as numbers.
+
+        Raises:
+            InvalidInput: the friction's file cannot be read.
+        """
+        values = self.model_dump(exclude_unset=True)
+        if self.friction is not None and self.friction.file is not None:
+            del values["friction"]["file"]
+            values["friction"] |= asdict(self.friction.friction)
+        return json.dumps(values, sort_keys=True)
+
+    def without(self, names: Sequence[str]) -> "CompensationTable | None":
+        """This table without some of the compensations; None where nothing is left on.
+
+        Raises:
+            InvalidInput: one of them is not on.
+        """
+        for name in names:
+            if name not in COMPENSATIONS or getattr(self, name) is None:
+                raise InvalidInput(f"[compensation.{name}] is not on: it cannot be switched off")
+        kept = self.model_fields_set - set(names)
+        left = type(self)(**{name: getattr(self, name) for name in kept})
+        return left if left.columns else None
 
     def plan(
         self,

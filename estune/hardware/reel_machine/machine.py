@@ -5,7 +5,7 @@ from estune.hardware.compensation.runtime import Compensation
 from estune.hardware.controller import Controller
 from estune.hardware.driver import Reading
 from estune.hardware.hybrid_control import HybridControl
-from estune.hardware.loop_messages import BeginTrial, Ended, LoopPlan, Refused
+from estune.hardware.loop_messages import BeginTrial, Ended, LoopPlan, Refused, SetCompensation
 from estune.hardware.reel_machine.reel import ReelState
 from estune.hardware.reel_machine.transitions import TABLE, Change, MotionEvent
 from estune.hardware.shared_memory import Memory, MotionPhase, Word
@@ -71,6 +71,10 @@ class ReelStateMachine:
     def set_live_gains(self, live: Coefficients) -> None:
         """Makes gains the live ones, fixed, without a jump of the effort."""
         self._apply(MotionEvent.SET_GAINS, live)
+
+    def set_compensation(self, own: SetCompensation) -> None:
+        """Makes compensations those between trials and of trials that ask for no others."""
+        self._reel.control.set_compensation(own.plan, own.source)
 
     def reset(self) -> None:
         """Clears a latched stop."""

@@ -61,6 +61,13 @@ class ReelControl:
             self._compensation = make_compensation(*(wanted or self._own))
             self._pending = True
 
+    def set_compensation(self, plan: CompensationPlan | None, source: str) -> None:
+        """Exchanges the rig's own compensations, without a jump of the effort."""
+        self._own = plan, source
+        if self._borrowed is None:
+            self._compensation = make_compensation(plan, source)
+            self._pending = True
+
     def compensate(
         self,
         time_s: float,

@@ -7,6 +7,8 @@ from dataclasses import dataclass, fields
 from types import MappingProxyType
 from typing import Annotated, Any, Literal, NamedTuple
 
+from pydantic import Field
+
 from estune.core.gains import Gains
 from estune.core.setting import stated
 from estune.remote.messages.codec import Message
@@ -113,6 +115,19 @@ class SetGains(Message):
 
 
 @dataclass(frozen=True, slots=True)
+class SwitchOff(Message):
+    """Switches compensations of the rig off, until its next start. Nothing switches one on.
+
+    Attributes:
+        lease: The client's lease.
+        tables: Names of the tables of `[compensation]`, at least one.
+    """
+
+    lease: str
+    tables: Annotated[tuple[str, ...], Field(min_length=1)]
+
+
+@dataclass(frozen=True, slots=True)
 class Follow(Message):
     """Sets the setpoint for a short time, between trials. Sent again and again, by a source above.
 
@@ -195,6 +210,7 @@ VERBS: Mapping[str, Verb] = MappingProxyType(
         ),
         "void": Verb(Void, "[Answer](#answer): `void`, or the trial's state in the ledger"),
         "gains": Verb(SetGains),
+        "switch_off": Verb(SwitchOff),
         "follow": Verb(
             Follow, "[Following](#following) if it is in force, else [Answer](#answer)", threads=1
         ),

@@ -12,7 +12,7 @@ A command is obeyed only on exactly its own key, never by a wildcard. It has an 
 until it is answered, and is executed once.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, ClassVar, Literal, get_args
 
 from estune.core.gains import Gains
@@ -151,8 +151,12 @@ class DaemonStatus(Report):
         checks: Check trials finished.
         next_check_s: Time until the next check trial, if one is due.
         since: Start of the daemon, ISO 8601 with offset.
-        sensitivity: Ms of the live gains with the ends of its 95 % interval, if it is known.
+        sensitivity: Ms of the live gains with the ends of its 95 % interval, if it is known; null
+            for an upper end without bound.
         margins: What is known of the margins, in words; empty before the first record.
+        behaviour: Error on a slow triangle (rms), error at its reversals, deviation at rest, in
+            the unit of the measurement, of the live gains; if they were measured.
+        remedies: What is known of each proven remedy, in words, by its effect.
     """
 
     rig: str
@@ -175,8 +179,10 @@ class DaemonStatus(Report):
     checks: int
     next_check_s: float | None
     since: str
-    sensitivity: tuple[float, float, float] | None = None
+    sensitivity: tuple[float, float, float | None] | None = None
     margins: str = ""
+    behaviour: tuple[float, float, float] | None = None
+    remedies: dict[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)

@@ -75,6 +75,13 @@ class SetGainsEvent:
 
 
 @dataclass(frozen=True, slots=True)
+class SwitchOffEvent:
+    """A client switches compensations off."""
+
+    token: str
+
+
+@dataclass(frozen=True, slots=True)
 class FollowEvent:
     """A client sends a setpoint.
 
@@ -128,6 +135,7 @@ Event = (
     | CancelEvent
     | VoidEvent
     | SetGainsEvent
+    | SwitchOffEvent
     | FollowEvent
     | EstopEvent
     | ClearEvent
@@ -146,5 +154,6 @@ class RigAction(StrEnum):
     ESTOP = "estop"
     CLEAR = "clear"
     APPLY = "apply"
+    SWITCH_OFF = "switch off"
     FOLLOW = "follow"
     TOMBSTONE = "tombstone"

@@ -174,8 +174,17 @@ def apply(state: RigState, event: events.SetGainsEvent, _now_s: float) -> Transi
     return Transition(state, orders=(RigAction.APPLY,))
 
 
+def switch_off(state: RigState, event: events.SwitchOffEvent, _now_s: float) -> Transition:
+    """Switch the compensations off, if the lease is right."""
+    if not _owns(state, event.token):
+        return _without_lease(state)
+    return Transition(state, orders=(RigAction.SWITCH_OFF,))
+
+
 def busy_with_trial(
-    state: RigState, event: events.SetGainsEvent | events.FollowEvent, _now_s: float
+    state: RigState,
+    event: events.SetGainsEvent | events.SwitchOffEvent | events.FollowEvent,
+    _now_s: float,
 ) -> Transition:
     """Refuse: a trial is active."""
     return _busy(state) if _owns(state, event.token) else _without_lease(state)
@@ -347,6 +356,9 @@ TABLE: StateTable[type[events.Event], Mode, Handler] = StateTable(
         ),
         events.SetGainsEvent: TableRow(
             apply, (busy_with_trial, _ACTIVE), (held_safe, _SAFE), (refuse_closed, _CLOSED)
+        ),
+        events.SwitchOffEvent: TableRow(
+            switch_off, (busy_with_trial, _ACTIVE), (held_safe, _SAFE), (refuse_closed, _CLOSED)
         ),
         events.FollowEvent: TableRow(
             follow, (busy_with_trial, _ACTIVE), (held_safe, _SAFE), (refuse_closed, _CLOSED)

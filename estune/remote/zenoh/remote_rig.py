@@ -3,7 +3,7 @@
 import threading
 import time
 import weakref
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import replace
 from datetime import UTC, datetime
@@ -16,7 +16,15 @@ from estune.core.gains import Gains
 from estune.errors import EstuneError, ProtocolError, RigError
 from estune.remote import messages
 from estune.remote.messages import Answer, Inquire, Status, check_name
-from estune.remote.messages.commands import Cancel, Clear, Estop, Follow, SetGains, Void
+from estune.remote.messages.commands import (
+    Cancel,
+    Clear,
+    Estop,
+    Follow,
+    SetGains,
+    SwitchOff,
+    Void,
+)
 from estune.remote.state_machine.client import Action
 from estune.remote.state_machine.reply_codes import ReplyCode
 from estune.remote.zenoh.client_lease import ClientLease
@@ -139,6 +147,15 @@ class RemoteRig:
         if original is not None and answer.error == ProtocolError.__name__:
             answer = self._command_with_lease(SetGains("", gains), unknown)  # an older rig
         answer.check()
+
+    def switch_off(self, tables: Sequence[str]) -> None:
+        """Switches compensations of the rig off, until its next start.
+
+        Raises:
+            InvalidInput: one of them is not on.
+        """
+        unknown = f"; whether it has switched {', '.join(tables)} off is unknown"
+        self._command_with_lease(SwitchOff("", tuple(tables)), unknown).check()
 
     @property
     def original(self) -> Gains | None:

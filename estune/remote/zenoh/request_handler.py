@@ -161,14 +161,26 @@ class RequestHandler(MessageDispatcher):
 
     def gains(self, command: commands.SetGains) -> Answer:
         """Sets the live gains, unless a trial is active."""
-        move = self._shared.apply_event(events.SetGainsEvent(command.lease))
-        if RigAction.APPLY not in move.orders:
+        apply = partial(self._executor.apply, command.gains)
+        answer = self._change(events.SetGainsEvent(command.lease), RigAction.APPLY, apply)
+        if answer.verdict is ReplyCode.ACCEPTED:
+            self._ledger.keep_original(command.gains, command.original)
+        return answer
+
+    def switch_off(self, command: commands.SwitchOff) -> Answer:
+        """Switches compensations off, unless a trial is active."""
+        apply = partial(self._executor.switch_off, command.tables)
+        return self._change(events.SwitchOffEvent(command.lease), RigAction.SWITCH_OFF, apply)
+
+    def _change(self, event: events.Event, action: RigAction, apply: Callable[[], None]) -> Answer:
+        """Changes the rig at rest, if the transition orders it."""
+        move = self._shared.apply_event(event)
+        if action not in move.orders:
             return _answer(move, self.status().trial_id)
         try:
-            self._executor.apply(command.gains)
+            apply()
         except EstuneError as error:
             return refusal(error)
-        self._ledger.keep_original(command.gains, command.original)
         return Answer(ReplyCode.ACCEPTED)
 
     def follow(self, command: commands.Follow) -> Answer | Following:

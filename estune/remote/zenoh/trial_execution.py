@@ -8,7 +8,8 @@ nor a slow rig delays a renewal or an emergency stop.
 import logging
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from functools import partial
@@ -26,6 +27,7 @@ from estune.remote.state_machine.state import RigState, Transition
 from estune.remote.state_machine.trials import TrialEvent, TrialState
 from estune.trial import (
     OPTIONAL_COLUMNS,
+    CompensatedRig,
     Feedback,
     Outcome,
     Rig,
@@ -185,10 +187,27 @@ class TrialExecutor:
         Raises:
             EstuneError: the rig refuses them, or is occupied.
         """
+        with self._changing():
+            self._rig.apply(gains)
+
+    def switch_off(self, tables: Sequence[str]) -> None:
+        """Switches compensations off.
+
+        Raises:
+            EstuneError: the rig refuses it, has none, or is occupied.
+        """
+        if not isinstance(self._rig, CompensatedRig):
+            raise RigError("this rig has no compensations of its own: none can be switched off")
+        with self._changing():
+            self._rig.switch_off(tables)
+
+    @contextmanager
+    def _changing(self) -> Iterator[None]:
+        """Block that changes the rig at rest; its description is then read anew."""
         if not self._rig_free.acquire(timeout=_RIG_WITHIN_S):
             raise RigError("the rig is occupied; try again")
         try:
-            self._rig.apply(gains)
+            yield
             self.description = self._rig.describe()
         finally:
             self._rig_free.release()

@@ -13,6 +13,8 @@ from estune.support.whole_file import write_file
 
 SUFFIX = ".remedy.json"
 VERSION = 1
+SWITCH_NOTHING = frozenset(("share_max", "velocity"))
+"""Keys of `[compensation]` that switch nothing on."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,7 +27,7 @@ class Patch:
         harm: What it may harm.
         tables: Tables of `[compensation]` that switch it on.
         predicted: Predicted ratios of with to without: value, low and high by measure.
-        proof: What the rig measured; see `estune.studies.prove.trials.Proof`. None before.
+        proof: What the rig measured; see `estune.proof.trials.Proof`. None before.
     """
 
     effect: str
@@ -40,10 +42,26 @@ class Patch:
         """Whether the rig has shown its gain."""
         return self.proof is not None and bool(self.proof["proven"])
 
-    @property
-    def compensation(self) -> str:
-        """The tables as a trial's request has them."""
-        return json.dumps(self.tables, sort_keys=True)
+    def compensation(self, own: str, *, on: bool) -> str:
+        """What a trial's request has for this remedy on or off, beside all others of the rig.
+
+        Args:
+            own: The rig's own compensations, `RigDescription.compensation`.
+            on: Whether it is to be on.
+
+        Returns:
+            JSON of the tables, `{}` for none; empty where the rig's own are right.
+        """
+        there = json.loads(own or "{}")
+        wanted = {name: table for name, table in there.items() if name not in self.tables}
+        wanted |= self.tables if on else {}
+        if wanted == there:
+            return ""
+        return json.dumps(wanted if set(wanted) - SWITCH_NOTHING else {}, sort_keys=True)
+
+    def is_on(self, own: str) -> bool:
+        """Whether the rig's own compensations have it, with the same numbers."""
+        return not self.compensation(own, on=True)
 
     @property
     def status(self) -> str:
@@ -106,6 +124,18 @@ def read_patch(path: Path) -> Patch:
         return Patch(**values)
     except TypeError as error:
         raise InvalidInput(f"{path} is no patch: {error}; write one by estune remedy") from error
+
+
+def read_proven(path: Path) -> Patch:
+    """The patch in a file, whose remedy a rig has proven.
+
+    Raises:
+        InvalidInput: the file cannot be read, is no patch, or the remedy is not proven.
+    """
+    patch = read_patch(path)
+    if not patch.proven:
+        raise InvalidInput(f"{path}: {patch.effect} is {patch.status}")
+    return patch
 
 
 def patch_of(diagnosis: Path, effect: str | None = None) -> Patch:

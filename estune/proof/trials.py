@@ -17,11 +17,10 @@ from scipy.stats import t as student
 from estune.core.gains import Gains
 from estune.core.quantities import FloatArray
 from estune.errors import InvalidInput, RigError
+from estune.proof.patch import Patch
 from estune.run.behaviour import rest_in, step_cost_in, tracking_in
-from estune.run.failed_trials import run_trial
-from estune.studies.prove.patch import Patch
+from estune.run.failed_trials import FailureMemory, run_trial
 from estune.trial import Outcome, Rig, RigDescription, TrialRecord, TrialRequest
-from estune.trial.profiles import AnyProfile
 from estune.trial.tracking import resting_profile, tracking_profile
 
 MEASURES = ("cost", "tracking", "reversal", "rest")
@@ -44,8 +43,9 @@ CONFIDENCE = 0.95
 class RemedyRig:
     """A rig whose every trial has a remedy on; implements `estune.trial.Rig`."""
 
-    def __init__(self, rig: Rig, compensation: str) -> None:
-        self._rig, self._compensation = rig, compensation
+    def __init__(self, rig: Rig, patch: Patch) -> None:
+        own = rig.describe().compensation
+        self._rig, self._compensation = rig, patch.compensation(own, on=True)
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._rig, name)
@@ -138,6 +138,18 @@ class Stop(Exception):
     """The remedy has to be switched off."""
 
 
+class EndedEarly(RigError):
+    """A trial that says nothing of the remedy has ended early.
+
+    Attributes:
+        record: Its record.
+    """
+
+    def __init__(self, message: str, record: TrialRecord) -> None:
+        super().__init__(message)
+        self.record = record
+
+
 def prove(
     rig: Rig,
     patch: Patch,
@@ -168,62 +180,83 @@ def prove(
         for number, on in enumerate((False, True, True, False) * (pairs // 2)):
             say(f"{'with' if on else 'without'} the remedy, {number + 1} of {2 * pairs}")
             calm = float(found[False][0][-1]) if on else None
-            found[on].append(_measured(rig, about, (run, 2 * number), patch, calm))
+            found[on].append(measured(rig, about, (run, 2 * number), patch, calm))
     except Stop as stop:
         stopped = str(stop)
     ratios = {} if stopped else _ratios(np.array(found[True]), np.array(found[False]))
     return Proof(about.name, date, about.gains, pairs, ratios, stopped)
 
 
-def _measured(
-    rig: Rig, about: RigDescription, place: tuple[str, int], patch: Patch, calm_N: float | None
+def measured_pair(
+    rig: Rig, about: RigDescription, place: tuple[str, int], patch: Patch
+) -> tuple[FloatArray, FloatArray]:
+    """One pair of turns, without a remedy and then with it; see `measured`.
+
+    Raises:
+        Stop, RigError, InvalidInput: see `measured`.
+    """
+    run, number = place
+    off = measured(rig, about, place, patch)
+    return off, measured(rig, about, (run, number + 2), patch, float(off[-1]))
+
+
+def measured(
+    rig: Rig,
+    about: RigDescription,
+    place: tuple[str, int],
+    patch: Patch | None = None,
+    calm_N: float | None = None,
 ) -> FloatArray:
-    """`MEASURES` of one turn: a step with rest, and a triangle.
+    """`MEASURES` of one turn: a step with rest, and a triangle; both trials at the live gains.
 
     Args:
         rig: The rig.
         about: Its description.
         place: Run and number of the first trial.
-        patch: The remedy.
+        patch: The remedy; None leaves the rig's compensations as they are.
         calm_N: Deviation at rest without the remedy, N; None runs the turn without it.
 
     Raises:
         Stop: with the remedy on the rig was restless, or a trial did not end well.
-        RigError: so did a trial without it, or the rig ignores the remedy.
+        EndedEarly: a trial without it did not end well, or one was void.
+        RigError: the rig cannot be reached, or ignores the remedy.
+        InvalidInput: the rig's limits do not allow a trial.
     """
-    settling, tables = about.settling_time_s, "" if calm_N is None else patch.compensation
+    settling, on = about.settling_time_s, calm_N is not None
+    text = patch.compensation(about.compensation, on=on) if patch else ""
     # A map is judged where the drum turns as far as the tension can turn it.
-    wide = about.limits if "angle_map" in patch.tables else None
+    wide = about.limits if patch and "angle_map" in patch.tables else None
     triangle = tracking_profile(about.step, settling, wide)
     run, number = place
-    record = _trial(rig, about, (run, number, resting_profile(about.step, settling)), tables)
+    resting = TrialRequest(
+        *(run, number, about.gains, resting_profile(about.step, settling)), compensation=text
+    )
+    record = _trial(rig, about, resting, on=on)
     rest = rest_in(record, about)
     if calm_N is not None and not rest <= RESTLESS * calm_N:
         raise Stop(f"at rest the tension deviates by {rest:.3g} N, without it by {calm_N:.3g} N")
-    followed = _trial(rig, about, (run, number + 1, triangle), tables)
-    tracked = tracking_in(followed, about, triangle)
+    slow = replace(resting, number=number + 1, profile=triangle)
+    tracked = tracking_in(_trial(rig, about, slow, on=on), about, triangle)
     return np.array([step_cost_in(record, about), *tracked, rest])
 
 
-def _trial(
-    rig: Rig, about: RigDescription, place: tuple[str, int, AnyProfile], tables: str
-) -> TrialRecord:
-    run, number, profile = place
-    request = TrialRequest(run, number, about.gains, profile, compensation=tables)
+def _trial(rig: Rig, about: RigDescription, request: TrialRequest, *, on: bool) -> TrialRecord:
     try:
         record = run_trial(rig, request, about)
     except RigError as error:
-        if tables and number > 1:
-            raise Stop(f"the rig took no trial with it: {error}") from error
-        raise
+        if not on or isinstance(rig, FailureMemory):  # that it is lost says nothing of the remedy
+            raise
+        raise Stop(f"the rig took no trial with it: {error}") from error
     if record.outcome is not Outcome.DONE:
         why = record.reason or record.outcome.sentence
-        if tables and not record.outcome.is_void:
+        if on and not record.outcome.is_void:
             raise Stop(f"a trial with it ended early: {why}")
-        raise RigError(
-            f"trial {record.trial_id} ended early: {why}; check the rig, then prove anew"
+        if on and isinstance(rig, FailureMemory) and rig.has_failed(request):
+            raise Stop(f"the rig took no trial with it: {why}")
+        raise EndedEarly(
+            f"trial {record.trial_id} ended early: {why}; check the rig, then prove anew", record
         )
-    if tables and not any(column.any() for column in record.optional_columns.values()):
+    if on and not any(column.any() for column in record.optional_columns.values()):
         raise RigError(
             f"rig {about.name} ran the trial without the remedy: it does not know compensations "
             "of a trial; apply the patch to its file, and compare runs made before and after"

@@ -1,1 +1,0 @@
-"""A remedy as a patch of a rig's file, and its proof on the rig: trials with it and without."""
