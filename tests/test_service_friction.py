@@ -12,7 +12,7 @@ from estune.service_records.sources import Logs
 from experiments.loop_claims.truth import true_sensitivity
 from experiments.sample_efficiency.problems import PROBLEMS
 from experiments.service_records.service import Service, serve
-from plants.effects import CoulombFriction
+from plants.effects import CoulombFriction, EyeletFriction
 
 
 def suggested(plant, cost, gains, kind, length=80.0):
@@ -39,6 +39,16 @@ def test_friction_in_service_is_in_the_margins_or_refuses_them(kind):
     else:
         true = true_sensitivity(plant, gains)
         assert margins.sensitivity.value == pytest.approx(true, rel=0.06)
+
+
+@pytest.mark.parametrize(
+    ("effect", "kind"), [(EyeletFriction(0.93), "busy"), (CoulombFriction(0.05), "dither 1 %")]
+)
+def test_an_eyelet_in_motion_and_a_drum_that_sticks_refuse_the_margins(effect, kind):
+    # Linear fits state Ms as 1.96 (1.84 to 2.12) for 2.81, and 5.5 (1.02 to infinity) for 1.79.
+    plant = plants.reference_reel() + effect
+    gains = Gains(0.685, 11.2, 0.00815, 0.00825)
+    assert suggested(plant, PROBLEMS["friction"].cost, gains, kind).margins is None
 
 
 def test_a_load_does_not_stand_in_for_a_dead_time():

@@ -70,6 +70,15 @@ def test_margins_of_a_busy_log_hold_the_true_ones(busy):
     assert Ms.high / Ms.low < 1.3
 
 
+def test_a_stretch_much_shorter_than_the_settling_time_does_no_harm(busy):
+    (part,) = busy.parts
+    parts = tuple(
+        {n: v[rows] for n, v in part.items()} for rows in (slice(0, 34), slice(40, None))
+    )
+    Ms = suggest(busy._replace(parts=parts)).margins.sensitivity
+    assert Ms.low <= true_sensitivity(REEL.plant, REEL.start) <= Ms.high
+
+
 def test_recommended_gains_are_better_and_keep_the_limits(busy):
     found = suggest(busy)
     assert found.verdict == "change"

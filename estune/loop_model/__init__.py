@@ -20,7 +20,8 @@ white.
   searches these few numbers; `order` adds poles, a load or a drift where prediction errors are
   not white (`whiteness`) and the Bayesian information criterion falls; `friction` does so for
   dry friction (`friction_motion`), in service also where a load makes them white
-  (`friction_score`).
+  (`friction_score`); friction of another law shows by errors that grow with motion
+  (`motion_score`).
 - `fitting` leaves out records that the others contradict, up to a quarter: those whose prediction
   by a fit without them is worse than three times the worst of theirs.
 - `plant_error` bounds what the true plant may differ from G by, in each band; `intervals` holds

@@ -324,7 +324,7 @@ def _nuisance_basis(
 def delayed(signals: FloatArray, samples: int) -> FloatArray:
     """Signals so many samples later, zero before, shape (..., samples)."""
     later = np.zeros_like(signals)
-    later[..., samples:] = signals[..., : signals.shape[-1] - samples]
+    later[..., samples:] = signals[..., : max(signals.shape[-1] - samples, 0)]
     return later
 
 

@@ -13,6 +13,7 @@ from estune.loop_model.intervals import (
     predict_with_intervals,
     setpoint_deviation,
 )
+from estune.loop_model.motion_score import grows_with_motion
 from estune.loop_model.plant_error import ErrorMargin, error_margin, unknown_band
 from estune.loop_model.prediction import StepTrial
 from estune.service_records.identification import ServiceLoop, effort_span
@@ -82,11 +83,25 @@ def judge(
     reason = _too_still(loop, half_width)
     if not reason and hides_friction(loop.records, loop.fit):
         reason = "friction is shown, but not its size: the setpoint moves too little against it"
-    if not reason and not math.isfinite(margins.sensitivity.value):
+    if not reason and _grows_with_motion(loop):
+        reason = (
+            "the errors of the identified loop grow with its motion, as of friction or an eyelet"
+        )
+    Ms = margins.sensitivity
+    if not reason and not math.isfinite(Ms.value):
         reason = "the identified loop is unstable with the gains that ran"
+    if not reason and not Ms.high <= Ms.low * math.exp(2.0 * HALF_WIDTH_MAX):
+        reason = f"all that is known of Ms is that it lies from {Ms.low:.2f} to {Ms.high:.2f}"
     if not reason and band and margin.excited:
         reason = f"the loop is not known {band}: {unexplained(loop.fit.misfit)}"
     return Judgement(half_width, reason, band or "")
+
+
+def _grows_with_motion(loop: ServiceLoop) -> bool:
+    """Whether errors show friction that no model holds; what one holds is in the interval."""
+    if loop.fit.model.friction_N:
+        return False
+    return grows_with_motion(loop.fit, loop.records, loop.settings)
 
 
 def _too_still(loop: ServiceLoop, half_width: float) -> str:
