@@ -8,6 +8,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 
 from estune.core.quantities import FloatArray
 from estune.studies.law.law import GainLaw
@@ -45,10 +46,10 @@ def draw_costs(outcomes: LazySequence[CellOutcome]) -> Figure:
     figure, (ax,) = stacked(1, 3.0)
     for length, color, costs in _by_length(outcomes, _safe_costs):
         median = _median(costs)
-        ax.plot(np.arange(1, median.size + 1), median, color=color, label=f"{length:g} m", lw=1.1)
+        trial = np.arange(1, median.size + 1)
+        ax.plot(trial, median, ".-", color=color, label=f"{length:g} m", lw=1.1, ms=3.0)
     ax.set_yscale("log")
-    finish(ax, "cost η", "search trial")
-    _legend(ax)
+    _over_trials(ax, "cost η")
     return figure
 
 
@@ -61,9 +62,16 @@ def draw_integral(outcomes: LazySequence[CellOutcome]) -> Figure:
         median = _median([_running_mean(gain, width) for gain in gains])
         trial = np.arange(width, width + median.size)
         ax.plot(trial, median, ".-", color=color, label=f"{length:g} m", lw=1.1, ms=3.0)
-    finish(ax, axis_label("I", outcomes[0].cell.signals.gain_units["I"]), "search trial")
-    _legend(ax)
+    _over_trials(ax, axis_label("I", outcomes[0].cell.signals.gain_units["I"]))
     return figure
+
+
+def _over_trials(ax: Axes, label: str) -> None:
+    """Completes an axis over the search trials, which may be few."""
+    ax.set_xlim(0.5, max(float(ax.dataLim.x1), 1.0) + 0.5)
+    ax.xaxis.set_major_locator(MaxNLocator(integer=True, min_n_ticks=1))
+    finish(ax, label, "search trial")
+    _legend(ax)
 
 
 def draw_law(law: GainLaw, name: str, excluded: Sequence[CellOutcome]) -> Figure:
