@@ -113,8 +113,12 @@ def without_spare_pole(signals: FitSignals, fit: PoleFit) -> PoleFit:
     """The fit of one pole where the criterion does not ask for the second of two.
 
     A zero cancels the spare one wherever it lies. Along such a direction the records know
-    nothing, and an interval holds loops of any kind, unstable ones too.
+    nothing, and an interval holds loops of any kind, unstable ones too. Two that swing are both
+    asked for.
     """
+    (pair,) = sections_of(fit.coordinates)
+    if np.any(pair.log_poles.imag):
+        return fit
     two = improve(signals, fit)
     (pair,) = sections_of(two.coordinates)
     rates = np.clip(np.log(np.abs(pair.log_poles)), SLOWEST_SINGLE, FASTEST_SINGLE)
