@@ -35,14 +35,16 @@ export class TuningSection {
   async load() {
     if (!$("tuning").open || !this.view) return;
     const view = this.view;
-    let answer;
+    let text;
     try {
-      answer = await (await fetch(`api/tuning?view=${encodeURIComponent(view)}`)).json();
+      text = await (await fetch(`api/tuning?view=${encodeURIComponent(view)}`)).text();
     } catch {
       return; // the state says that the server does not answer
     }
     const { Tuner } = await import("./tuner.js");
-    if (view !== this.view) return;
+    if (view !== this.view || (this.tuner && text === this.text)) return;
+    const answer = JSON.parse(text);
+    this.text = text;
     $("tuning-text").textContent = answer.reason;
     if (!answer.data || (this.tuner && this.tuner.touched)) return; // nobody's sliders are taken away
     this.tuner?.close();
