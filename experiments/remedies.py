@@ -9,7 +9,8 @@ Machines are drawn about the reference reel: inertia, cable, viscous friction an
 size within a factor of 1.5. What is told of the friction is its true numbers with an error of 5 %,
 and an interval of 10 %, as a diagnosis gives them; no diagnosis is run here. The model that
 predicts has the reference reel's other numbers, not the machine's. Seeds 1 to 100 are for
-development; 9101 to 9200 were run once, when all constants stood (`--first 9101`).
+development; 9101 to 9200 and 9201 to 9300 were run once each, when all constants stood
+(`--first 9101`, `--first 9201`).
 """
 
 import json
