@@ -144,7 +144,8 @@ class MarginWatch:
         Ms, records = found.margins.sensitivity, len(self._known.records)
         if found.judgement.can_tell:
             self.sensitivity = Ms
-            self.sentence = f"Ms {Ms.value:.2f} ({Ms.low:.2f} to {Ms.high:.2f}), {records} records"
+            of = "1 record" if records == 1 else f"{records} records"
+            self.sentence = f"Ms {Ms.value:.2f} ({Ms.low:.2f} to {Ms.high:.2f}), {of}"
         else:
             self.sensitivity = None
             self.sentence = f"cannot tell: {found.judgement.reason}"
