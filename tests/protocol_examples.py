@@ -34,6 +34,7 @@ VALUES: dict[str, Any] = {
     "reason": "anna: the cable smokes",
     "sent_s": 4711.25,
     "setpoint": Setpoint(18.5),
+    "tables": ("friction",),
 }
 """Values of the fields of the example commands, by name; others have those of their type."""
 OF_TYPE = {float: 2.5, int: 3, str: "a text", bool: True}

@@ -5,6 +5,7 @@ import json
 import shutil
 import signal
 import sqlite3
+import subprocess
 import sys
 from types import SimpleNamespace
 
@@ -134,6 +135,13 @@ def test_second_ctrl_c_does_not_cut_off_the_wait_for_the_rig(capsys):
     assert "waiting for the rig to confirm its gains" in capsys.readouterr().err
     with pytest.raises(KeyboardInterrupt):
         interrupts(signal.SIGINT, None)
+
+
+def test_stop_inside_code_made_from_a_string_ends_with_the_exit_code_of_a_stop(tmp_path):
+    stop = "import os, signal; os.kill(os.getpid(), signal.SIGINT)"
+    (tmp_path / "stopping.py").write_text(f"exec({stop!r})\n")
+    command = [sys.executable, "-m", "estune", "tune", "stopping:rig", *QUIET, str(tmp_path)]
+    assert subprocess.run(command, cwd=tmp_path, check=False).returncode == 130
 
 
 def test_rig_lost_during_stop_is_not_reported_as_confirmed(monkeypatch, capsys, tmp_path):

@@ -15,6 +15,7 @@ VALIDATION = {
     "sample_efficiency": ("--seeds", "10", "--jobs", "2"),
     "chaos": ("--faults", "500", "--trials", "1000"),
     "loop_claims": (),
+    "margin_watch": (),
     "identification": (),
     "confirmation": (),
 }

@@ -162,6 +162,15 @@ def _usage_fault(error: CycloptsError) -> str:
     return " ".join(str(error).split())
 
 
+class Interrupt(KeyboardInterrupt):
+    """A stop by a signal.
+
+    A plain `KeyboardInterrupt` that leaves code made from a string, as a dataclass is made while a
+    module is imported, lets Python end the process by SIGINT instead of with its exit code, even
+    where it was caught. A subclass does not.
+    """
+
+
 class Interrupts:
     """Handler of SIGINT and SIGTERM: the first stops, the second waits, the third aborts the wait.
 
@@ -183,7 +192,7 @@ class Interrupts:
                 "press Ctrl-C again to exit without confirmation"
             )
         else:
-            raise KeyboardInterrupt
+            raise Interrupt
 
 
 def _stop_message(stop: KeyboardInterrupt) -> str:

@@ -11,7 +11,7 @@ _PLAIN = {
     r"\ba valid string$": "text, in quotes",
     r"\ba valid boolean$": "true or false",
     r"\ba valid dictionary.*": "a table",
-    r"\ba valid (tuple|list)$": "a list, in brackets",
+    r"\ba valid (tuple|list|array)$": "a list, in brackets",
     r"\ba valid ": "a ",
 }
 """Patterns of its messages, and what takes their place."""
