@@ -142,11 +142,18 @@ class RigActions:
         return self._note("stop", who, "the tuning ends, and the rig restores its live gains")
 
     def close(self) -> None:
-        """Stops the tuning that was started here, and waits until the rig is restored."""
+        """Stops the tuning that was started here, and waits until the rig is restored.
+
+        Where the rig is lost nothing can be waited for: its lease ends by itself.
+        """
         process = self._tuning
         if process is not None and process.poll() is None:
             process.send_signal(signal.SIGINT)
-            process.wait(_END_WITHIN_S)
+            try:
+                process.wait(_END_WITHIN_S)
+            except subprocess.TimeoutExpired:
+                process.kill()
+                process.wait()
 
     def _noted_action(
         self, name: str, who: str, gains: Gains | None, act: Callable[[RemoteRig], str]
