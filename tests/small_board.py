@@ -19,27 +19,22 @@ from types import SimpleNamespace
 
 import zenoh
 
-from tests.small_board_frames import RATE_HZ, Refused, answer, finite, parse, part, record
+from tests.small_board_frames import (
+    RATE_HZ,
+    Refused,
+    answer,
+    check_fields,
+    finite,
+    gains_of,
+    parse,
+    part,
+    record,
+)
 
 LEASE_S = 1.0
 NAME, FILE = sys.argv[1], Path(sys.argv[2])
 INSTANCE = secrets.token_hex(4)
 ROOT = f"reel/v1/{NAME}"
-FIELDS = {
-    "lease": ({"action", "lease"}, {"holder"}),
-    "submit": ({"lease", "request", "digest"}, set()),
-    "cancel": ({"lease"}, {"trial_id"}),
-    "void": ({"lease", "trial_id", "digest"}, set()),
-    "gains": ({"lease", "gains"}, set()),
-    "switch_off": ({"lease", "tables"}, set()),
-    "follow": ({"lease", "sent_s", "setpoint"}, set()),
-    "setpoint": ({"tension_N"}, {"angle_rad"}),
-    "clear": (set(), set()),
-    "result": ({"digest"}, {"offset", "length"}),
-    "request": ({"run", "number", "gains", "profile"}, {"attempt"}),
-    "P": ({"P", "I", "D", "setpoint_filter_s"}, set()),
-    "step": ({"kind", "preload_N", "step_N", "step_at_s", "duration_s"}, {"loop", "ramp_s"}),
-}
 
 
 def load():
@@ -92,29 +87,6 @@ def lease_refusal():
     return answer("no_lease", sentence="the lease has run out")
 
 
-def check_fields(what, message):
-    """Refuses an object with missing, unknown or wrong fields."""
-    needed, more = FIELDS[what]
-    if not isinstance(message, dict) or not needed <= set(message) <= needed | more:
-        raise Refused("ProtocolError", f"{what}: wrong fields")
-    for name, value in message.items():
-        number = name in ("offset", "length", "number", "attempt")
-        if number and (type(value) is not int or value < 0):
-            raise Refused("ProtocolError", f"{name}: no whole number")
-        text = name in ("lease", "holder", "digest", "trial_id", "action", "run")
-        if text and not isinstance(value, str):
-            raise Refused("ProtocolError", f"{name}: no text")
-    return message
-
-
-def gains_of(values):
-    check_fields("P", values)
-    finite(*values.values())
-    if not (values["P"] > 0.0 and min(values.values()) >= 0.0):
-        raise Refused("ProtocolError", "gains out of range")
-    return values
-
-
 def find_entry(trial_id, digest):
     """Reply with the state of a trial in the ledger, or None."""
     entry = ledger["trials"].get(trial_id)
@@ -127,6 +99,15 @@ def find_entry(trial_id, digest):
 
 def busy():
     return answer("busy", now.trial["id"], sentence=f"busy with trial {now.trial['id']}")
+
+
+def obstacle(message):
+    """The refusal of what needs the lease and no trial, if anything is against it."""
+    if ledger["latched"] and now.trial is None:
+        return answer("safe", sentence=ledger["latched"])
+    if not holds(message["lease"]):
+        return lease_refusal()
+    return busy() if now.trial else None
 
 
 def cancel(message):
@@ -153,12 +134,8 @@ def void(message):
 
 def set_gains(message):
     gains = gains_of(message["gains"])
-    if ledger["latched"] and now.trial is None:
-        return answer("safe", sentence=ledger["latched"])
-    if not holds(message["lease"]):
-        return lease_refusal()
-    if now.trial:
-        return busy()
+    if (reply := obstacle(message)) is not None:
+        return reply
     now.live = gains
     return answer("accepted")
 
@@ -167,24 +144,16 @@ def refuse_switch_off(message):
     tables = message["tables"]
     if not (isinstance(tables, list) and tables and all(isinstance(t, str) for t in tables)):
         raise Refused("ProtocolError", "tables: no names")
-    if ledger["latched"] and now.trial is None:
-        return answer("safe", sentence=ledger["latched"])
-    if not holds(message["lease"]):
-        return lease_refusal()
-    if now.trial:
-        return busy()
+    if (reply := obstacle(message)) is not None:
+        return reply
     raise Refused("RigError", "this board has no compensations")
 
 
 def refuse_setpoint(message):
     setpoint = check_fields("setpoint", message["setpoint"])
     finite(message["sent_s"], setpoint["tension_N"], setpoint.get("angle_rad") or 0.0)
-    if ledger["latched"] and now.trial is None:
-        return answer("safe", sentence=ledger["latched"])
-    if not holds(message["lease"]):
-        return lease_refusal()
-    if now.trial:
-        return busy()
+    if (reply := obstacle(message)) is not None:
+        return reply
     raise Refused("RigError", "this board runs trials only: it follows no setpoints")
 
 

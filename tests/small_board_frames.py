@@ -6,6 +6,21 @@ import struct
 import zlib
 
 RATE_HZ, PART = 100.0, 1024
+FIELDS = {
+    "lease": ({"action", "lease"}, {"holder"}),
+    "submit": ({"lease", "request", "digest"}, set()),
+    "cancel": ({"lease"}, {"trial_id"}),
+    "void": ({"lease", "trial_id", "digest"}, set()),
+    "gains": ({"lease", "gains"}, set()),
+    "switch_off": ({"lease", "tables"}, set()),
+    "follow": ({"lease", "sent_s", "setpoint"}, set()),
+    "setpoint": ({"tension_N"}, {"angle_rad"}),
+    "clear": (set(), set()),
+    "result": ({"digest"}, {"offset", "length"}),
+    "request": ({"run", "number", "gains", "profile"}, {"attempt"}),
+    "P": ({"P", "I", "D", "setpoint_filter_s"}, set()),
+    "step": ({"kind", "preload_N", "step_N", "step_at_s", "duration_s"}, {"loop", "ramp_s"}),
+}
 
 
 class Refused(Exception):
@@ -23,6 +38,29 @@ def finite(*values):
             raise Refused("ProtocolError", f"{value!r} is no number")
         if not math.isfinite(value):
             raise Refused("ProtocolError", f"{value!r} is not finite")
+
+
+def check_fields(what, message):
+    """Refuses an object with missing, unknown or wrong fields."""
+    needed, more = FIELDS[what]
+    if not isinstance(message, dict) or not needed <= set(message) <= needed | more:
+        raise Refused("ProtocolError", f"{what}: wrong fields")
+    for name, value in message.items():
+        number = name in ("offset", "length", "number", "attempt")
+        if number and (type(value) is not int or value < 0):
+            raise Refused("ProtocolError", f"{name}: no whole number")
+        text = name in ("lease", "holder", "digest", "trial_id", "action", "run")
+        if text and not isinstance(value, str):
+            raise Refused("ProtocolError", f"{name}: no text")
+    return message
+
+
+def gains_of(values):
+    check_fields("P", values)
+    finite(*values.values())
+    if not (values["P"] > 0.0 and min(values.values()) >= 0.0):
+        raise Refused("ProtocolError", "gains out of range")
+    return values
 
 
 def parse(payload):

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from estune.core.control_chart import ControlChart
-from estune.daemon.config import check_file
+from estune.daemon.config_check import check_file
 from estune.daemon.store import DaemonStore, now
 from estune.daemon.supervisor_state import GainSet, Goal, SupervisorState
 from estune.errors import InvalidInput

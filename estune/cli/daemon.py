@@ -53,7 +53,8 @@ def daemon(
         log_format: JSON lines or text, on standard error; auto is text on a terminal.
         verbose: Log every check trial, too.
     """
-    from estune.daemon.config import check_file, read_config  # noqa: PLC0415  slow to import
+    from estune.daemon.config import read_config  # noqa: PLC0415  slow to import
+    from estune.daemon.config_check import check_file  # noqa: PLC0415
     from estune.daemon.service import DaemonService  # noqa: PLC0415  as above
 
     if check:
