@@ -1,6 +1,7 @@
 """What commands say and leave behind where they are refused, stopped or unfinished."""
 
 import io
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -82,17 +83,15 @@ def test_tuning_stopped_before_its_first_trial_says_that_no_gains_changed(monkey
     assert "stopped; no trial was running, so the rig's live gains are" in capsys.readouterr().err
 
 
-def test_ctrl_c_during_the_imports_ends_without_a_traceback():
-    broken = (
-        "import sys; from importlib.abc import MetaPathFinder\n"
-        "class Stop(MetaPathFinder):\n"
-        "    def find_spec(self, name, *_):\n"
-        "        if name == 'cyclopts': raise KeyboardInterrupt\n"
-        "sys.meta_path.insert(0, Stop())\n"
-        "from estune.__main__ import main; main()"
-    )
+def test_ctrl_c_during_the_imports_ends_with_its_exit_code_and_without_a_traceback(tmp_path):
+    stop = "import os, signal; os.kill(os.getpid(), signal.SIGINT)"
+    (tmp_path / "cyclopts.py").write_text(f"exec({stop!r})\n")  # in place of the library
     done = subprocess.run(
-        [sys.executable, "-c", broken], check=False, capture_output=True, text=True
+        [sys.executable, "-m", "estune"],
+        env=os.environ | {"PYTHONPATH": str(tmp_path)},
+        check=False,
+        capture_output=True,
+        text=True,
     )
     assert (done.returncode, done.stderr) == (130, "estune: stopped before anything was done\n")
 
