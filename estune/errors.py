@@ -8,8 +8,7 @@
     ├── RigError           4  a rig cannot be reached, is another one, or refuses
     │   ├── ProtocolError     a message on the link is invalid
     │   ├── StaleSetpoint     a setpoint was dropped, because it is an old one
-    │   ├── Interrupted       a trial was interrupted on a rig that moves: operator required
-    │   └── TooManyVoidTrials the rig answers, but its trials are void: operator required
+    │   └── Interrupted       a trial was interrupted on a rig that moves: operator required
     ├── JournalError       5  a run cannot be read or written
     └── UnsafeStart        6  there are no safe initial gains
 
@@ -58,10 +57,6 @@ class StaleSetpoint(RigError):
 
 class Interrupted(RigError):
     """A trial was interrupted on a rig that moves: an operator must check it before the next."""
-
-
-class TooManyVoidTrials(RigError):
-    """The rig answers, but its trials are void one after the other."""
 
 
 class JournalError(EstuneError):

@@ -17,7 +17,7 @@ from estune.daemon.faults import FaultCode
 from estune.daemon.rig_counts import RigCounts
 from estune.daemon.supervised_rig import SupervisedRig
 from estune.daemon.supervisor_state import GainSet
-from estune.errors import EstuneError, PlantError, RigError, TooManyVoidTrials
+from estune.errors import EstuneError, PlantError, RigError
 from estune.remote import zenoh
 from estune.remote.zenoh import RemoteRig
 from estune.remote.zenoh.network import Network
@@ -46,6 +46,14 @@ _log = logging.getLogger(__name__)
 
 class HeldByOtherDaemon(RigError):
     """Another daemon, named by the message, supervises the rig."""
+
+
+class TooManyVoidTrials(Exception):
+    """An operator is needed: the rig answers, but its trials are void one after the other.
+
+    Like `Preempted` it ends what is under way and is no failure of the trial, which has its void
+    record: `run_trial` makes a trial void by `EstuneError` alone.
+    """
 
 
 class VoidTrialCounter:

@@ -14,7 +14,7 @@ from estune.daemon.config import RigTable
 from estune.daemon.events import EventKind
 from estune.daemon.faults import FAULT, FaultCode
 from estune.daemon.progress_watch import ProgressWatch
-from estune.daemon.rig_access import HeldByOtherDaemon, RigAccess
+from estune.daemon.rig_access import HeldByOtherDaemon, RigAccess, TooManyVoidTrials
 from estune.daemon.shared_resources import SharedResources
 from estune.daemon.supervised_connection import TRIAL_MODES, SupervisedConnection
 from estune.daemon.supervised_rig import Preempted, SupervisedRig
@@ -26,7 +26,6 @@ from estune.errors import (
     InvalidInput,
     JournalError,
     RigError,
-    TooManyVoidTrials,
     UnsafeStart,
 )
 from estune.run import archived_run, loop

@@ -5,7 +5,7 @@ import logging
 from datetime import UTC, datetime
 from typing import Protocol, runtime_checkable
 
-from estune.errors import EstuneError, InvalidInput, TooManyVoidTrials
+from estune.errors import EstuneError, InvalidInput
 from estune.trial import Outcome, Rig, RigDescription, TrialRecord, TrialRequest, empty_record
 
 _log = logging.getLogger(__name__)
@@ -34,8 +34,6 @@ def run_trial(
     """
     try:
         return rig.run(request)
-    except TooManyVoidTrials:  # of a rig that has made the failed trial void already
-        raise
     except EstuneError as error:
         if may_be_refused and isinstance(error, InvalidInput):
             return declined(request, description, f"the rig refused it: {error}")
