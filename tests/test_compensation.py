@@ -17,14 +17,15 @@ from estune.hardware.compensation.plan import KnownMotion
 from estune.hardware.compensation.runtime import CompiledCompensation, PlainCompensation
 from estune.hardware.config import read_config
 from estune.hardware.controller import PlainController
-from estune.reel.friction import FrictionFeedForward, StribeckFriction
+from estune.reel.friction import FrictionFeedForward, StribeckFriction, slid
 from estune.reel.gravity import gravity_force_by_position_N
 from estune.reel.velocity import motion
 from estune.run.results.export import write_record
 from estune.support import c_compiler
-from estune.trial import Outcome, TrialRecord, TrialRequest
+from estune.trial import SATURATED, Outcome, TrialRecord, TrialRequest
 from estune.trial.loop_records import loop_signals
 from estune.trial.profiles import StepProfile, TriangleProfile
+from estune.trial.records import COMPENSATION_COLUMNS
 from plants.diagnosis.data.records import read_measurements
 from plants.emulator import RIG_FILE
 from plants.emulator.virtual_loop import virtual_rig
@@ -52,6 +53,8 @@ ALL = {
     },
     "hum": {"frequency_Hz": 50.0},
     "mode": {"frequency_Hz": 90.0, "width_Hz": 20.0, "depth": 0.3},
+    "eyelet": {"attenuation": 0.95, "memory_rad": 0.004, "tension_per_rad_N": 190.0},
+    "current_limit": {"limit_A": 2.0},
 }
 COUNT = 2.0 * math.pi / 8192
 
@@ -128,7 +131,7 @@ def test_terms_are_those_of_the_equations():
     measured = 0.002 * moved.acceleration_rad_s2 / radius
     announced = -0.01 * 0.02 / radius**2  # viscous friction of a drum that pays out at 0.02 m/s
     np.testing.assert_allclose(terms[4:, 3], measured[4:] + announced, atol=1e-12)
-    forward, ahead = known_setpoint(known), angles - 0.1 + 0.002 * terms[:, 0]
+    forward, ahead = setpoint, angles - 0.1 + 0.002 * terms[:, 0]
     waves = 0.02 * forward * np.sin(ahead + 0.3) + 0.02 / radius * np.sin(7.0 * ahead - 1.0)
     np.testing.assert_allclose(terms[1:, 4], 0.8 * waves[1:], rtol=1e-12)
     shapes = ((50.0, 3.0, 0.0), (90.0, 20.0, 0.3))
@@ -136,11 +139,11 @@ def test_terms_are_those_of_the_equations():
     for frequency, width, depth in shapes:
         notched = filtered_by_a_notch(notched, frequency, width, depth)
     np.testing.assert_allclose(terms[:, 5], tensions - notched, atol=1e-9)
+    outside = forward[1:] * 0.95 ** (-0.8 * np.sign(velocity))
+    slid = np.abs(np.cumsum(velocity) / 632.0) > 30.0 * 0.004
+    np.testing.assert_allclose(terms[1:, 6][slid], (outside - forward[1:])[slid])
+    np.testing.assert_allclose(terms[:, 7], 2.0 * 20.0)
     assert np.abs(terms).max(axis=0).min() > 0.1
-
-
-def known_setpoint(known):
-    return np.array([one.setpoint_N for one in known])
 
 
 def filtered_by_a_notch(signal, frequency_Hz, width_Hz, depth):
@@ -185,9 +188,7 @@ def test_record_shows_each_compensation_and_the_current_is_their_sum():
     with rig_with(GENTLE) as rig:
         record = trial(rig)
         description = rig.describe()
-    assert set(record.optional_columns) == {
-        *("drum_velocity_rad_s", "gravity_N", "friction_A", "inertia_A", "angle_map_A", "notch_N")
-    }
+    assert set(record.optional_columns) == set(COMPENSATION_COLUMNS)
     assert all(np.abs(column).max() > 0.0 for column in record.optional_columns.values())
     fed = record.friction_A + record.inertia_A + record.angle_map_A
     assert np.abs(fed).max() <= 0.2 * 6.0 + 1e-9
@@ -265,9 +266,9 @@ def test_friction_law_turns_its_direction_over_the_presliding_distance():
     law = FrictionFeedForward(StribeckFriction(0.05, 0.05, 1.0), memory_rad=0.004)
     direction = 1.0
     for _ in range(40):  # at any pace
-        direction = law.direction(direction, -0.0001)
+        direction = slid(direction, -0.0001, law.memory_rad)
     assert direction == pytest.approx(-1.0 + 2.0 * math.exp(-1.0))
-    assert law.direction(direction, 0.0) == direction
+    assert slid(direction, 0.0, law.memory_rad) == direction
     assert law.force_N(direction, 0.1, 15.0, 0.025) == pytest.approx(0.8 * direction * 2.0)
 
 
@@ -277,6 +278,15 @@ def test_load_friction_follows_the_known_tension():
     for k, setpoint in enumerate((20.0, 21.0, 22.0)):
         terms = compensation.sample(k / 632.0, 5.0, 0.0, KnownMotion(setpoint))
     assert terms.friction_N == pytest.approx(0.8 * 0.1 * 22.0)
+
+
+def test_the_drives_limit_holds_and_the_record_shows_it():
+    with rig_with({"current_limit": {"limit_A": 1.0}}) as rig:
+        record = trial(rig)
+    assert set(record.optional_columns) == {"current_limit_A"}
+    np.testing.assert_allclose(record.current_limit_A, 1.0)
+    assert record.current_A.max() == pytest.approx(1.0)
+    assert (record.flags[record.current_A > 0.999] & SATURATED).all()
 
 
 def test_open_loop_is_not_compensated():
@@ -305,6 +315,9 @@ def test_open_loop_is_not_compensated():
         ({"angle_map": {k: v for k, v in MAP.items() if k != "zero"}}, "zero"),
         ({"hum": {"frequency_Hz": 315.0}}, "half the sampling rate"),
         ({"mode": {"frequency_Hz": 30.0, "width_Hz": 40.0}}, "half the sampling rate"),
+        ({"eyelet": ALL["eyelet"] | {"attenuation": 1.1}}, "attenuation"),
+        ({"eyelet": ALL["eyelet"], "friction": FRICTION | {"tension_per_rad_N": 9.0}}, "same one"),
+        ({"current_limit": {"limit_A": 6.0}}, "is not below the rig's own greatest current"),
         ({"velocity": {"weak": 3.0}, "friction": FRICTION}, "thresholds weak"),
         ({"share_max": 0.3}, "switches nothing on"),
     ],
@@ -341,7 +354,7 @@ def test_compensation_compiles_alone_without_warnings(tmp_path):
         '  while (scanf("%lf", &a) == 1) {\n'
         "    static int k; estune_compensation_sample(&c, ++k / 632.0, 15.0, a,\n"
         "                               estune_pidf_setpoint(&p), 0.3 * a);\n"
-        "    a = estune_pidf_step_beside(&p, estune_compensation_forward(&c), 15.0,\n"
+        "    a = estune_pidf_step_beside(&p, estune_compensation_forward(&c), c.limit, 15.0,\n"
         "                                15.0 - estune_compensation_off(&c), 0);\n"
         "    double counts = estune_current_counts(a / ESTUNE_NEWTONS_PER_AMPERE);\n"
         '    printf("%.17g %.17g\\n", a, counts); }\n'
@@ -361,7 +374,7 @@ def test_compensation_compiles_alone_without_warnings(tmp_path):
     for k, angle in enumerate(angles.tolist(), start=1):
         known = KnownMotion(controller.filtered_setpoint_N, 0.3 * angle)
         terms = plain.sample(k / 632.0, 15.0, angle, known)
-        controller.feed_forward(terms.feed_forward_N)
+        controller.beside(terms.feed_forward_N, terms.limit_N)
         effort = controller.step(15.0, 15.0 - terms.off_gauge_N)
         counts = plan.current.counts(effort / plan.newtons_per_ampere)
         assert printed[k - 1] == pytest.approx((effort, counts), rel=1e-9, abs=1e-9)

@@ -58,7 +58,7 @@ def test_control_of_the_loop_is_that_of_the_equations(steps):
     tension.use(plan.live)
     tension.rest(15.0, 5.0)
     control = HybridControl(plan.hybrid, tension, PlainController())
-    efforts = [control.step(HybridSignals(*row), 0.0, in_tension=on) for row, on in steps]
+    efforts = [control.step(HybridSignals(*row), in_tension=on) for row, on in steps]
     np.testing.assert_allclose(efforts, reference(rig, steps), rtol=1e-9, atol=1e-9)
 
 
@@ -74,7 +74,7 @@ int main(void) {
   estune_pidf_at_rest(&reel.position, FIRST, 0);
   estune_pidf_at_rest(&reel.tension, 15, 5);
   while (scanf("%lf %lf %lf %lf %d", &r_p, &p, &r_t, &t, &on) == 5) {
-    printf("%.17g ", estune_hybrid_step(&reel, 0, r_p, p, r_t, t, on));
+    printf("%.17g ", estune_hybrid_step(&reel, 0, 0, r_p, p, r_t, t, on));
     printf("%d %g\\n", estune_hybrid_select(&reel, t, 0), estune_hybrid_setpoint(r_t, on));
   }
   return 0;

@@ -50,7 +50,9 @@ def test_every_effect_declares_what_can_be_done(name):
             assert remedy.sized_by in {"", *effect.parameters()}
             if remedy.tables:
                 table = CompensationTable(**{k: dict(v) for k, v in remedy.tables.items()})
-                assert table.plan(632.0, 8192, 0.025, 0.8, 120.0) is not None
+                assert (
+                    table.plan(632.0, 8192, 0.025, 0.8, 120.0, newtons_per_ampere=20.0) is not None
+                )
 
 
 def measured_tracking(hidden, compensation):

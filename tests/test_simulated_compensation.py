@@ -14,11 +14,15 @@ from estune.errors import InvalidInput
 from estune.hardware.compensation.plan import CompensationTerms, KnownMotion
 from estune.hardware.compensation.runtime import PlainCompensation
 from estune.hardware.compensation.tables import CompensationTable
+from estune.proof.patch import Patch
+from estune.proof.trials import prove
 from estune.trial import TrialRequest
 from estune.trial.profiles import StepProfile, TriangleProfile
 from plants.effects import (
     Cogging,
+    CurrentSaturation,
     DrumEccentricity,
+    EyeletFriction,
     MainsInterference,
     StructuralMode,
     TorqueRipple,
@@ -31,6 +35,7 @@ from tests.test_remedies import GAINS, found
 
 STEP = StepProfile(15.0, 5.0, 0.1, 0.4)
 TABLES = {name: table for name, table in ALL.items() if name not in {"gravity", "known_motion"}}
+EYELET = {"eyelet": ALL["eyelet"]}
 TABLES["inertia"] = {"inertia_kgm2": 2e-4}
 TRIANGLE = TriangleProfile(20.0, 15.0, period_s=2.0, start_s=0.2, duration_s=4.2)
 
@@ -49,7 +54,7 @@ def test_simulated_trial_has_the_terms_of_the_hardware_loop():
     plan = trial_compensation(CompensationTable(**TABLES), reel.scale, reel.controller, "").plan
     pole = pidf.coefficients(reel.controller, GAINS).setpoint_pole
     filtered = 15.0 + lfilter([0.0, 1.0 - pole], [1.0, -pole], record.setpoint_N - 15.0)
-    gauge = record.tension_N + record.notch_N
+    gauge = record.tension_N + record.notch_N + record.eyelet_N
     plain = PlainCompensation(plan)
     times = np.arange(gauge.size) * plan.period_s  # rounded as the loop does
     rows = zip(times, gauge, record.angle_rad, map(KnownMotion, filtered), strict=True)
@@ -90,7 +95,8 @@ def test_the_virtual_machine_gives_the_same_trial(monkeypatch):
 def test_open_loop_is_not_compensated():
     record = run(plants.reference_reel(), TABLES, replace(STEP, loop="open"))
     assert not any(
-        record.optional_columns[name].any() for name in ("friction_A", "angle_map_A", "notch_N")
+        record.optional_columns[name].any()
+        for name in set(record.optional_columns) - {"drum_velocity_rad_s"}
     )
     np.testing.assert_allclose(record.current_A * 20.0, record.setpoint_N)
 
@@ -145,3 +151,32 @@ def test_a_notch_is_offered_only_where_it_gains():
     assert any(offer.tables.get("hum") and offer.worth for offer in hum)
     mode = offers_for(found(StructuralMode(0.3, 20.0), 0.1), GAINS)
     assert not any("mode" in offer.tables and offer.worth for offer in mode)
+
+
+@pytest.mark.parametrize(
+    ("effect", "name", "left"),
+    [
+        (CurrentSaturation(1.45, 0.1), "current_limit", 0.7),
+        (EyeletFriction(0.95, 0.2), "eyelet", 0.5),
+    ],
+)
+def test_a_remedy_is_proven_as_it_was_predicted(effect, name, left):
+    """The drive's limit on a triangle beyond it; the eyelet by the gauge outside."""
+    offer = next(one for one in offers_for(found(effect, 0.01), GAINS) if name in one.tables)
+    assert offer.worth
+    patch = Patch(offer.effect, offer.title, offer.harm, offer.tables)
+    proof = prove((plants.reference_reel() + effect).rig(gains=GAINS), patch)
+    assert proof.proven
+    predicted, achieved = offer.ratios["tracking"].value, proof.ratios["tracking"].value
+    assert predicted < left
+    assert achieved == pytest.approx(predicted, abs=0.05)
+
+
+@pytest.mark.parametrize("effect", [CurrentSaturation(2.5), EyeletFriction(0.95, 0.05)])
+def test_a_limit_never_reached_and_an_eyelet_worn_off_by_noise_are_not_worth_a_remedy(effect):
+    assert not any(one.tables and one.worth for one in offers_for(found(effect, 0.01), GAINS))
+
+
+def test_an_eyelet_is_proven_by_a_gauge_outside_alone():
+    with pytest.raises(InvalidInput, match="no gauge outside its eyelet"):
+        prove(plants.reference_reel().rig(gains=GAINS), Patch("e", "", "", EYELET))

@@ -215,6 +215,8 @@ def test_compensations_on_the_board_are_those_of_the_computer(tmp_path):
             "lead_s": 0.001,
         },
         "mode": {"frequency_Hz": 100.0, "width_Hz": 30.0, "depth": 0.3},
+        "eyelet": {"attenuation": 0.95, "memory_rad": 0.004, "tension_per_rad_N": 190.0},
+        "current_limit": {"limit_A": 1.8},
     }
     changes = {"compensation": compensation, "motion": BOARD["motion"] | {"taut_N": 15.0}}
     with board_rig(compiled(tmp_path, rig_file(**changes)), **changes) as (rig, _):
@@ -222,7 +224,7 @@ def test_compensations_on_the_board_are_those_of_the_computer(tmp_path):
         about = rig.describe()
     assert record.outcome is Outcome.DONE
     plain = PlainCompensation(rig_file(**changes).compensations())
-    gauge = record.tension_N + record.gravity_N + record.notch_N
+    gauge = record.tension_N + record.gravity_N + record.notch_N + record.eyelet_N
     c = pidf.coefficients(about.controller, record.gains)
     filtered = filter_setpoint(c.setpoint_pole, record.setpoint_N)
     sampled = zip(record.time_s, gauge, record.angle_rad, map(KnownMotion, filtered), strict=True)
@@ -236,6 +238,8 @@ def test_compensations_on_the_board_are_those_of_the_computer(tmp_path):
         16.0 * record.inertia_A,
         16.0 * record.angle_map_A,
         record.notch_N,
+        record.eyelet_N,
+        16.0 * record.current_limit_A,
     )
     assert np.abs(terms).max(axis=0).min() > 0.0
     # The board counts time from its start: another rounding may choose another window.

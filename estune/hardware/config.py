@@ -176,7 +176,8 @@ class RigConfig(TomlTable):
         """
         reel = self.reel
         geometry = reel.encoder_counts_per_turn, reel.drum_radius_m, reel.cable_length_m
-        return table.plan(self.sampling_Hz, *geometry, self.settings().output_max_N)
+        largest, newtons = self.settings().output_max_N, self.newtons_per_ampere
+        return table.plan(self.sampling_Hz, *geometry, largest, newtons_per_ampere=newtons)
 
     def compensation_text(self, plan: CompensationPlan | None) -> str:
         """C text of compensations; empty without any."""

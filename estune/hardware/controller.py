@@ -29,21 +29,34 @@ class _Struct(ctypes.Structure):
 
 
 class _Limits:
-    """Limits of the effort, and the feed-forward within them."""
+    """Limits of the effort, and the feed-forward within them.
+
+    Attributes:
+        limits_N: The rig's.
+        forward_N: Feed-forward.
+        drive_N: Greatest size of the effort that the drive gives; zero where it is the rig's.
+    """
 
     limits_N = (-math.inf, math.inf)
     forward_N = 0.0
+    drive_N = 0.0
 
     @property
     def own_limits_N(self) -> tuple[float, float]:
         """Limits of the controller's own effort, N; the anti-windup knows them."""
-        low, high = self.limits_N
+        low, high = self._in_force_N
         return low - self.forward_N, high - self.forward_N
 
     def total_N(self, own_N: float) -> float:
         """The motor's effort for one of the controller; rounding does not pass the limits."""
-        low, high = self.limits_N
+        low, high = self._in_force_N
         return min(max(own_N + self.forward_N, low), high)
+
+    @property
+    def _in_force_N(self) -> tuple[float, float]:
+        low, high = self.limits_N
+        drive = self.drive_N or math.inf
+        return max(low, -drive), min(high, drive)
 
 
 class CompiledController(_Limits):
@@ -73,11 +86,11 @@ class CompiledController(_Limits):
         """Changes the gains and keeps the state."""
         self._struct.coefficients[:] = coefficients
         self.limits_N = coefficients.output_min_N, coefficients.output_max_N
-        self.feed_forward(self.forward_N)
+        self.beside(self.forward_N, self.drive_N)
 
-    def feed_forward(self, effort_N: float) -> None:
-        """Sets the effort beside that of the controller, for the next step."""
-        self.forward_N = effort_N
+    def beside(self, forward_N: float, drive_N: float) -> None:
+        """Sets the effort beside that of the controller and the drive's limit, from here on."""
+        self.forward_N, self.drive_N = forward_N, drive_N
         self._struct.coefficients[_LIMITS] = self.own_limits_N
 
     @property
@@ -121,11 +134,11 @@ class PlainController(_Limits):
         """Changes the gains and keeps the state."""
         self.limits_N = coefficients.output_min_N, coefficients.output_max_N
         self._coefficients = coefficients
-        self.feed_forward(self.forward_N)
+        self.beside(self.forward_N, self.drive_N)
 
-    def feed_forward(self, effort_N: float) -> None:
-        """Sets the effort beside that of the controller, for the next step."""
-        self.forward_N = effort_N
+    def beside(self, forward_N: float, drive_N: float) -> None:
+        """Sets the effort beside that of the controller and the drive's limit, from here on."""
+        self.forward_N, self.drive_N = forward_N, drive_N
         low, high = self.own_limits_N
         self._coefficients = self._coefficients._replace(output_min_N=low, output_max_N=high)
 

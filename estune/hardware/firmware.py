@@ -130,17 +130,20 @@ ESTUNE_PIDF_EXPORT casadi_real estune_pidf_step(estune_pidf *pidf, casadi_real s
   return effort;
 }}
 
-/* One sample beside a feed-forward; returns their sum, and the limits are those of the sum. */
+/* One sample beside a feed-forward; returns their sum, and the limits are those of the sum. Limit
+ * is the greatest size of it that the drive gives at present, or zero. */
 ESTUNE_PIDF_EXPORT casadi_real estune_pidf_step_beside(estune_pidf *pidf, casadi_real forward,
-                                                       casadi_real setpoint,
+                                                       casadi_real limit, casadi_real setpoint,
                                                        casadi_real measurement,
                                                        casadi_real *excess) {{
-  casadi_real *limits = pidf->coefficients + {limits}, low = limits[0], high = limits[1], effort;
+  casadi_real *limits = pidf->coefficients + {limits}, rig_low = limits[0], rig_high = limits[1];
+  casadi_real low = limit > 0 ? casadi_fmax(rig_low, -limit) : rig_low;
+  casadi_real high = limit > 0 ? casadi_fmin(rig_high, limit) : rig_high, effort;
   limits[0] = low - forward;
   limits[1] = high - forward;
   effort = estune_pidf_step(pidf, setpoint, measurement, excess) + forward;
-  limits[0] = low;
-  limits[1] = high;
+  limits[0] = rig_low;
+  limits[1] = rig_high;
   return casadi_fmin(casadi_fmax(effort, low), high);
 }}
 

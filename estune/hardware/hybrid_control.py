@@ -65,7 +65,7 @@ class HybridControl:
             return True, setpoint_N
         return True, self.plan.rules.tension_setpoint_N(0.0, solved=False)
 
-    def step(self, signals: HybridSignals, feed_forward_N: float, *, in_tension: bool) -> float:
+    def step(self, signals: HybridSignals, *, in_tension: bool) -> float:
         """One sample; the effort of the selected controller, N.
 
         At a change of the selection the effort is, to rounding, that without the change.
@@ -73,7 +73,7 @@ class HybridControl:
         if not self._tracks:
             self._position.rest(signals.position_m, 0.0)  # its integral follows the effort below
             self._tracks = True
-        self._position.feed_forward(feed_forward_N)
+        self._position.beside(self._tension.forward_N, self._tension.drive_N)
         of_position, of_tension = signals[:2], signals[2:]
         if self.in_tension:
             active, other, own, others = self._tension, self._position, of_tension, of_position

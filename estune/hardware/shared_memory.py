@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from estune.errors import RigError
 from estune.recordings.black_box_file import ROW
-from estune.trial.records import COLUMNS
+from estune.trial.records import COLUMNS, COMPENSATION_COLUMNS
 
 BIN_s = 2e-6
 BINS = 50_000
@@ -30,7 +30,7 @@ BOX_ROWS = 8192
 
 _BOX_ROW = struct.Struct("<Q5dBB")  # `black_box_file.ROW`
 REASON_BYTES = 512
-_COLUMNS = 12
+_COLUMNS = 6 + len(COMPENSATION_COLUMNS)
 _BYTES_PER_SAMPLE = 8 * _COLUMNS + 1
 
 
@@ -145,8 +145,8 @@ class Memory:
         columns = [self._take("d", capacity) for _ in range(_COLUMNS)]
         self.time_s, self.setpoint_N, self.tension_N = columns[:3]
         self.current_A, self.angle_rad, self.weights = columns[3:6]
-        self.drum_velocity_rad_s, self.gravity_N, self.friction_A = columns[6:9]
-        self.inertia_A, self.angle_map_A, self.notch_N = columns[9:]
+        for name, column in zip(COMPENSATION_COLUMNS, columns[6:], strict=True):
+            setattr(self, name, column)
         self.flags = self._take("B", capacity)
         self._box_at = self._next_byte
 

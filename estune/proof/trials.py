@@ -21,7 +21,7 @@ from estune.proof.patch import Patch
 from estune.run.behaviour import rest_in, step_cost_in, tracking_in
 from estune.run.failed_trials import FailureMemory, run_trial
 from estune.trial import Outcome, Rig, RigDescription, TrialRecord, TrialRequest
-from estune.trial.tracking import resting_profile, tracking_profile
+from estune.trial.tracking import WIDE, resting_profile, tracking_profile
 
 MEASURES = ("cost", "tracking", "reversal", "rest")
 NOUNS = {
@@ -224,8 +224,7 @@ def measured(
     """
     settling, on = about.settling_time_s, calm_N is not None
     text = patch.compensation(about.compensation, on=on) if patch else ""
-    # A map is judged where the drum turns as far as the tension can turn it.
-    wide = about.limits if patch and "angle_map" in patch.tables else None
+    wide = about.limits if patch and WIDE & set(patch.tables) else None
     triangle = tracking_profile(about.step, settling, wide)
     run, number = place
     resting = TrialRequest(
@@ -236,8 +235,21 @@ def measured(
     if calm_N is not None and not rest <= RESTLESS * calm_N:
         raise Stop(f"at rest the tension deviates by {rest:.3g} N, without it by {calm_N:.3g} N")
     slow = replace(resting, number=number + 1, profile=triangle)
-    tracked = tracking_in(_trial(rig, about, slow, on=on), about, triangle)
+    followed = _trial(rig, about, slow, on=on)
+    if patch and "eyelet" in patch.tables:
+        record, followed = _outside(record), _outside(followed)
+    tracked = tracking_in(followed, about, triangle)
     return np.array([step_cost_in(record, about), *tracked, rest])
+
+
+def _outside(record: TrialRecord) -> TrialRecord:
+    """The record with the tension outside the eyelet, which its own gauge does not read."""
+    if record.reference_N is None:
+        raise InvalidInput(
+            f"rig {record.rig} has no gauge outside its eyelet (reference_N), so that what the "
+            "remedy does to the tension there cannot be measured; add one for the proof"
+        )
+    return replace(record, tension_N=record.reference_N, notch_N=None)
 
 
 def _trial(rig: Rig, about: RigDescription, request: TrialRequest, *, on: bool) -> TrialRecord:

@@ -35,12 +35,6 @@ SIMILAR_RARE = 0.85
 """That of the columns that most records do not have."""
 _RARE = ("reference_N", "flags")
 
-DERIVED = (
-    *("drum_velocity_rad_s", "gravity_N", "friction_A", "inertia_A"),
-    *("angle_map_A", "notch_N"),
-)
-"""Columns of a rig's compensations; parts of the others, and not needed beside them."""
-
 
 def suggest_name(name: str, present: frozenset[str], known: tuple[str, ...]) -> str | None:
     """The remedy for an unknown name that resembles a known one.

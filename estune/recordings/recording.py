@@ -7,12 +7,13 @@ import numpy as np
 
 from estune.core.quantities import FloatArray
 from estune.recordings.column_map import AS_NAMED, ColumnMap, Mapped, find_channel, map_column
-from estune.recordings.column_names import DERIVED, MEASURED, METADATA, TABLE_COLUMNS, suggest_name
+from estune.recordings.column_names import MEASURED, METADATA, TABLE_COLUMNS, suggest_name
 from estune.recordings.issue import DataIssue, Unusable
 from estune.recordings.metadata import Metadata, metadata_beside
 from estune.recordings.raw_file import RawFile, read_raw
 from estune.recordings.timing import Columns, evened, resampled
 from estune.recordings.units import NO_DRUM, Drum
+from estune.trial.records import COMPENSATION_COLUMNS
 
 FEWEST_SAMPLES = 3
 """Fewer rows have no sampling rate."""
@@ -103,7 +104,8 @@ def _check_names(
 ) -> list[DataIssue]:
     """Refuses what seems to be a known name misspelt; other unknown names are ignored."""
     issues = []
-    for name in sorted(present - set(known) - used - set(TABLE_COLUMNS) - set(DERIVED)):
+    others = {*known, *used, *TABLE_COLUMNS, *COMPENSATION_COLUMNS}
+    for name in sorted(present - others):
         sentence = suggest_name(name, present, known)
         if sentence is not None:
             raise Unusable(sentence, name)

@@ -71,6 +71,22 @@ class StribeckFriction:
         return self.size_Nm(velocity_rad_s) * np.sign(velocity_rad_s)
 
 
+def slid(direction: float, moved_rad: float, memory_rad: float) -> float:
+    """Direction z of sliding after a known motion, from its value before; 0 after an unknown one.
+
+    Args:
+        direction: Its value before, -1 to 1.
+        moved_rad: The motion, rad; NaN where it is not known.
+        memory_rad: Distance d over which z turns, rad.
+    """
+    if math.isnan(moved_rad):
+        return 0.0
+    if moved_rad == 0.0:
+        return direction
+    sign = math.copysign(1.0, moved_rad)
+    return sign + (direction - sign) * math.exp(-abs(moved_rad) / memory_rad)
+
+
 FRACTION_MAX = 1.2
 """Greatest fraction fed forward: up to it the tension at rest is as calm as without."""
 
@@ -86,6 +102,8 @@ class FrictionFeedForward:
 
     so that the torque changes over the same distance as the friction of a drum that presses its
     contacts forward before it slides, at whatever velocity.
+
+    See `slid`.
 
     Attributes:
         friction: The identified dry friction.
@@ -109,13 +127,6 @@ class FrictionFeedForward:
             raise InvalidInput(
                 f"friction fraction is {self.fraction}; choose one from 0 to {FRACTION_MAX:g}"
             )
-
-    def direction(self, before: float, moved_rad: float) -> float:
-        """Direction z after the drum has turned by an angle, from its value before."""
-        if moved_rad == 0.0:
-            return before
-        sign = math.copysign(1.0, moved_rad)
-        return sign + (before - sign) * math.exp(-abs(moved_rad) / self.memory_rad)
 
     def force_N(
         self, direction: float, velocity_rad_s: float, tension_N: float, drum_radius_m: float

@@ -19,10 +19,13 @@ SATURATED, GUARD, LATE = 1, 2, 4
 COLUMNS = ("time_s", "setpoint_N", "tension_N", "current_A", "angle_rad")
 """Columns of every record, beside the flags."""
 
-OPTIONAL_COLUMNS = (
-    *("reference_N", "drum_velocity_rad_s", "gravity_N", "friction_A", "inertia_A"),
-    *("angle_map_A", "notch_N"),
+COMPENSATION_COLUMNS = (
+    *("drum_velocity_rad_s", "gravity_N", "friction_A", "inertia_A"),
+    *("angle_map_A", "notch_N", "eyelet_N", "current_limit_A"),
 )
+"""Columns of a rig's compensations; parts of the others, and not needed beside them."""
+
+OPTIONAL_COLUMNS = ("reference_N", *COMPENSATION_COLUMNS)
 """Columns that only some rigs record."""
 
 
@@ -101,6 +104,9 @@ class TrialRecord:
         inertia_A: Part of the current that feeds inertia forward, or None.
         angle_map_A: Part of the current that the map over the drum's angle gives, or None.
         notch_N: What the rig's notches took off the tension of its gauge, or None.
+        eyelet_N: Friction of the eyelet that the rig took off the tension of its gauge, or None.
+        current_limit_A: Greatest current of the drive that the anti-windup knew, zero for that of
+            the rig, or None.
     """
 
     trial_id: str
@@ -128,6 +134,8 @@ class TrialRecord:
     inertia_A: FloatArray | None = None
     angle_map_A: FloatArray | None = None
     notch_N: FloatArray | None = None
+    eyelet_N: FloatArray | None = None
+    current_limit_A: FloatArray | None = None
 
     @property
     def optional_columns(self) -> dict[str, FloatArray]:

@@ -22,6 +22,8 @@ AMPLITUDE_SHARE = 0.3
 WIDE_SHARE = 0.8
 """Width of a triangle that is to turn the drum, relative to the range of the tension: the tenth
 left at each end is for the error."""
+WIDE = frozenset(("angle_map", "current_limit"))
+"""Compensations that a triangle so wide is needed for."""
 CYCLES = 3
 """Cycles of the triangle; the first one, which begins from rest, does not count."""
 REVERSAL_SETTLINGS = 1.2
@@ -54,7 +56,8 @@ def tracking_profile(
         step: The rig's step.
         settling_time_s: Desired settling time, s.
         limits: Limits of the tension, within which the triangle is as wide as they allow; it then
-            turns the drum as far as the tension can, which waves over its angle ask for.
+            turns the drum as far as the tension can, which waves over its angle ask for, and asks
+            for as much current as the rig may.
     """
     middle, amplitude = step.preload_N + 0.5 * step.step_N, AMPLITUDE_SHARE * step.step_N
     if limits is not None:

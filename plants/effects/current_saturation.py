@@ -7,7 +7,7 @@ import casadi as ca
 from plants.effects.effect import Effect, Port, Response, Signal, Site, Values
 from plants.effects.parameter import Role, parameter
 from plants.effects.plant_scale import PlantScale
-from plants.effects.remedy import Remedy, limit
+from plants.effects.remedy import Remedy, in_loop, limit
 
 TINY = 1e-12
 
@@ -49,13 +49,16 @@ class CurrentSaturation(Effect):
         )
 
     @classmethod
-    def remedies(cls, p: Values, _plant: PlantScale) -> tuple[Remedy, ...]:
+    def remedies(cls, p: Values, plant: PlantScale) -> tuple[Remedy, ...]:
         """What can be done about it."""
+        harm = "told too low, it withholds tension: ask for 97 % of it at most"
+        # The command from which on it gives no more: told the limit alone, it would keep the
+        # bend's last part back.
+        table = "current_limit", {"limit_A": (1.0 + p.bend) * p.limit_A}
+        title = "tell the anti-windup the current that the drive really gives"
         return (
-            limit(
-                f"set limits.current_max_A to {p.limit_A:.3g} by hand: the controller then "
-                "does not wind up; ask for 97 % of it at most"
-            ),
+            in_loop(plant, title, "limit_A", table, harm),
+            limit("beyond it no gains reach a tension"),
         )
 
     @staticmethod

@@ -8,7 +8,7 @@ import casadi as ca
 from plants.effects.effect import Effect, Port, Response, Signal, Site, Values
 from plants.effects.parameter import parameter
 from plants.effects.plant_scale import PlantScale, share
-from plants.effects.remedy import Remedy, limit, workshop
+from plants.effects.remedy import Remedy, in_loop, known_motion, workshop
 
 TINY = 1e-9
 """Keeps lengths and tensions that are divided by above zero."""
@@ -105,11 +105,18 @@ class EyeletFriction(Effect):
         )
 
     @classmethod
-    def remedies(cls, _p: Values, _plant: PlantScale) -> tuple[Remedy, ...]:
+    def remedies(cls, p: Values, plant: PlantScale) -> tuple[Remedy, ...]:
         """What can be done about it."""
+        # From one end to the other z turns over the length that gives 2 c ln(1/B) of the tension:
+        # by 63 % over half of it.
+        stiffness = plant.stiffness_N_m * plant.radius_m
+        turned = -math.log(p.attenuation) * p.inner_share * plant.tension_N / stiffness
+        table = {"attenuation": p.attenuation, "memory_rad": turned} | known_motion(plant)
+        title = "take the eyelet's friction off the gauge along the known motion"
+        harm = "a loop whose noise moves the drum wears the friction off: it then does harm"
         return (
+            in_loop(plant, title, "attenuation", ("eyelet", table), harm),
             workshop("put a pulley in the place of the eyelet"),
-            limit("the gauge reads the tension behind the eyelet: no gains see the one outside"),
         )
 
     @staticmethod

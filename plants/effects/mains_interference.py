@@ -8,7 +8,7 @@ import casadi as ca
 from plants.effects.effect import Effect, Port, Response, Signal, Site, Values
 from plants.effects.parameter import parameter, phase
 from plants.effects.plant_scale import PlantScale
-from plants.effects.remedy import Remedy, notch, workshop
+from plants.effects.remedy import NOTCH_HARM, Remedy, in_loop, workshop
 
 WIDTH_Hz = 3.0
 """Width of the notch against it: with the line off by 1 Hz it still does nearly all, and the mains
@@ -49,13 +49,9 @@ class MainsInterference(Effect):
     def remedies(cls, p: Values, plant: PlantScale) -> tuple[Remedy, ...]:
         """What can be done about it."""
         shield = workshop("shield the gauge's cable, ground it at one end", "amplitude_N", 1.0)
-        if not plant.has_cable:
-            return (shield,)
         table = {"frequency_Hz": p.frequency_Hz, "width_Hz": WIDTH_Hz}
-        return (
-            notch("put a notch at the line in the measurement", "hum", "amplitude_N", table),
-            shield,
-        )
+        title = "put a notch at the line in the measurement"
+        return (in_loop(plant, title, "amplitude_N", ("hum", table), NOTCH_HARM), shield)
 
     @staticmethod
     def prepare(p: Values, reel: Values) -> dict[str, Signal]:

@@ -63,6 +63,28 @@ class Remedy:
         return self.work or WORK[self.place]
 
 
+def in_loop(
+    plant: PlantScale,
+    title: str,
+    sized_by: str,
+    table: tuple[str, Mapping[str, Any]],
+    harm: str,
+) -> Remedy:
+    """A term beside the controller; by hand on a machine that is no reel.
+
+    Args:
+        plant: Words and sizes of the plant.
+        title: What to do.
+        sized_by: The parameter that sizes it.
+        table: Its table in `[compensation]`, name and keys.
+        harm: What it may harm.
+    """
+    if not plant.has_cable:
+        return Remedy(Place.LOOP, title, sized_by=sized_by, work=BY_HAND)
+    name, keys = table
+    return Remedy(Place.LOOP, title, harm, sized_by, tables={name: dict(keys)})
+
+
 def friction_feed_forward(
     plant: PlantScale, sized_by: str, friction: Mapping[str, float]
 ) -> tuple[Remedy, ...]:
@@ -73,24 +95,20 @@ def friction_feed_forward(
         sized_by: The parameter that sizes it.
         friction: Keys of `[compensation.friction]` that the effect gives.
     """
-    if not plant.has_cable:
-        title = "feed the friction forward along the motion that is commanded"
-        return (Remedy(Place.LOOP, title, sized_by=sized_by, work=BY_HAND),)
-    per_rad = plant.stiffness_N_m * plant.radius_m
     table = {"coulomb_Nm": 0.0, "static_Nm": 0.0, "stribeck_rad_s": 1.0} | dict(friction)
-    table["fraction"] = SAFE_FRACTION
-    if math.isfinite(per_rad):
-        table["tension_per_rad_N"] = per_rad
-    return (
-        Remedy(
-            Place.LOOP,
-            "feed the friction forward along the known motion",
-            harm="nothing at rest up to 1.2 of it; at 1.5 of the true friction tracking is as bad "
-            "as without",
-            sized_by=sized_by,
-            tables={"friction": table},
-        ),
+    title = "feed the friction forward along the known motion"
+    harm = (
+        "nothing at rest up to 1.2 of it; at 1.5 of the true friction tracking is as bad as "
+        "without"
     )
+    return (in_loop(plant, title, sized_by, ("friction", table | known_motion(plant)), harm),)
+
+
+def known_motion(plant: PlantScale) -> dict[str, float]:
+    """Keys of every table of a friction along the known motion."""
+    per_rad = plant.stiffness_N_m * plant.radius_m
+    known = {"tension_per_rad_N": per_rad} if math.isfinite(per_rad) else {}
+    return {"fraction": SAFE_FRACTION} | known
 
 
 def angle_map(
@@ -103,36 +121,21 @@ def angle_map(
         sized_by: The parameter that sizes it.
         waves: Of each wave `orders`, `phase_rad`, and `torque_Nm` or `load_share`.
     """
-    if not plant.has_cable:
-        title = "feed a map over the angle forward"
-        return (Remedy(Place.LOOP, title, sized_by=sized_by, work=BY_HAND),)
     table: dict[str, Any] = {key: [wave[key] for wave in waves] for key in waves[0]}
     # The effort acts for one sample after the dead time: in its middle on the average.
     table["lead_s"] = plant.dead_time_s + 0.5 / plant.sampling_Hz
-    return (
-        Remedy(
-            Place.LOOP,
-            "feed a map over the drum's angle forward",
-            harm="a zero of the encoder that moves by a sixth of a period makes it worse than "
-            "without: the encoder must be absolute or indexed; zero_rad is what it reads where "
-            "the cable is just taut; it gains most where the far end moves, which no trial shows",
-            sized_by=sized_by,
-            tables={"angle_map": table | {"zero": "absolute", "fraction": SAFE_FRACTION}},
-        ),
+    table |= {"zero": "absolute", "fraction": SAFE_FRACTION}
+    harm = (
+        "a zero of the encoder that moves by a sixth of a period makes it worse than without: the "
+        "encoder must be absolute or indexed; zero_rad is what it reads where the cable is just "
+        "taut; it gains most where the far end moves, which no trial shows"
     )
+    title = "feed a map over the drum's angle forward"
+    return (in_loop(plant, title, sized_by, ("angle_map", table), harm),)
 
 
-def notch(title: str, name: str, sized_by: str, table: Mapping[str, float]) -> Remedy:
-    """A notch in the measurement.
-
-    Args:
-        title: What to do.
-        name: Its table in `[compensation]`, `hum` or `mode`.
-        sized_by: The parameter that sizes it.
-        table: Keys of the table.
-    """
-    harm = "its lag below the notch costs phase margin: keep the gains' limits, or tune anew"
-    return Remedy(Place.LOOP, title, harm, sized_by, tables={name: dict(table)})
+NOTCH_HARM = "its lag below the notch costs phase margin: keep the gains' limits, or tune anew"
+"""What a notch in the measurement may harm."""
 
 
 def recalibrate(title: str, sized_by: str) -> Remedy:

@@ -9,7 +9,7 @@ from plants.effects.effect import Effect, Port, Response, Signal, Site, Values
 from plants.effects.oscillator import stepping
 from plants.effects.parameter import RecordScale, parameter
 from plants.effects.plant_scale import PlantScale, digits, share
-from plants.effects.remedy import Remedy, limit, notch, workshop
+from plants.effects.remedy import NOTCH_HARM, Remedy, in_loop, limit, workshop
 
 WIDTH, DEPTH = 0.5, 0.3
 """Width of the notch against it relative to its frequency, and its depth: shallow and wide, as the
@@ -79,7 +79,7 @@ class StructuralMode(Effect):
             "depth": DEPTH,
         }
         return (
-            *((notch(title, "mode", "share", table),) if plant.has_cable else ()),
+            in_loop(plant, title, "share", ("mode", table), NOTCH_HARM),
             workshop("stiffen or damp the frame", "share", 1.0),
             limit("the tuner respects the mode already"),
         )

@@ -30,6 +30,8 @@ def behaviour(
 ) -> FloatArray:
     """`MEASURES` of a plant's loop; the cost counts the whole current.
 
+    Rest is judged by the gauge, as hunting shows there; the others by the tension outside.
+
     Args:
         plant: A plant model.
         gains: The controller's gains.
@@ -46,16 +48,16 @@ def behaviour(
     resting = resting_profile(step, settling_time_s)
     triangle = tracking_profile(step, settling_time_s, limits)
     rate = plant.controller.sampling_Hz
-    tension, current = _run(plant, gains, resting, remedy, seed=0)
+    tension, current, outside = _run(plant, gains, resting, remedy, seed=0)
     _, wanted, *_ = drive_of(resting, rate)
     used = step.samples(rate)
     if tension.size < wanted.size:
         return np.full(len(MEASURES), np.nan)
     cost = default_cost(settling_time_s).evaluate(
-        rate, step.shape(rate), wanted[:used], tension[:used], current[:used]
+        rate, step.shape(rate), wanted[:used], outside[:used], current[:used]
     )
-    followed, _ = _run(plant, gains, triangle, remedy, seed=1)
-    followed = followed if truth is None else truth(followed)
+    read, _, outside = _run(plant, gains, triangle, remedy, seed=1)
+    followed = outside if truth is None else truth(read)
     _, asked, *_ = drive_of(triangle, rate)
     error = asked[: followed.size] - followed
     tracked = tracking_of(triangle, settling_time_s, rate, error)
@@ -64,9 +66,10 @@ def behaviour(
 
 def _run(
     plant: Any, gains: Gains, profile: AnyProfile, remedy: TrialCompensation | None, seed: int
-) -> tuple[FloatArray, FloatArray]:
-    """Tension at the gauge, and the effort of the motor, of one trial, N."""
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Tension at the gauge, effort of the motor, and tension outside of an eyelet, N."""
     drive = drive_of(profile, plant.controller.sampling_Hz)._replace(compensation=remedy)
     noise = plant.noise_rms_N * np.random.default_rng(seed).standard_normal(drive.time_s.size)
     done = simulate_drive(plant, gains, drive, noise, divergence_limit_N(profile))
-    return done.tension_N, done.effort_N
+    outside = done.tension_N if done.reference_N is None else done.reference_N
+    return done.tension_N, done.effort_N, outside

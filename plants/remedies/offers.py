@@ -17,6 +17,7 @@ import numpy as np
 from estune.core.gains import Gains
 from estune.core.quantities import FloatArray
 from estune.errors import EstuneError, InvalidInput
+from estune.trial.tracking import WIDE
 from plants.effects import Effect, Port, Site
 from plants.effects.parameter import Role
 from plants.effects.plant_scale import PlantScale
@@ -29,7 +30,7 @@ DRAWS = 16
 """Machines drawn from the intervals: their 2.5 and 97.5 % points are then the outermost two."""
 WORTH = 0.02
 """Least predicted gain of tracking, reversal or cost that is worth the work."""
-WIDE = 0.3
+TOO_WIDE = 0.3
 """Half an interval relative to the value above which a number is too uncertain to be fed forward:
 at 1.3 of the friction and 0.8 of it fed forward, a tenth too much is fed at the other end."""
 REVERSAL_MARGIN = 0.1
@@ -142,9 +143,11 @@ def _remedies(found: Found, model: Any) -> tuple[Remedy, ...]:
 def _offer(diagnosis: Any, found: Found, remedy: Remedy, gains: Gains | None) -> Offer:
     """One row, predicted where it can be."""
     row = Offer(found.name, remedy.place, remedy.title, remedy.effort, remedy.harm)
-    bounds = found.parameters.get(remedy.sized_by)
+    bounds: Any = found.parameters.get(remedy.sized_by)
     if bounds is None:
         return row
+    if type(found.effect).parameters()[remedy.sized_by].neutral == 1.0:  # a ratio
+        bounds = PredictedRatio(1.0 - bounds.value, 1.0 - bounds.high, 1.0 - bounds.low)
     refused = _too_wide(found, remedy, bounds)
     if refused and remedy.place is Place.LOOP:
         return replace(row, refused=refused)
@@ -176,11 +179,11 @@ def _too_wide(found: Found, remedy: Remedy, bounds: FittedNumber) -> str:
     half = 0.5 * (bounds.high - bounds.low)
     if not (math.isfinite(half) and bounds.value != 0.0):
         return f"{remedy.sized_by} has no interval; {_experiment(found)}"
-    if half <= WIDE * abs(bounds.value):
+    if half <= TOO_WIDE * abs(bounds.value):
         return ""
     return (
         f"{remedy.sized_by} is known to {100.0 * half / abs(bounds.value):.0f} %, more than "
-        f"{100.0 * WIDE:.0f} %; {_experiment(found)}"
+        f"{100.0 * TOO_WIDE:.0f} %; {_experiment(found)}"
     )
 
 
@@ -255,7 +258,7 @@ def _ratios(
     left_effect = replace(true, **{remedy.sized_by: left}) if beside is None else true
     # Waves over the angle are judged where the drum turns as far as the tension can turn it.
     waves = any(p.role is Role.PERIODS for p in true.parameters().values())
-    wide = about.limits if waves or "angle_map" in remedy.tables else None
+    wide = about.limits if waves or WIDE & set(remedy.tables) else None
     after = behaviour(
         mended, gains, settling, beside, truth=truth_behind(left_effect), limits=wide
     )

@@ -67,6 +67,7 @@ def trial_compensation(
     plan = table.plan(
         *(settings.sampling_Hz, ENCODER_COUNTS, scale.radius_m, scale.length_m),
         settings.output_max_N,
+        newtons_per_ampere=scale.newtons_per_ampere,
     )
     return TrialCompensation(plan)
 

@@ -17,7 +17,7 @@
 #include <stdlib.h>
 #include <string.h>
 
-enum { VELOCITY, GRAVITY, FRICTION, INERTIA, MAP, NOTCH, TERMS };
+enum { VELOCITY, GRAVITY, FRICTION, INERTIA, MAP, NOTCH, EYELET, LIMIT, TERMS };
 typedef void (*compensate_function)(void *state, double time, double tension, double angle,
                                     double setpoint, double far_end, double *terms);
 
@@ -32,7 +32,7 @@ static long one_trial(long samples, long delay, double bound, double preload, do
                       double period, double *terms) {
   /* CasADi may write outputs before it has read all inputs: they must not share memory. */
   double constants[CONSTANTS], state[STATES], moved[STATES], pidf[PIDF_STATES];
-  double following[PIDF_STATES], drive, excess, forward, off;
+  double following[PIDF_STATES], drive, excess, forward, off, limit;
   long i, k, n, sensed, now = delay + 1, before = 0, after = 1;
   {
     const double *arg[2];
@@ -44,13 +44,13 @@ static long one_trial(long samples, long delay, double bound, double preload, do
   for (n = 0; n < delay + 2; n++) ring[n] = drive;
   for (k = 0; k < samples; k++) {
     {
-      const double *arg[11];
+      const double *arg[12];
       double *res[8];
       arg[0] = constants; arg[1] = state; arg[2] = ring + before;
       arg[3] = noise ? noise + k : 0;  /* CasADi reads a null pointer as zero */
       arg[4] = coefficients; arg[5] = pidf; arg[6] = setpoint + k; arg[7] = &open;
       arg[8] = load ? load + k : 0;
-      arg[9] = arg[10] = 0;
+      arg[9] = arg[10] = arg[11] = 0;
       res[0] = moved; res[1] = tension + k; res[2] = angle + k;
       res[3] = following; res[4] = effort + k; res[5] = ring + now; res[6] = &excess;
       res[7] = reference ? reference + k : 0;  /* a null pointer: not written */
@@ -60,12 +60,13 @@ static long one_trial(long samples, long delay, double bound, double preload, do
         if (!COMPENSATED || sensed) break;
         compensate(compensation, k * period, tension[k], angle[k],
                    open ? NAN : pidf[FILTERED_SETPOINT], 0.0, terms);
-        if (open) terms[GRAVITY] = terms[NOTCH] = 0.0;
+        if (open) memset(terms + GRAVITY, 0, (TERMS - GRAVITY) * sizeof *terms);
         forward = terms[FRICTION] + terms[INERTIA] + terms[MAP];
-        off = terms[GRAVITY] + terms[NOTCH];
+        off = terms[GRAVITY] + terms[NOTCH] + terms[EYELET];
+        limit = terms[LIMIT];
         terms += TERMS;
         if (k == 0) pidf[INTEGRAL] -= forward;
-        arg[9] = &forward; arg[10] = &off;
+        arg[9] = &forward; arg[10] = &off; arg[11] = &limit;
       }
     }
     /* This form also ends the trial on NaN. */

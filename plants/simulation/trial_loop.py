@@ -12,7 +12,7 @@ import numpy as np
 from estune.core import pidf
 from estune.core.quantities import FloatArray
 from estune.errors import PlantError
-from estune.hardware.compensation.plan import CompensationTerms, KnownMotion
+from estune.hardware.compensation.plan import NO_COMPENSATION, CompensationTerms, KnownMotion
 from estune.hardware.compensation.runtime import Compensation
 from estune.support import c_compiler
 from estune.trial import SATURATED
@@ -68,9 +68,9 @@ class Functions(NamedTuple):
 
     prepare: Any  # (parameters, preload) -> (constants, state, controller state, drive at rest)
     # (constants, state, present drive, noise, coefficients, controller state, setpoint, 1 in open
-    # loop else 0, load, effort fed forward, taken off the measurement) -> (state, measurement,
-    # angle, controller state, effort, drive, excess, tension outside: empty where the plant has no
-    # gauge there).
+    # loop else 0, load, effort fed forward, taken off the measurement, the drive's limit or 0) ->
+    # (state, measurement, angle, controller state, effort, drive, excess, tension outside: empty
+    # where the plant has no gauge there).
     sense: Any
     substep: Any  # (constants, state, drive before, drive after, n) -> state
     move: Any  # (constants, state, drive before, drive after) -> state one sample later
@@ -102,14 +102,15 @@ def loop_functions(plant: Equations, *, compensated: bool = True) -> Functions:
     coefficients = ca.SX.sym("coefficients", COEFFICIENTS)
     memory, setpoint = ca.SX.sym("memory", PIDF_STATES), ca.SX.sym("setpoint")
     is_open, load = ca.SX.sym("is_open"), ca.SX.sym("load")
-    beside = [ca.SX.sym(name) for name in ("forward", "off")]
-    forward, off = beside if compensated else (ca.SX(0), ca.SX(0))
+    beside = [ca.SX.sym(name) for name in ("forward", "off", "limit")]
+    forward, off, limit = beside if compensated else [ca.SX(0)] * 3
     observed, measurement, angle = plant.observe(c, x, in_force, noise)
     controller = pidf.Coefficients(*ca.vertsplit(coefficients))
-    own = controller._replace(
-        output_min_N=controller.output_min_N - forward,
-        output_max_N=controller.output_max_N - forward,
-    )
+    low, high = controller.output_min_N, controller.output_max_N
+    if compensated:
+        most = ca.if_else(limit > 0, limit, ca.fmax(-low, high))
+        low, high = ca.fmax(low, -most), ca.fmin(high, most)
+    own = controller._replace(output_min_N=low - forward, output_max_N=high - forward)
     following, effort, excess = pidf.step(
         own, pidf.PidfState(*ca.vertsplit(memory)), setpoint, measurement - off
     )
@@ -261,7 +262,7 @@ class VirtualMachine(Buffers):
     def __init__(self, functions: Functions) -> None:
         prepare, sense, _, move, _ = functions
         scalars = ["preload", "setpoint", "is_open", "load", "noise", "before", "after"]
-        scalars += ["y", "angle", "effort", "drive", "excess", "forward", "off"]
+        scalars += ["y", "angle", "effort", "drive", "excess", "forward", "off", "limit"]
         room = dict.fromkeys(scalars, 1)
         room |= {
             "reference": sense.numel_out(7),
@@ -274,7 +275,8 @@ class VirtualMachine(Buffers):
         self.prepare = self.bind(prepare, "parameters preload", "constants state pidf drive")
         self.sense = self.bind(
             sense,
-            "constants state before noise coefficients pidf setpoint is_open load forward off",
+            "constants state before noise coefficients pidf setpoint is_open load "
+            "forward off limit",
             "driven y angle following effort drive excess reference",
         )
         self.move = self.bind(move, "constants driven before after", "state")
@@ -304,7 +306,7 @@ class VirtualMachine(Buffers):
             zip(batch.setpoint_N.tolist(), noise_N.tolist(), strict=True)
         ):
             m["load"][0] = 0.0 if batch.load_N is None else batch.load_N[k]
-            m["forward"][0] = m["off"][0] = 0.0
+            m["forward"][0] = m["off"][0] = m["limit"][0] = 0.0
             m["setpoint"][0], m["noise"][0], m["before"][0] = setpoint, noise, ring[k % size]
             self.sense()
             y = m["y"][0]
@@ -331,8 +333,9 @@ class VirtualMachine(Buffers):
         time_s = k * batch.compensation.plan.period_s
         terms = beside.sample(time_s, m["y"][0], m["angle"][0], known)
         if batch.open_loop:
-            terms = terms._replace(gravity_N=0.0, notch_N=0.0)
+            terms = NO_COMPENSATION._replace(velocity_rad_s=terms.velocity_rad_s)
         m["forward"][0], m["off"][0] = terms.feed_forward_N, terms.off_gauge_N
+        m["limit"][0] = terms.limit_N
         if k == 0:
             m["pidf"][INTEGRAL] -= terms.feed_forward_N
         self.sense()

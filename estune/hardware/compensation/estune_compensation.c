@@ -1,12 +1,13 @@
 /* Compensations beside the PIDF controller: friction (10) as feed-forward along the known motion,
- * velocity and acceleration by adaptive windows, inertia as feed-forward, a map over the drum's
- * angle, the cable's weight (9), notches in the measurement, and the current's calibration C1.
+ * that of the eyelet likewise, velocity and acceleration by adaptive windows, inertia as
+ * feed-forward, a map over the drum's angle, the cable's weight (9), notches in the measurement, the
+ * drive's current limit for the anti-windup, and the current's calibration C1.
  *
  *     static estune_compensation reel;                    all zero at the start
  *     estune_compensation_sample(&reel, time_s, gauge_N, angle_rad, estune_pidf_setpoint(&pidf),
  *                                far_end_m_s);
- *     effort = estune_pidf_step_beside(&pidf, estune_compensation_forward(&reel), setpoint,
- *                                      gauge_N - estune_compensation_off(&reel), &excess);
+ *     effort = estune_pidf_step_beside(&pidf, estune_compensation_forward(&reel), reel.limit,
+ *                                      setpoint, gauge_N - estune_compensation_off(&reel), &excess);
  *     counts = estune_current_counts(effort / ESTUNE_NEWTONS_PER_AMPERE);
  *
  * The setpoint is the filtered one of the last step, N, and NAN where the loop was open; the far
@@ -29,10 +30,11 @@ typedef struct {
   double middles[ESTUNE_HISTORY], velocities[ESTUNE_HISTORY], bounds[ESTUNE_HISTORY];
   double velocity, velocity_bound, acceleration; /* of the drum, rad/s and rad/s2 */
   double gravity, friction, inertia, map, notch; /* N */
+  double eyelet, limit;                          /* N; a limit of zero is none */
   double far_end, far_acceleration;              /* of the far end, m/s and m/s2 */
   long unchanged, interval;                      /* samples since it changed, and before that */
   int closed;                                    /* whether the next is a setpoint */
-  double setpoint, sliding;                      /* of the last sample; N, direction -1 to 1 */
+  double setpoint, sliding, passing;             /* of the last sample; N, directions -1 to 1 */
   int filtering;                                 /* whether the notches have begun */
   double in[ESTUNE_NOTCHES][2], out[ESTUNE_NOTCHES][2]; /* of the notches, newest first; N */
 } estune_compensation;
@@ -108,22 +110,36 @@ static double estune_gravity(double tension, double angle) {
   return -(fmin(fmax(vertical, -tension), tension) / tension) * weight;
 }
 
-/* Along the known motion: that of the filtered setpoint and of the far end. */
-static double estune_friction(estune_compensation *c, double setpoint, double far_end) {
+/* The known motion of a sample, that of the filtered setpoint and of the far end, rad; NAN where the
+ * loop was open. */
+static double estune_known_move(estune_compensation *c, double setpoint, double far_end) {
   double moved = (setpoint - c->setpoint) / ESTUNE_TENSION_PER_RAD -
                  far_end * ESTUNE_PERIOD / ESTUNE_DRUM_RADIUS;
-  double ratio = moved / ESTUNE_PERIOD / ESTUNE_STRIBECK, size, sign;
   int known = c->closed && isfinite(moved);
   c->closed = isfinite(setpoint);
   c->setpoint = setpoint;
-  if (!known) return c->sliding = 0.0;
-  if (moved != 0.0) {
-    sign = moved > 0.0 ? 1.0 : -1.0;
-    c->sliding = sign + (c->sliding - sign) * exp(-fabs(moved) / ESTUNE_MEMORY);
-  }
+  return known ? moved : NAN;
+}
+
+/* Direction of sliding, -1 to 1, after a motion; zero after one that is not known. */
+static double estune_slid(double direction, double moved, double memory) {
+  double sign = moved > 0.0 ? 1.0 : -1.0;
+  if (isnan(moved)) return 0.0;
+  return moved == 0.0 ? direction : sign + (direction - sign) * exp(-fabs(moved) / memory);
+}
+
+static double estune_friction(estune_compensation *c, double setpoint, double moved) {
+  double ratio = moved / ESTUNE_PERIOD / ESTUNE_STRIBECK, size;
+  c->sliding = estune_slid(c->sliding, moved, ESTUNE_MEMORY);
   size = ESTUNE_COULOMB + (ESTUNE_STATIC - ESTUNE_COULOMB) * exp(-(ratio * ratio));
   return ESTUNE_FRACTION * c->sliding *
          (size / ESTUNE_DRUM_RADIUS + ESTUNE_LOAD_SHARE * fmax(setpoint, 0.0));
+}
+
+/* What the gauge reads more than there is outside the eyelet. */
+static double estune_eyelet(estune_compensation *c, double setpoint, double moved) {
+  c->passing = estune_slid(c->passing, moved, ESTUNE_EYELET_MEMORY);
+  return fmax(setpoint, 0.0) * expm1(ESTUNE_EYELET_EXPONENT * c->passing);
 }
 
 /* Inertia and viscous friction along the far end's motion. Its acceleration is the change of the
@@ -189,15 +205,18 @@ static double estune_limited(double value) {
 ESTUNE_COMPENSATION_EXPORT void estune_compensation_sample(estune_compensation *c, double time,
                                                            double tension, double angle,
                                                            double setpoint, double far_end) {
+  double moved = estune_known_move(c, setpoint, far_end);
   estune_motion(c, time, angle);
   c->gravity = estune_gravity(tension, angle);
-  c->friction = estune_limited(estune_friction(c, setpoint, far_end));
+  c->friction = estune_limited(estune_friction(c, setpoint, moved));
   c->inertia = estune_limited(ESTUNE_INERTIA * c->acceleration / ESTUNE_DRUM_RADIUS +
                               estune_known_motion(c, isfinite(setpoint) ? far_end : 0.0));
   c->inertia = estune_limited(c->friction + c->inertia) - c->friction;
   c->map = estune_limited(c->friction + c->inertia + estune_angle_map(c, angle, setpoint)) -
            (c->friction + c->inertia);
   c->notch = estune_notch(c, tension);
+  c->eyelet = estune_limited(estune_eyelet(c, setpoint, moved));
+  c->limit = ESTUNE_EFFORT_LIMIT;
 }
 
 /* Effort beside that of the controller, N. */
@@ -207,7 +226,7 @@ ESTUNE_COMPENSATION_EXPORT double estune_compensation_forward(const estune_compe
 
 /* What the controlled tension is less than that at the gauge, N. */
 ESTUNE_COMPENSATION_EXPORT double estune_compensation_off(const estune_compensation *c) {
-  return c->gravity + c->notch;
+  return c->gravity + c->notch + c->eyelet;
 }
 
 /* Command of the current controller, counts, by Newton's method on its calibrated curve C1. */

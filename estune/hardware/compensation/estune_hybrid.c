@@ -4,11 +4,12 @@
  *     estune_hybrid_init(&reel);
  *     in_tension = estune_hybrid_select(&reel, tension, solved);
  *     setpoint = estune_hybrid_setpoint(distributed, solved);
- *     effort = estune_hybrid_step(&reel, forward, position_setpoint, position, setpoint, tension,
- *                                 in_tension);
+ *     effort = estune_hybrid_step(&reel, forward, limit, position_setpoint, position, setpoint,
+ *                                 tension, in_tension);
  *
  * Positions are metres of cable wound in, solved is 1 where the tension distribution has a
- * solution, forward is what is fed forward, N. Include it after estune_pidf.c.
+ * solution, forward is what is fed forward, limit the greatest effort that the drive gives, N, or
+ * zero. Include it after estune_pidf.c.
  */
 #ifndef ESTUNE_HYBRID_EXPORT
 #define ESTUNE_HYBRID_EXPORT static inline
@@ -41,7 +42,7 @@ ESTUNE_HYBRID_EXPORT double estune_hybrid_setpoint(double distributed, int solve
 
 /* One sample: the controller that is not selected tracks the effort of the other. */
 ESTUNE_HYBRID_EXPORT double estune_hybrid_step(estune_hybrid *hybrid, double forward,
-                                               double position_setpoint, double position,
+                                               double limit, double position_setpoint, double position,
                                                double tension_setpoint, double tension,
                                                int in_tension) {
   int was = hybrid->in_tension;
@@ -50,9 +51,9 @@ ESTUNE_HYBRID_EXPORT double estune_hybrid_step(estune_hybrid *hybrid, double for
   double r = was ? tension_setpoint : position_setpoint, y = was ? tension : position;
   double others_r = was ? position_setpoint : tension_setpoint;
   double others_y = was ? position : tension, effort, following;
-  effort = estune_pidf_step_beside(active, forward, r, y, 0);
+  effort = estune_pidf_step_beside(active, forward, limit, r, y, 0);
   estune_pidf_take_over(other, others_r, others_y, effort - forward);
-  following = estune_pidf_step_beside(other, forward, others_r, others_y, 0);
+  following = estune_pidf_step_beside(other, forward, limit, others_r, others_y, 0);
   hybrid->in_tension = in_tension;
   return in_tension == was ? effort : following;
 }

@@ -35,6 +35,10 @@ class CompensationTerms(NamedTuple):
         inertia_N: Feed-forward of the inertia, added to the effort.
         angle_map_N: Feed-forward of the map over the drum's angle, added to the effort.
         notch_N: What the notches take off the tension at the gauge.
+        eyelet_N: What the gauge reads more than there is outside the eyelet, along the known
+            motion.
+        limit_N: Greatest size of the whole effort that the drive gives, for the anti-windup;
+            zero where it is that of the rig.
     """
 
     velocity_rad_s: float
@@ -43,6 +47,8 @@ class CompensationTerms(NamedTuple):
     inertia_N: float
     angle_map_N: float
     notch_N: float
+    eyelet_N: float
+    limit_N: float
 
     @property
     def feed_forward_N(self) -> float:
@@ -52,7 +58,7 @@ class CompensationTerms(NamedTuple):
     @property
     def off_gauge_N(self) -> float:
         """What the controlled tension is less than that at the gauge, N."""
-        return self.gravity_N + self.notch_N
+        return self.gravity_N + self.notch_N + self.eyelet_N
 
     def columns(self, amperes_per_newton: float) -> dict[str, Any]:
         """The terms, numbers or arrays of them, as the columns of a record."""
@@ -63,10 +69,12 @@ class CompensationTerms(NamedTuple):
             "inertia_A": self.inertia_N * amperes_per_newton,
             "angle_map_A": self.angle_map_N * amperes_per_newton,
             "notch_N": self.notch_N,
+            "eyelet_N": self.eyelet_N,
+            "current_limit_A": self.limit_N * amperes_per_newton,
         }
 
 
-NO_COMPENSATION = CompensationTerms(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+NO_COMPENSATION = CompensationTerms(*[0.0] * 8)
 
 
 class Wave(NamedTuple):
@@ -137,6 +145,18 @@ class Notch(NamedTuple):
         return cls(b_0, b_1, b_2, float(a[1]), float(a[2]))
 
 
+class Eyelet(NamedTuple):
+    """Friction of the cable at the eyelet, `T exp(exponent z)` at the gauge, T outside.
+
+    Attributes:
+        exponent: Logarithm of the tension inside over that outside while winding in.
+        memory_rad: Motion over which the direction z of sliding turns by 63 %, rad.
+    """
+
+    exponent: float
+    memory_rad: float
+
+
 @dataclass(frozen=True, slots=True)
 class Gravity:
     """Weight of the deployed cable.
@@ -176,6 +196,8 @@ class CompensationPlan:
         gravity: The cable's weight; None where it is off.
         angle_map: Effort over the drum's angle; None where it is off.
         notches: Notches in the measurement.
+        eyelet: Friction at the eyelet along the known motion; None where it is off.
+        effort_limit_N: Greatest effort that the drive gives, N; zero where it is the rig's.
         drum_radius_m: Radius of the cable on the drum, m.
         feed_forward_max_N: Greatest size of all that is fed forward, N.
         columns: Names of the columns that a record has of them.
@@ -191,6 +213,8 @@ class CompensationPlan:
     gravity: Gravity | None
     angle_map: AngleMap | None
     notches: tuple[Notch, ...]
+    eyelet: Eyelet | None
+    effort_limit_N: float
     drum_radius_m: float
     feed_forward_max_N: float
     columns: tuple[str, ...]

@@ -13,6 +13,7 @@ from estune.hardware.compensation.plan import (
     KnownMotion,
 )
 from estune.reel import velocity
+from estune.reel.friction import slid
 from estune.reel.gravity import gravity_force_by_position_N
 from estune.reel.velocity import MotionState
 from estune.support import c_compiler
@@ -26,7 +27,7 @@ void estune_compensation_terms(estune_compensation *c, double time, double tensi
                                double setpoint, double far_end, double *terms) {
   estune_compensation_sample(c, time, tension, angle, setpoint, far_end);
   terms[0] = c->velocity; terms[1] = c->gravity; terms[2] = c->friction; terms[3] = c->inertia;
-  terms[4] = c->map; terms[5] = c->notch;
+  terms[4] = c->map; terms[5] = c->notch; terms[6] = c->eyelet; terms[7] = c->limit;
 }
 """
 
@@ -60,7 +61,7 @@ class PlainCompensation:
     def __init__(self, plan: CompensationPlan) -> None:
         self._plan = plan
         self._state = MotionState()
-        self._setpoint_N, self._direction = math.nan, 0.0
+        self._setpoint_N, self._direction, self._passing = math.nan, 0.0, 0.0
         self._far_end = self._far_acceleration = 0.0
         self._unchanged = self._interval = 0
         self._rung: list[list[float]] = []  # the last two of each notch, in and out
@@ -70,7 +71,8 @@ class PlainCompensation:
     ) -> CompensationTerms:
         """The compensations at a sample; none where it is out of order or not finite."""
         plan = self._plan
-        friction = plan.limited_N(self._friction_N(known))
+        moved = self._known_move_rad(known)
+        friction = plan.limited_N(self._friction_N(known, moved))
         along_N = self._known_motion_N(known)
         velocity_rad_s, acceleration_rad_s2 = self._motion(time_s, angle_rad)
         torque_Nm = plan.inertia_kgm2 * acceleration_rad_s2
@@ -81,7 +83,9 @@ class PlainCompensation:
             mapped = plan.angle_map.force_N(angle_rad, velocity_rad_s, known.setpoint_N)
         mapped = plan.limited_N(forward + mapped) - forward
         gravity, notch = self._gravity_N(gauge_N, angle_rad), self._notch_N(gauge_N)
-        return CompensationTerms(velocity_rad_s, gravity, friction, inertia, mapped, notch)
+        eyelet = plan.limited_N(self._eyelet_N(known, moved))
+        fed = velocity_rad_s, gravity, friction, inertia, mapped
+        return CompensationTerms(*fed, notch, eyelet, plan.effort_limit_N)
 
     def _motion(self, time_s: float, angle_rad: float) -> tuple[float, float]:
         """Velocity and acceleration of the drum; begins anew where a sample is out of order."""
@@ -108,22 +112,32 @@ class PlainCompensation:
         inertial_N = plan.known_inertia_kgm2 * self._far_acceleration
         return -(inertial_N + plan.known_viscous_Nms_rad * far_end) / plan.drum_radius_m**2
 
-    def _friction_N(self, known: KnownMotion) -> float:
-        """Friction along the known motion; begins anew where the loop was open."""
+    def _known_move_rad(self, known: KnownMotion) -> float:
+        """The known motion of a sample; see the C text."""
         plan, before = self._plan, self._setpoint_N
         self._setpoint_N = known.setpoint_N
-        if plan.friction is None:
-            return 0.0
         wound_m = -known.far_end_m_s * plan.period_s
         moved = (known.setpoint_N - before) / plan.tension_per_rad_N + wound_m / plan.drum_radius_m
-        if not math.isfinite(moved):
-            self._direction = 0.0
+        return moved if math.isfinite(moved) else math.nan
+
+    def _friction_N(self, known: KnownMotion, moved_rad: float) -> float:
+        """Friction along the known motion; begins anew where the loop was open."""
+        plan = self._plan
+        if plan.friction is None:
             return 0.0
-        self._direction = plan.friction.direction(self._direction, moved)
-        velocity = moved / plan.period_s
+        self._direction = slid(self._direction, moved_rad, plan.friction.memory_rad)
+        velocity = moved_rad / plan.period_s
         return plan.friction.force_N(
             self._direction, velocity, known.setpoint_N, plan.drum_radius_m
         )
+
+    def _eyelet_N(self, known: KnownMotion, moved_rad: float) -> float:
+        """What the gauge reads more than there is outside the eyelet; see the C text."""
+        eyelet = self._plan.eyelet
+        if eyelet is None:
+            return 0.0
+        self._passing = slid(self._passing, moved_rad, eyelet.memory_rad)
+        return max(0.0, known.setpoint_N) * math.expm1(eyelet.exponent * self._passing)
 
     def _notch_N(self, gauge_N: float) -> float:
         """What the notches take off the gauge; see the C text."""

@@ -4,7 +4,7 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 from estune.core.gains import Gains
-from estune.hardware.compensation.plan import CompensationPlan, Notch, Wave
+from estune.hardware.compensation.plan import CompensationPlan, Eyelet, Notch, Wave
 from estune.hardware.scales import CurrentScale
 from estune.reel.hybrid import SwitchingRules
 
@@ -27,6 +27,7 @@ def compensation_source(
     dry = friction.friction if friction else None
     mapped = plan.angle_map
     notches = plan.notches or (_NO_NOTCH,)
+    eyelet = plan.eyelet or Eyelet(0.0, 1.0)
     numbers: dict[str, float | int | str] = {
         "HISTORY": max(windows.velocity_intervals, windows.acceleration_intervals) + 1,
         "VELOCITY_INTERVALS": windows.velocity_intervals,
@@ -57,6 +58,9 @@ def compensation_source(
         "MAP_LEAD": mapped.lead_s if mapped else 0.0,
         "NOTCHES": len(notches),
         "NOTCH_COEFFICIENTS": _rows(notches),
+        "EYELET_EXPONENT": eyelet.exponent,
+        "EYELET_MEMORY": eyelet.memory_rad,
+        "EFFORT_LIMIT": plan.effort_limit_N,
         "NEWTONS_PER_AMPERE": newtons_per_ampere,
         "CURRENT_CURVE": ", ".join(map(repr, current.coefficients)),
         "CURRENT_MIDDLE": current.middle,

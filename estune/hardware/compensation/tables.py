@@ -9,7 +9,14 @@ from typing import Annotated, Literal, Self
 from pydantic import Field, model_validator
 
 from estune.errors import InvalidInput
-from estune.hardware.compensation.plan import AngleMap, CompensationPlan, Gravity, Notch, Wave
+from estune.hardware.compensation.plan import (
+    AngleMap,
+    CompensationPlan,
+    Eyelet,
+    Gravity,
+    Notch,
+    Wave,
+)
 from estune.hardware.tables import FileOrNumbers, NotNegative, Positive
 from estune.reel.friction import FRACTION_MAX, FrictionFeedForward, StribeckFriction
 from estune.reel.velocity import Windows
@@ -68,6 +75,29 @@ class FrictionTable(FileOrNumbers):
             return StribeckFriction(**{name: float(value) for name, value in stored.items()})
         except (OSError, ValueError, TypeError, AttributeError) as error:
             raise InvalidInput(f"friction {self.file}: {error}") from error
+
+
+class EyeletTable(TomlTable):
+    """Friction where the cable passes the eyelet, along the known motion; a share is taken off.
+
+    `attenuation` is the tension outside over that inside while winding in.
+    """
+
+    attenuation: Annotated[float, Field(gt=0.0, lt=1.0)]
+    memory_rad: Positive
+    tension_per_rad_N: Positive
+    fraction: Annotated[float, Field(ge=0.0, le=FRACTION_MAX)] = 0.8
+
+    @property
+    def eyelet(self) -> Eyelet:
+        """The share of it."""
+        return Eyelet(-self.fraction * math.log(self.attenuation), self.memory_rad)
+
+
+class CurrentLimitTable(TomlTable):
+    """Current that the drive really gives, where it is less than `limits.current_max_A`."""
+
+    limit_A: Positive
 
 
 class InertiaTable(TomlTable):
@@ -165,7 +195,10 @@ def table_of(text: str, source: str) -> "CompensationTable | None":
     return table
 
 
-COMPENSATIONS = "friction", "inertia", "known_motion", "gravity", "angle_map", "hum", "mode"
+COMPENSATIONS = (
+    *("friction", "inertia", "known_motion", "gravity", "angle_map", "hum", "mode"),
+    *("eyelet", "current_limit"),
+)
 """Tables of `[compensation]` that switch something on."""
 
 
@@ -184,6 +217,21 @@ class CompensationTable(TomlTable):
     angle_map: AngleMapTable | None = None
     hum: NotchTable | None = None
     mode: NotchTable | None = None
+    eyelet: EyeletTable | None = None
+    current_limit: CurrentLimitTable | None = None
+
+    @model_validator(mode="after")
+    def _one_stiffness(self) -> Self:
+        if len(self._tensions_per_rad) > 1:
+            raise ValueError(
+                "friction and eyelet have different tension_per_rad_N; give the same one"
+            )
+        return self
+
+    @property
+    def _tensions_per_rad(self) -> set[float]:
+        along = self.friction, self.eyelet
+        return {table.tension_per_rad_N for table in along if table is not None}
 
     @property
     def columns(self) -> tuple[str, ...]:
@@ -197,6 +245,8 @@ class CompensationTable(TomlTable):
             "inertia_A": self.inertia or self.known_motion,
             "angle_map_A": self.angle_map,
             "notch_N": self.hum or self.mode,
+            "eyelet_N": self.eyelet,
+            "current_limit_A": self.current_limit,
         }
         return tuple(name for name, table in columns.items() if table is not None)
 
@@ -233,6 +283,8 @@ class CompensationTable(TomlTable):
         drum_radius_m: float,
         cable_length_m: float | None,
         effort_max_N: float,
+        *,
+        newtons_per_ampere: float,
     ) -> CompensationPlan:
         """The compensations of a reel.
 
@@ -242,6 +294,7 @@ class CompensationTable(TomlTable):
             drum_radius_m: Radius of the cable on the drum, m.
             cable_length_m: Length at an angle of zero, m; None where it is not known.
             effort_max_N: Greatest effort, N.
+            newtons_per_ampere: Effort per motor current, N/A.
 
         Raises:
             InvalidInput: a table is not complete, or a number is out of its range.
@@ -249,7 +302,8 @@ class CompensationTable(TomlTable):
         if not self.columns:
             raise InvalidInput(
                 "[compensation] switches nothing on; add [compensation.friction], .inertia, "
-                ".known_motion, .gravity, .angle_map, .hum or .mode, or leave it out"
+                ".known_motion, .gravity, .angle_map, .hum, .mode, .eyelet or .current_limit, or "
+                "leave it out"
             )
         windows = Windows(
             self.velocity.error_counts * 2.0 * math.pi / abs(encoder_counts),
@@ -261,13 +315,15 @@ class CompensationTable(TomlTable):
             period_s=1.0 / sampling_Hz,
             windows=windows,
             friction=self._friction(count_rad, drum_radius_m, limit),
-            tension_per_rad_N=self.friction.tension_per_rad_N if self.friction else 1.0,
+            tension_per_rad_N=next(iter(self._tensions_per_rad), 1.0),
             inertia_kgm2=self.inertia.inertia_kgm2 if self.inertia else 0.0,
             known_inertia_kgm2=self.known_motion.inertia_kgm2 if self.known_motion else 0.0,
             known_viscous_Nms_rad=self.known_motion.viscous_Nms_rad if self.known_motion else 0.0,
             gravity=self._gravity(cable_length_m, limit),
             angle_map=self._angle_map(drum_radius_m, limit),
             notches=self._notches(sampling_Hz),
+            eyelet=self.eyelet.eyelet if self.eyelet else None,
+            effort_limit_N=self._effort_limit_N(effort_max_N, newtons_per_ampere),
             drum_radius_m=drum_radius_m,
             feed_forward_max_N=limit,
             columns=self.columns,
@@ -319,6 +375,17 @@ class CompensationTable(TomlTable):
             shape = table.frequency_Hz, table.width_Hz, table.depth
             found.append(Notch.at(*shape, sampling_Hz))
         return tuple(found)
+
+    def _effort_limit_N(self, effort_max_N: float, newtons_per_ampere: float) -> float:
+        if self.current_limit is None:
+            return 0.0
+        limit_A, max_A = self.current_limit.limit_A, effort_max_N / newtons_per_ampere
+        if not limit_A < max_A:
+            raise InvalidInput(
+                f"compensation.current_limit.limit_A {limit_A:g} A is not below the rig's own "
+                f"greatest current, {max_A:.4g} A: leave it out"
+            )
+        return limit_A * newtons_per_ampere
 
     def _gravity(self, cable_length_m: float | None, limit_N: float) -> Gravity | None:
         table = self.gravity

@@ -38,7 +38,6 @@ class ReelControl:
         self._low_N, self._high_N = plan.effort_min_N, plan.effort_max_N
         self._own = plan.compensation, plan.compensation_source
         self._borrowed: tuple[CompensationPlan | None, str] | None = None  # of a trial
-        self._forward_N = 0.0
         self._filtered_N = math.nan
         self._pending = False  # whether the gains or the setpoint were exchanged
         controller.use(plan.live)
@@ -82,8 +81,7 @@ class ReelControl:
         terms = self._compensation.sample(time_s, gauge_N, angle_rad, known)
         if is_open:
             terms = NO_COMPENSATION._replace(velocity_rad_s=terms.velocity_rad_s)
-        self._forward_N = terms.feed_forward_N
-        self._controller.feed_forward(self._forward_N)
+        self._controller.beside(terms.feed_forward_N, terms.limit_N)
         return terms
 
     def note_setpoint(self, *, closed: bool) -> None:
@@ -158,7 +156,7 @@ class ReelControl:
         radius = hybrid.plan.drum_radius_m
         target = angle_rad if math.isnan(setpoint.target_rad) else setpoint.target_rad
         signals = HybridSignals(radius * target, radius * angle_rad, setpoint.tension_N, tension_N)
-        effort = hybrid.step(signals, self._forward_N, in_tension=in_tension)
+        effort = hybrid.step(signals, in_tension=in_tension)
         self.limited = hybrid.limited
         return effort
 

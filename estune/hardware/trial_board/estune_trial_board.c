@@ -32,7 +32,7 @@ enum outcome { NONE, DONE, GUARD, CANCELLED, INTERRUPTED };
 enum reason { NO_REASON, TENSION, TRAVEL, SILENCE, ABORT, ESTOP, NOT_TAUT, NOT_SETTLED, SENSOR };
 
 #ifdef ESTUNE_COMPENSATED
-#define TERMS 6 /* velocity, gravity, friction, inertia, map, notch */
+#define TERMS 8 /* velocity, gravity, friction, inertia, map, notch, eyelet, limit */
 #else
 #define TERMS 0
 #endif
@@ -51,7 +51,7 @@ static struct {
   enum state state;
   unsigned char latched, pending, open_loop, outcome, reason;
   unsigned trial, samples, done, silent, since, settled;
-  double setpoint, target, effort, ramp, origin, forward;
+  double setpoint, target, effort, ramp, origin, forward, limit;
   estune_pidf pidf;
   double live[ESTUNE_COEFFICIENTS], temporary[ESTUNE_COEFFICIENTS];
 } board;
@@ -66,7 +66,7 @@ static estune_compensation compensation;
 
 static void uncompensated(void) {
   compensation.gravity = compensation.friction = compensation.inertia = 0;
-  compensation.map = compensation.notch = 0;
+  compensation.map = compensation.notch = compensation.eyelet = compensation.limit = 0;
 }
 
 /* The tension that is controlled; in an open loop nothing is altered. */
@@ -78,6 +78,7 @@ static double compensate(double gauge, double angle) {
                              closed ? estune_pidf_setpoint(&board.pidf) : NAN, 0);
   if (board.state == TRIAL && board.open_loop) uncompensated();
   board.forward = estune_compensation_forward(&compensation);
+  board.limit = compensation.limit;
   return gauge - estune_compensation_off(&compensation);
 }
 #else
@@ -88,7 +89,8 @@ static double compensate(double gauge, double angle) {
 #endif
 
 static double step(double tension, casadi_real *excess) {
-  return estune_pidf_step_beside(&board.pidf, board.forward, board.setpoint, tension, excess);
+  return estune_pidf_step_beside(&board.pidf, board.forward, board.limit, board.setpoint, tension,
+                                 excess);
 }
 
 static void take_over(double tension) {
@@ -177,6 +179,8 @@ static void trial(double tension, double angle) {
   now->numbers[6] = (estune_stored)compensation.inertia;
   now->numbers[7] = (estune_stored)compensation.map;
   now->numbers[8] = (estune_stored)compensation.notch;
+  now->numbers[9] = (estune_stored)compensation.eyelet;
+  now->numbers[10] = (estune_stored)compensation.limit;
 #endif
   now->flags = excess != 0;
   if (++board.done == board.samples) end_trial(tension, DONE);
