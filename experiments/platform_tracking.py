@@ -19,15 +19,13 @@ from contextlib import ExitStack
 from typing import Any, NamedTuple
 
 import numpy as np
-from matplotlib.figure import Figure
 
 import estune
 from estune.core.quantities import FloatArray
 from estune.reel.hybrid import SwitchingRules
 from estune.remote.zenoh import RemoteRig, SetpointStream, connect
-from estune.support.plot_style import BLUE, GREY, VERMILION, finish, legend, new_figure
 from estune.trial import Setpoint
-from experiments.results import Target, at_least, at_most, command_line, print_results, save_figure
+from experiments.results import Target, at_least, at_most, command_line, print_results
 from plants.bench.cable_platform import PoseController
 from plants.bench.cable_platform.examples import platform, served
 
@@ -131,25 +129,6 @@ def tuned(endpoints: Mapping[str, str], trials: int) -> list[estune.Gains]:
         ]
 
 
-def draw(runs: Mapping[str, Tracking]) -> Figure:
-    """Paths of the platform, and its distance from the circle over time."""
-    figure = new_figure(7.2, 3.4)
-    paths, errors = figure.subplots(1, 2, width_ratios=(1.0, 1.4))
-    for (name, run), color in zip(runs.items(), (VERMILION, BLUE), strict=True):
-        settled = run.after_start()
-        paths.plot(*(1e3 * settled.pose[:, :2]).T, color=color, linewidth=1.0, label=name)
-        distance_mm = 1e3 * np.hypot(*(run.pose - run.wanted)[:, :2].T)
-        errors.plot(run.time_s, distance_mm, color=color, linewidth=1.0, label=name)
-    wanted = next(iter(runs.values())).after_start().wanted
-    paths.plot(*(1e3 * wanted[:, :2]).T, color=GREY, linewidth=0.9)
-    errors.plot([], [], color=GREY, linewidth=0.9, label="wanted")
-    paths.set_aspect("equal")
-    finish(paths, "y (mm)", "x (mm)")
-    finish(errors, "distance from the wanted position (mm)", "time (s)")
-    legend(errors)
-    return figure
-
-
 def targets(figures: Mapping[str, Any], rate_Hz: float) -> dict[str, Target]:
     """The tuned platform follows better, and the link keeps the source's rate."""
     rows = figures["tracking"]
@@ -165,8 +144,8 @@ def targets(figures: Mapping[str, Any], rate_Hz: float) -> dict[str, Target]:
 
 
 def main() -> int:
-    """Prints tracking errors and the link's times, and draws the paths."""
-    parser = command_line(__doc__, quick="4 s along the circle, 6 trials a reel", out="the figure")
+    """Prints tracking errors and the link's times."""
+    parser = command_line(__doc__, quick="4 s along the circle, 6 trials a reel")
     parser.add_argument("--rate", type=float, default=100.0, help="setpoints per second")
     options = parser.parse_args()
     duration_s, trials = (4.0, 6) if options.quick else (12.0, 60)
@@ -193,13 +172,8 @@ def main() -> int:
         "tracking": {name: tracking_row(run) for name, run in runs.items()},
         "link": {name: link_row(run) for name, run in runs.items()},
     }
-    path = save_figure(draw(runs), options.out, "platform_tracking")
-    code = print_results(
-        figures, targets(figures, options.rate), as_json=options.json, tables=True
-    )
-    if not options.json:
-        print(f"figure: {path}")
-    return code
+    reached = targets(figures, options.rate)
+    return print_results(figures, reached, as_json=options.json, tables=True)
 
 
 if __name__ == "__main__":

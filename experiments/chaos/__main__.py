@@ -25,7 +25,6 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from experiments.chaos import __doc__ as about
 from experiments.chaos import deadman, faults, supervised, verdict
 from experiments.chaos.campaign import Campaign, Diary
 from experiments.chaos.stand import Stand
@@ -161,7 +160,7 @@ def measure(
 
 def main() -> int:
     """Runs everything; returns 1 where a target is missed."""
-    parser = command_line(about, quick="six faults of the link, two of the daemon")
+    parser = command_line(__doc__, quick="six faults of the link, two of the daemon")
     parser.add_argument("--faults", type=int, default=500)
     parser.add_argument("--trials", type=int, default=1000)
     parser.add_argument("--seed", type=int, default=1)

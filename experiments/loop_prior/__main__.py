@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from joblib import Parallel, delayed
 
-from estune.tuners.gaussian_process import PIDF_LOOP_PRIOR, CostPrior
+from estune.tuners.gaussian_process import PIDF_LOOP_PRIOR
 from experiments.loop_prior.fitting import fitted, isotropic, likelihood, mean_curvature
 from experiments.loop_prior.loops import RandomLoop, draw
 from experiments.results import at_least, command_line, print_results
@@ -40,7 +40,9 @@ def main() -> int:
     parser = command_line(__doc__, quick=f"{QUICK_LOOPS} loops")
     parser.add_argument("--loops", type=int, default=LOOPS, help="number of loops drawn")
     parser.add_argument("--jobs", type=int, default=1, help="processes")
-    parser.add_argument("--fit", action="store_true", help="fit all numbers; takes minutes")
+    parser.add_argument(
+        "--fit", action="store_true", help="fit all numbers, in minutes; see --json"
+    )
     options = parser.parse_args()
     loops = drawn(QUICK_LOOPS if options.quick else options.loops, options.jobs)
     held = loops[len(loops) // 2 :] if options.fit else loops
@@ -49,31 +51,16 @@ def main() -> int:
         priors["other half"] = fitted(loops[: len(loops) // 2], PIDF_LOOP_PRIOR, STEPS)
     figures: dict[str, Any] = {name: likelihood(prior, held) for name, prior in priors.items()}
     figures["loops"] = len(held)
-    curvature = mean_curvature(loops)
-    figures["mean curvature"] = curvature.tolist()
-    if not options.json:
-        print("log likelihood of a trial's cost under the prior")
-        for name in priors:
-            print(f"  {name:28s} {figures[name]:7.3f}")
-        _show("mean curvature at the optimum, of log P, I, D and the filter", curvature)
-        _show("curvature of the prior", PIDF_LOOP_PRIOR.curvature)
-        if options.fit:
-            _show_all(priors["other half"])
+    figures["curvature"] = {
+        "mean at the optimum, of log P, I, D and the filter": mean_curvature(loops).tolist(),
+        "of the prior": np.asarray(PIDF_LOOP_PRIOR.curvature).tolist(),
+    }
+    if options.fit:
+        fit = priors["other half"]._asdict()
+        figures["fit"] = {name: np.asarray(part).tolist() for name, part in fit.items()}
     gain = figures["safe_bayesian"] - figures["isotropic"]
     reached = {"log likelihood gained over the isotropic prior": at_least(gain, 0.0)}
-    return print_results(figures, reached, as_json=options.json)
-
-
-def _show_all(prior: CostPrior) -> None:
-    for name in ("slope", "quadratic", "inverse_length", "mean_rise"):
-        _show(name, getattr(prior, name))
-    print(f"remainder_sd {prior.remainder_sd:.3f}")
-
-
-def _show(title: str, matrix: Any) -> None:
-    print(title)
-    for row in np.asarray(matrix):
-        print("  " + " ".join(f"{value:8.3f}" for value in row))
+    return print_results(figures, reached, as_json=options.json, tables=True)
 
 
 if __name__ == "__main__":

@@ -24,6 +24,6 @@ one called `step` would bind to the C library's and hang.
 **Tried and lost.** For a trial of 632 samples of the reel with gauge mode, friction and dead time,
 against hand-written C: this loop takes 1.26 times as long, CasADi's own `mapaccum` 2.5 times (it
 copies the constants at every step), its virtual machine 18 times through buffers and 26 times
-through plain calls, python-control 480 times (linear) and 1700 times (nonlinear). `python -m
-experiments.benchmark_trials` measures today's ratios.
+through plain calls. `python -m experiments.benchmark_trials` measures today's ratios of the first
+and the third.
 """
