@@ -22,7 +22,7 @@ from datetime import UTC, datetime
 from logging.handlers import RotatingFileHandler
 from pathlib import Path
 from queue import Empty, SimpleQueue
-from typing import Any, Protocol, Self
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,6 +31,7 @@ from estune.errors import RigError
 from estune.hardware.shared_memory import MotionPhase
 from estune.hardware.tables import BlackBoxTable
 from estune.recordings.black_box_file import ENDING, HEAD_BYTES, ROW, head
+from estune.support.closing import Closing
 from estune.support.whole_file import replace_file
 from estune.trial import GUARD, RigDescription
 
@@ -62,7 +63,7 @@ class MovingRig(Protocol):
         """Rows of `black_box_file.ROW` after a sample, as far as they are still there."""
 
 
-class BlackBox:
+class BlackBox(Closing):
     """The black box of one rig; a context manager.
 
     Attributes:
@@ -97,12 +98,6 @@ class BlackBox:
         self._failed = False
         self._thread = threading.Thread(target=self._keep, name="black box", daemon=True)
         self._thread.start()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
     def hear(self, verb: str, payload: bytes, reply: bytes) -> None:
         """Takes a command and its reply; returns at once."""

@@ -7,7 +7,6 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from datetime import UTC, datetime
-from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,6 +31,7 @@ from estune.hardware.loop_messages import (
 )
 from estune.hardware.process import ANSWER_WITHIN_s, LoopProcess, RunningLoop
 from estune.hardware.shared_memory import MotionPhase, SensorLevels, Timing, Word
+from estune.support.closing import Closing
 from estune.trial import (
     Feedback,
     Outcome,
@@ -51,7 +51,7 @@ JUMP_s = 1.0
 _log = logging.getLogger(__name__)
 
 
-class HardwareRig:
+class HardwareRig(Closing):
     """Runs trials on hardware; implements `estune.trial.Rig`. A context manager.
 
     The loop is a process of its own. The hardware has no power before the first trial; from then
@@ -94,12 +94,6 @@ class HardwareRig:
         self._memory, self.notes = self._loop.memory, self._loop.notes
         for note in self.notes:
             _log.warning("rig %s: %s", self._description.name, note)
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
     def describe(self) -> RigDescription:
         """Description of the rig, with its live gains.

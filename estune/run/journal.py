@@ -15,6 +15,7 @@ from estune.core.gains import Gains
 from estune.errors import JournalError, ProtocolError
 from estune.run.compressed_frame import compress, decompress
 from estune.run.session import Phase
+from estune.support.closing import Closing
 from estune.support.garbage import collection_paused
 from estune.support.sqlite import FileKind, SqliteFile, has_writer
 from estune.trial import Outcome, TrialRecord, TrialRequest, record_frame
@@ -101,7 +102,7 @@ _OUTCOMES: dict[str | None, Outcome | None] = {outcome.value: outcome for outcom
 _OUTCOMES[None] = None
 
 
-class Journal:
+class Journal(Closing):
     """A run on disk, open for reading, or for reading and writing by one process."""
 
     def __init__(self, file: SqliteFile) -> None:
@@ -272,12 +273,6 @@ class Journal:
     def close(self) -> None:
         """Closes the file and releases the lock. The journal is complete at any time before."""
         self._file.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
 
 def being_written(folder: Path) -> bool:

@@ -35,6 +35,7 @@ from typing import IO, Any, NamedTuple, Self
 
 from estune.errors import JournalError
 from estune.support import file_lock
+from estune.support.closing import Closing
 from estune.support.user import user_name
 
 _LARGE_bytes = 64 * 2**20
@@ -63,7 +64,7 @@ class FileKind(NamedTuple):
         return path.with_name(self.lock_name or f"{path.name}.lock")
 
 
-class SqliteFile:
+class SqliteFile(Closing):
     """One open SQLite file.
 
     Attributes:
@@ -194,12 +195,6 @@ class SqliteFile:
         """Closes the file and releases the writer's lock; what was committed stays."""
         with self._lock:
             self._opened.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
     def _version(self) -> int:
         return int(self._connection.execute("PRAGMA user_version").fetchone()[0])

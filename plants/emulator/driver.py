@@ -7,11 +7,12 @@ import subprocess
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Self
+from typing import Any
 
 from estune.errors import RigError
 from estune.hardware.driver import Reading
 from estune.support.child_process import child_process
+from estune.support.closing import Closing
 from plants.emulator import wire
 from plants.emulator.wire import TrueState
 
@@ -19,7 +20,7 @@ _ANSWER_WITHIN_s = 0.05
 _END_WITHIN_s = 2.0
 
 
-class EmulatedDriver:
+class EmulatedDriver(Closing):
     """Drives an emulated reel; implements `estune.hardware.Driver`.
 
     Args:
@@ -99,12 +100,6 @@ class EmulatedDriver:
             self._say(wire.DISABLE)
         self._socket.close()
         self._own.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
     def _say(self, verb: bytes, number: int = 0) -> None:
         self._socket.send(wire.COMMAND.pack(verb, number))

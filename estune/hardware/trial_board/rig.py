@@ -7,7 +7,7 @@ import time
 from collections import deque
 from dataclasses import replace
 from datetime import UTC, datetime
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +21,7 @@ from estune.hardware.config import RigConfig
 from estune.hardware.shared_memory import MotionPhase
 from estune.hardware.trial_board.link import REASONS, BoardLink, BoardStatus
 from estune.recordings.black_box_file import ROW
+from estune.support.closing import Closing
 from estune.trial import GUARD, SATURATED, Outcome, RigDescription, TrialRecord, TrialRequest
 from estune.trial.executed_trials import ExecutedTrials, stopped_trial
 from estune.trial.records import COLUMNS, record_of
@@ -45,7 +46,7 @@ _OUTCOMES = {
 _log = logging.getLogger(__name__)
 
 
-class BoardRig:
+class BoardRig(Closing):
     """Runs trials on a board; implements `estune.trial.Rig`. A context manager.
 
     Args:
@@ -81,12 +82,6 @@ class BoardRig:
             raise
         self._beating = threading.Thread(target=self._beat, name="sign of life", daemon=True)
         self._beating.start()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
     def describe(self) -> RigDescription:
         """Description of the rig, with its live gains.

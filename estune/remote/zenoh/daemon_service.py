@@ -5,7 +5,7 @@ import secrets
 import time
 from collections.abc import Callable, Iterator, Mapping
 from functools import partial
-from typing import Literal, Protocol, Self, TypeVar
+from typing import Literal, Protocol, TypeVar
 
 import zenoh
 
@@ -33,7 +33,7 @@ from estune.remote.zenoh.endpoints import check_endpoint
 from estune.remote.zenoh.listening_session import ListeningSession
 from estune.remote.zenoh.zenoh_session import (
     AGAIN_S,
-    close_session,
+    ClosingSession,
     open_client,
 )
 
@@ -150,7 +150,7 @@ def _encoded(key: str, answer: _Answer, payload: bytes) -> bytes:
     return encode(CommandAnswer(done=False, sentence=sentence))
 
 
-class DaemonClient:
+class DaemonClient(ClosingSession):
     """Queries and commands a daemon. A context manager.
 
     Every method raises `RigError` if no daemon answers for the rig.
@@ -216,16 +216,6 @@ class DaemonClient:
         if not answer.done:
             raise InvalidInput(f"rig {rig}: {answer.sentence}")
         return answer.sentence
-
-    def close(self) -> None:
-        """Disconnects."""
-        close_session(self._session)
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
     def _about(
         self,

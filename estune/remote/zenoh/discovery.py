@@ -4,7 +4,6 @@ import math
 import os
 import time
 from operator import attrgetter
-from typing import Self
 
 import zenoh
 
@@ -17,7 +16,7 @@ from estune.remote.zenoh.endpoints import check_endpoint
 from estune.remote.zenoh.network import Network
 from estune.remote.zenoh.remote_rig import RemoteRig
 from estune.remote.zenoh.rig_connection import RigConnection, present_at
-from estune.remote.zenoh.zenoh_session import AGAIN_S, close_session
+from estune.remote.zenoh.zenoh_session import AGAIN_S, ClosingSession
 from estune.support.user import user_at_host
 
 
@@ -89,7 +88,7 @@ def discover_rigs(
         return there.rigs()
 
 
-class EndpointPresences:
+class EndpointPresences(ClosingSession):
     """The rigs and daemons at an endpoint, as they come and go. A context manager."""
 
     def __init__(
@@ -106,16 +105,6 @@ class EndpointPresences:
     def supervised(self) -> tuple[str, ...]:
         """The rigs that daemons there supervise now, by name."""
         return supervised_at(self._session)
-
-    def close(self) -> None:
-        """Disconnects."""
-        close_session(self._session)
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
 
 def _find(session: zenoh.Session, endpoint: str, rig: str | None, deadline_s: float) -> Presence:

@@ -1,17 +1,16 @@
 """Messages put under the keys of other programs; nothing is received."""
 
 import time
-from typing import Self
 
 import zenoh
 
 from estune.remote.security import OPEN
-from estune.remote.zenoh.zenoh_session import COMMANDS_MAX_BYTES, close_session, open_client
+from estune.remote.zenoh.zenoh_session import COMMANDS_MAX_BYTES, ClosingSession, open_client
 
 _OPENED_WITHIN_S = 3.0
 
 
-class PutSession:
+class PutSession(ClosingSession):
     """A client of a router, for puts and liveliness tokens alone. A context manager.
 
     Args:
@@ -48,13 +47,3 @@ class PutSession:
             attachment=attachment,
             congestion_control=zenoh.CongestionControl.BLOCK,
         )
-
-    def close(self) -> None:
-        """Closes the session, and with it the tokens."""
-        close_session(self._session)
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()

@@ -8,7 +8,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import replace
 from datetime import UTC, datetime
 from functools import partial
-from typing import Any, Self
+from typing import Any
 
 import zenoh
 
@@ -33,6 +33,7 @@ from estune.remote.zenoh.network import Network
 from estune.remote.zenoh.rig_connection import RigConnection
 from estune.remote.zenoh.trial_exchange import TrialExchange
 from estune.remote.zenoh.zenoh_session import AGAIN_S, close_session
+from estune.support.closing import Closing
 from estune.trial import (
     Feedback,
     Outcome,
@@ -48,7 +49,7 @@ _SAMPLES_WAITING_MAX = 64
 _STOPPED_WITHIN_S = 0.3
 
 
-class RemoteRig:
+class RemoteRig(Closing):
     """A rig in another process: the `Rig` protocol over Zenoh. Made by `connect`.
 
     The first command acquires the lease, which a thread renews until `release` or `close`; status
@@ -267,12 +268,6 @@ class RemoteRig:
     def close(self) -> None:
         """Disconnects; further calls are refused. The active trial is stopped by it."""
         self._finish()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
     def _void_unanswered(self, unknown: str) -> None:
         """Voids a trial whose submit was left unanswered: it must not start any more."""

@@ -8,7 +8,6 @@ import threading
 from collections.abc import Callable, Iterable
 from functools import partial
 from pathlib import Path
-from typing import Self
 
 from estune.errors import EstuneError, InvalidInput
 from estune.remote import messages
@@ -18,6 +17,7 @@ from estune.remote.security import OPEN, Security
 from estune.remote.zenoh.listening_session import ListeningSession, Reply
 from estune.remote.zenoh.message_dispatcher import CommandListener
 from estune.remote.zenoh.request_handler import RequestHandler
+from estune.support.closing import Closing
 from estune.trial import Rig
 
 SHOW_S = 0.05
@@ -85,7 +85,7 @@ def serve(
     return RigServer(rig, keys, book, session, part_bytes=part_bytes, heard=heard)
 
 
-class RigServer:
+class RigServer(Closing):
     """A rig being served. A context manager; made by `serve`.
 
     Attributes:
@@ -151,12 +151,6 @@ class RigServer:
         self._session.close()
         self._ledger.close()
         self._closed.set()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
     def _declare(self, handler: RequestHandler) -> None:
         # A client that is slow to receive a large record delays no command, a trial or a slow

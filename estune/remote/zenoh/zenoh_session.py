@@ -16,6 +16,7 @@ import zenoh
 from estune.errors import RigError
 from estune.remote.security import OPEN, Security
 from estune.remote.zenoh.endpoints import connection_fault
+from estune.support.closing import Closing
 
 LEASE_MS = 2000
 """Time after which a frozen process, whose connections are still open, counts as gone, ms."""
@@ -135,6 +136,16 @@ def close_session(session: zenoh.Session) -> None:
         _close(session)
     else:
         closing.join(_CLOSE_WITHIN_S)
+
+
+class ClosingSession(Closing):
+    """What talks by a session of its own, and ends with it."""
+
+    _session: zenoh.Session
+
+    def close(self) -> None:
+        """Disconnects."""
+        close_session(self._session)
 
 
 def _close(session: zenoh.Session) -> None:
