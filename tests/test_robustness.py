@@ -162,7 +162,7 @@ def test_plant_that_changes_between_trials_is_not_claimed():
         def run(self, request):
             return self._rigs[request.number % 2].run(request)
 
-    result = tune(Changing(), trials=8)
+    result = tune(Changing(), trials=3)
     assert result.claim.margins is None
     assert any(word in result.heading() for word in ("leaves", "foretold", "NOT ROBUST", "NO SIG"))
 

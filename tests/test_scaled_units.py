@@ -12,8 +12,8 @@ from estune.core.cost import MOVE_WEIGHT
 from estune.core.gains import Gains
 from estune.trial.profiles import StepProfile
 
-UNITS = [(50.0, 0.02), (0.02, 50.0), (1.0, 50.0)]
-"""Scales of measurement and effort."""
+UNITS = [(50.0, 0.05), (0.02, 20.0)]
+"""Scales of measurement and effort; neither their ratio nor their product is one."""
 
 START = Gains(0.5, 4.0, 0.005, 0.05)
 LAG = control.tf([1.0], [0.02, 0.3, 1.0])

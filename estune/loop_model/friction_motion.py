@@ -123,17 +123,25 @@ def friction_force(
         rest: Position before the first sample, N, shape (masses, records).
     """
     unit = a.sum(axis=1)[:, np.newaxis]
-    first, second = -(1.0 + a[:, 1:2]), -a[:, 2:3]
-    limit = unit * most[:, np.newaxis]
-    columns = np.multiply.outer(effort.T, unit[:, 0]).transpose(0, 2, 1)
+    # All of one shape and without new arrays, a sample takes a third of the time.
+    like = np.ones(rest.shape)
+    first, second = -(1.0 + a[:, 1:2]) * like, -a[:, 2:3] * like
+    most = unit * most[:, np.newaxis] * like
+    least = -most
+    pushed = np.ascontiguousarray(np.multiply.outer(effort.T, unit[:, 0]).transpose(0, 2, 1))
     taken = np.empty((effort.shape[1], *rest.shape))
-    now = before = rest
+    now, other, step = rest.copy(), rest.copy(), np.empty(rest.shape)  # other is the one before
     with np.errstate(over="ignore", invalid="ignore"):
-        for k, push in enumerate(columns):
-            step = first * now + second * before + push
-            off = np.minimum(np.maximum(step, -limit), limit)
-            taken[k] = off
-            before, now = now, now + step - off
+        for push, off in zip(pushed, taken, strict=True):
+            np.multiply(first, now, out=step)
+            np.multiply(second, other, out=other)
+            np.add(step, other, out=step)
+            np.add(step, push, out=step)
+            np.maximum(step, least, out=off)
+            np.minimum(off, most, out=off)
+            np.add(now, step, out=other)
+            np.subtract(other, off, out=other)
+            now, other = other, now
         taken /= unit
     taken = np.nan_to_num(taken, nan=DIVERGED_N, posinf=DIVERGED_N, neginf=-DIVERGED_N)
     return taken.transpose(1, 2, 0)
