@@ -6,6 +6,7 @@ import subprocess
 import sys
 import time
 from contextlib import suppress
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -25,11 +26,10 @@ DESIGN = """
 lengths_m = [0.5, 0.8, 1.1, 1.4]
 rigs = ["tests.test_sweep_durability:LoggedReel"]
 tuners = ["least_squares_gradient"]
-seeds = 6
+seeds = 4
 trials = 40
 repeats = 2
 """
-
 
 LOG = "ESTUNE_TEST_SWEEP_LOG"
 
@@ -73,13 +73,33 @@ def all_end(processes: list[Path], within_s: float = 30.0) -> bool:
     return not any(process.exists() for process in processes)
 
 
+def designed(folder: Path, seeds: int) -> Path:
+    """The file of a sweep of four cells for each seed."""
+    file = folder / "sweep.toml"
+    file.write_text(DESIGN.replace("seeds = 4", f"seeds = {seeds}"))
+    return file
+
+
+@pytest.fixture(scope="module")
+def undisturbed(tmp_path_factory):
+    """Outcomes of a sweep of so many seeds that nothing disturbs."""
+
+    @cache
+    def outcomes(seeds):
+        folder = tmp_path_factory.mktemp("undisturbed")
+        return run_sweep(folder / "whole", designed(folder, seeds)).outcomes
+
+    return outcomes
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("kills", "seeds"), [(2, 6), pytest.param(20, 40, marks=pytest.mark.nightly)]
+    ("kills", "seeds"), [(2, 4), pytest.param(20, 40, marks=pytest.mark.nightly)]
 )
-def test_killed_sweep_loses_and_repeats_no_finished_cell(tmp_path, monkeypatch, kills, seeds):
-    design, folder, log = tmp_path / "sweep.toml", tmp_path / "killed", tmp_path / "log"
-    design.write_text(DESIGN.replace("seeds = 6", f"seeds = {seeds}"))
+def test_killed_sweep_loses_and_repeats_no_finished_cell(
+    tmp_path, monkeypatch, undisturbed, kills, seeds
+):
+    design, folder, log = designed(tmp_path, seeds), tmp_path / "killed", tmp_path / "log"
     monkeypatch.setenv(LOG, str(log))
     cells = expand_cells(read_design(design))
     by_seed = {str(cell.noise_seed): cell.key for cell in cells}
@@ -109,14 +129,12 @@ def test_killed_sweep_loses_and_repeats_no_finished_cell(tmp_path, monkeypatch, 
     assert before.items() <= finish_times(folder).items()
     assert finish_times(folder).keys() == {cell.key for cell in cells}
     assert not {by_seed.get(seed) for seed in log.read_text().split()} & before.keys()
-    whole = run_sweep(tmp_path / "whole", design)
-    assert all(map(alike, result.outcomes, whole.outcomes))
+    assert all(map(alike, result.outcomes, undisturbed(seeds)))
 
 
 @pytest.mark.slow
-def test_cluster_gives_equal_outcomes_and_its_loss_keeps_finished_cells(tmp_path):
-    design = tmp_path / "sweep.toml"
-    design.write_text(DESIGN)
+def test_cluster_gives_equal_outcomes_and_its_loss_keeps_finished_cells(tmp_path, undisturbed):
+    design = designed(tmp_path, 4)
     outcomes: list[CellOutcome] = []
     with cluster(workers=2) as dask:
 
@@ -132,15 +150,13 @@ def test_cluster_gives_equal_outcomes_and_its_loss_keeps_finished_cells(tmp_path
     assert set(done) == set(finish_times(tmp_path / "cluster"))
     assert len(done) >= 3
     result = run_sweep(tmp_path / "cluster", design)
-    whole = run_sweep(tmp_path / "whole", design)
-    assert all(map(alike, result.outcomes, whole.outcomes))
-    assert all(alike(done[o.cell.key], o) for o in whole.outcomes if o.cell.key in done)
+    assert all(map(alike, result.outcomes, undisturbed(4)))
+    assert all(alike(done[o.cell.key], o) for o in undisturbed(4) if o.cell.key in done)
 
 
 @pytest.mark.slow
-def test_cluster_finishes_all_cells_though_a_worker_is_killed(tmp_path):
-    design = tmp_path / "sweep.toml"
-    design.write_text(DESIGN)
+def test_cluster_finishes_all_cells_though_a_worker_is_killed(tmp_path, undisturbed):
+    design = designed(tmp_path, 4)
     outcomes: list[CellOutcome] = []
     with cluster(workers=2) as dask:
 
@@ -151,9 +167,8 @@ def test_cluster_finishes_all_cells_though_a_worker_is_killed(tmp_path):
                 dask.workers[0].wait()
 
         result = run_sweep(tmp_path / "cluster", design, dask=dask.address, watch=kill_one)
-    assert len(outcomes) == len(result.outcomes) == 24
-    whole = run_sweep(tmp_path / "whole", design)
-    assert all(map(alike, result.outcomes, whole.outcomes))
+    assert len(outcomes) == len(result.outcomes) == 16
+    assert all(map(alike, result.outcomes, undisturbed(4)))
 
 
 def test_sweep_without_a_dask_scheduler_is_refused(tmp_path, monkeypatch):
