@@ -41,22 +41,32 @@ SAMPLED = {
 
 NIGHTLY = {
     "benchmark_trials",
+    "compensation",
     "diagnosis_constants",
     "diagnosis_scale",
+    "equal_transparency",
     "faulty_rigs",
     "hidden_effects",
     "hidden_remedies",
     "improvement",
+    "independent_drives",
     "jitter",
     "live_page",
+    "look_alikes",
+    "loop_claims",
+    "margin_watch",
     "paper",
     "platform_tracking",
+    "remedies",
     "sample_efficiency",
     "scale",
+    "service_records",
     "sweep_law",
     "tls_flood",
+    "transfer",
 }
-"""Experiments of a minute, or whose targets are times; their subjects have tests of their own."""
+"""Experiments of ten seconds of a core, or whose targets are times; their subjects have tests of
+their own."""
 
 
 FORM = re.compile(
