@@ -5,6 +5,7 @@ from contextlib import contextmanager
 from urllib.parse import urlsplit
 
 import pytest
+from axe_playwright_python.sync_playwright import Axe
 from playwright.sync_api import Page, expect, sync_playwright
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("chrome")
@@ -48,3 +49,18 @@ def opened(chromium, address: str, **options):
         assert {urlsplit(url).netloc for url in asked if not url.startswith("data:")} <= {own}
     finally:
         page.close()
+
+
+def serious(page: Page) -> list[str]:
+    """Names of the serious faults of accessibility."""
+    found = Axe().run(page).response["violations"]
+    return [v["id"] for v in found if v["impact"] in ("serious", "critical")]
+
+
+def check_forms(page: Page) -> None:
+    """No serious fault of accessibility, and nothing wider than the window, in either form."""
+    for width, scheme in ((1280, "light"), (400, "dark")):
+        page.set_viewport_size({"width": width, "height": 900})
+        page.emulate_media(color_scheme=scheme)
+        assert serious(page) == [], scheme
+        assert page.evaluate("document.documentElement.scrollWidth <= innerWidth"), width

@@ -7,12 +7,11 @@ import sys
 from pathlib import Path
 
 import pytest
-from axe_playwright_python.sync_playwright import Axe
 from cyclopts import CycloptsError
 
 from estune.cli import run
 from estune.support.documentation import documentation_folder, documentation_pages, write_html
-from tests.support_browser import needs_browser, opened
+from tests.support_browser import needs_browser, opened, serious
 from tests.support_snippets import check_commands
 
 ROOT = Path(__file__).parents[1]
@@ -79,8 +78,7 @@ def test_formulas_are_drawn_without_a_script(form, request, chromium):
 @pytest.mark.parametrize("name", ["index", "explanation/mathematics", "how-to/own-rig"])
 def test_installed_pages_have_no_serious_fault_of_accessibility(name, installed, chromium):
     with opened(chromium, (installed / f"{name}.html").as_uri(), **NARROW_DARK) as page:
-        faults = Axe().run(page).response["violations"]
-        assert [f["id"] for f in faults if f["impact"] in ("serious", "critical")] == []
+        assert serious(page) == []
 
 
 def test_links_of_installed_pages_lead_to_pages_and_headings(installed):

@@ -6,7 +6,6 @@ from urllib.parse import quote
 
 import pandas as pd
 import pytest
-from axe_playwright_python.sync_playwright import Axe
 from playwright.sync_api import expect
 
 import plants
@@ -18,7 +17,7 @@ from plants.explain_page import workbook as module
 from plants.explain_page.server import ExplainPage
 from plants.explain_page.workbook import Workbook, form
 from plants.models.model_tables import KINDS
-from tests.support_browser import browser, needs_browser, opened
+from tests.support_browser import browser, needs_browser, opened, serious
 
 SEARCH_MS = 400_000.0
 """Time within which a search must end; far more than it takes on a busy machine."""
@@ -46,11 +45,6 @@ def page(tmp_path):
     made = ExplainPage(Workbook(tmp_path / "work"))
     yield made
     made.close()
-
-
-def serious(shown) -> list[str]:
-    found = Axe().run(shown).response["violations"]
-    return [v["id"] for v in found if v["impact"] in ("serious", "critical")]
 
 
 @needs_browser

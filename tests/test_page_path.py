@@ -4,7 +4,6 @@ import json
 from functools import partial
 
 import pytest
-from axe_playwright_python.sync_playwright import Axe
 from playwright.sync_api import expect
 
 from estune.errors import InvalidInput, RigError
@@ -13,14 +12,9 @@ from estune.support.user import user_at_host
 from estune.web.server import PageServer
 from estune.web.views import rig_view
 from tests.serve_rig import served
-from tests.support_browser import needs_browser, opened
+from tests.support_browser import check_forms, needs_browser, opened
 
 pytestmark = needs_browser
-
-FORMS = {
-    "wide and light": {"viewport": {"width": 1280, "height": 900}, "color_scheme": "light"},
-    "narrow and dark": {"viewport": {"width": 400, "height": 800}, "color_scheme": "dark"},
-}
 
 
 @pytest.fixture
@@ -35,18 +29,10 @@ def emulated(tmp_path):
             server.close()
 
 
-def is_right(page) -> None:
-    """No serious fault of accessibility, and nothing wider than the window."""
-    found = Axe().run(page).response["violations"]
-    assert [v["id"] for v in found if v["impact"] in ("serious", "critical")] == []
-    assert page.evaluate("document.documentElement.scrollWidth <= innerWidth")
-
-
-@pytest.mark.parametrize("form", FORMS)
-def test_by_keyboard_alone_a_rig_is_tuned_dragged_tried_and_applied(chromium, emulated, form):
+def test_by_keyboard_alone_a_rig_is_tuned_dragged_tried_and_applied(chromium, emulated):
     rig, server, folder = emulated
     with (
-        opened(chromium, server.address, **FORMS[form]) as page,
+        opened(chromium, server.address) as page,
         zenoh.connect(rig.endpoint) as there,
     ):
         before = there.describe().gains
@@ -60,7 +46,7 @@ def test_by_keyboard_alone_a_rig_is_tuned_dragged_tried_and_applied(chromium, em
         shown = page.locator("#tuner output[for=tune-P]").inner_text()
         slider.press("ArrowLeft")
         expect(page.locator("#tuner output[for=tune-P]")).not_to_have_text(shown)
-        is_right(page)
+        check_forms(page)
         page.get_by_role("button", name="Try these gains once").press("Enter")
         expect(page.locator("#answer")).to_contain_text("the rig has its live gains again")
         assert there.describe().gains == before
@@ -101,7 +87,7 @@ def test_rig_killed_during_a_tuning_is_shown_as_gone_and_refuses_by_a_sentence(c
         rig.process.kill()
         expect(page.locator("#state")).to_have_text("no link to the rig")
         expect(page.locator("#age")).to_contain_text("old")
-        is_right(page)
+        check_forms(page)
 
 
 NEW_GAINS = {"P": 0.5, "I": 14.0, "D": 0.011, "setpoint_filter_s": 0.02}

@@ -5,7 +5,6 @@ import json
 import shutil
 
 import pytest
-from axe_playwright_python.sync_playwright import Axe
 from playwright.sync_api import expect
 
 from estune import tune
@@ -24,7 +23,7 @@ from estune.run.labels import (
 from estune.web.listed_run import ListedRun
 from estune.web.server import PageServer
 from estune.web.views import folder_views
-from tests.support_browser import browser, needs_browser, opened
+from tests.support_browser import needs_browser, opened, serious
 from tests.support_runs import ArithmeticRig
 
 NAMES = ("first", "second", "third")
@@ -40,11 +39,11 @@ def runs(tmp_path):
 
 
 @needs_browser
-def test_runs_are_laid_over_each_other_labelled_and_deleted_by_keyboard(runs):
+def test_runs_are_laid_over_each_other_labelled_and_deleted_by_keyboard(chromium, runs):
     (runs / "first" / NUMBERS).write_text('{"rise_time_s": 0.0303, "overshoot": 0.05, "Ms": 1.6}')
     server = PageServer(folder_views(runs), may_command=True)
     try:
-        with browser() as chromium, opened(chromium, server.address) as page:
+        with opened(chromium, server.address) as page:
             row = page.locator("#views tbody tr", has_text="first")
             expect(row).to_contain_text("30.3 ms")
             expect(row).to_contain_text("5.0 %")
@@ -77,11 +76,6 @@ def test_runs_are_laid_over_each_other_labelled_and_deleted_by_keyboard(runs):
     actions = [json.loads(text) for text in (runs / "actions.jsonl").read_text().splitlines()]
     assert [one["action"] for one in actions] == ["label", "delete"]
     assert all(one["who"].endswith("on the live page") for one in actions)
-
-
-def serious(page) -> list[str]:
-    found = Axe().run(page).response["violations"]
-    return [v["id"] for v in found if v["impact"] in ("serious", "critical")]
 
 
 def test_labels_and_deletion_are_refused_without_the_key_and_without_the_name(runs):
@@ -171,12 +165,14 @@ def test_page_that_has_the_list_is_not_sent_it_again(runs, monkeypatch):
 
 
 @needs_browser
-def test_many_runs_are_drawn_in_part_until_all_are_asked_for_and_filtered_as_a_whole(runs):
+def test_many_runs_are_drawn_in_part_until_all_are_asked_for_and_filtered_as_a_whole(
+    chromium, runs
+):
     for n in range(110):
         shutil.copytree(runs / "first", runs / f"copy {n}")
     server = PageServer(folder_views(runs))
     try:
-        with browser() as chromium, opened(chromium, server.address) as page:
+        with opened(chromium, server.address) as page:
             rows = page.locator("#views tbody tr")
             expect(rows).to_have_count(100)
             page.get_by_role("searchbox").fill("copy 10")
