@@ -11,7 +11,7 @@ from estune.core.cost import StepCost
 from estune.core.gains import Gains
 from estune.core.margins import loop_margins, sample_plant
 from estune.loop_model.claim import claim
-from estune.loop_model.fitting import fit_loop
+from estune.loop_model.fitting import fit_loop, fit_with_excitations
 from estune.loop_model.intervals import predict_with_intervals
 from estune.loop_model.model import LoopModel, close_loop, robustness
 from estune.loop_model.optimum import RegionSearch, RobustnessLimits
@@ -194,6 +194,33 @@ def test_claim_needs_trials_near_the_gains():
     far = claim(fit, records, trial_of(plant), Gains(4.0, 60.0, 0.1, 0.002))
     assert far.margins is None
     assert "trials near these gains" in far.reason
+
+
+def test_hum_that_stands_at_rest_is_no_mode_of_the_loop():
+    plant, time_s = linear(), np.arange(STEP.samples(SAMPLING_HZ)) / SAMPLING_HZ
+    fits = []
+    for size_N in (0.0, 0.02):
+        hum = size_N * np.sin(2.0 * math.pi * 50.3 * time_s + 1.0)
+        noise = NoiseSource(5).draw(0, time_s.size, NOISE_N) + hum
+        index = STEP.step_index(SAMPLING_HZ)
+        r = plants.simulate(plant, GAINS, noise_N=noise)
+        record = LoopRecord.of_step(r.effort_N, r.tension_N, STEP.step_N, index, GAINS)
+        fits.append(fit_loop([record], SAMPLING_HZ, COST.settling_time_s))
+    still, humming = (robustness(fit.model, GAINS, plant.controller).sensitivity for fit in fits)
+    assert [fit.order for fit in fits] == [2, 2]
+    assert humming == pytest.approx(still, rel=0.02)
+    assert fits[1].noise_N == pytest.approx(NOISE_N, rel=0.1)
+
+
+@pytest.mark.parametrize(("gain", "kept"), [(1.0, 1), (0.8, 0)])
+def test_excitation_that_spoils_the_fit_of_the_steps_is_left_out(gain, kept):
+    """A plant that follows an excitation less than a step, as one does beyond its rate limit."""
+    steps = [record_of(linear(), g, n) for n, g in enumerate(around(GAINS, 2))]
+    excitation = record_of(linear(system=gain * SYSTEM), GAINS, 9)
+    fit, fitted = fit_with_excitations(steps, [excitation], SAMPLING_HZ, COST.settling_time_s)
+    assert len(fitted) == kept
+    assert len(fit.misfits) == 2 + kept
+    assert fit.is_white
 
 
 def test_friction_is_identified_from_one_record():

@@ -183,6 +183,7 @@ def test_headline_says_that_the_bounds_ended_the_search():
     start = Gains(gains.P / 50, gains.I / 50, gains.D / 50, gains.setpoint_filter_s)
     result = tune(plants.reference_reel(0.8), start=start)
     assert "the search ended at its bounds of P and I" in result.heading()
+    assert re.search(r"improvement is at most \S+ within the bounds", result.message)
 
 
 def test_integrator_has_no_period_to_be_told():

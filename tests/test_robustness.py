@@ -79,7 +79,7 @@ def test_response_that_ends_farther_from_its_setpoint_than_before_is_not_robust(
     assert with_any_gains or result.ending is RunEnding.NOT_ROBUST
 
 
-@pytest.mark.parametrize(("swing_N", "says"), [(0.0, ""), (1.0, "not settled")])
+@pytest.mark.parametrize(("swing_N", "says"), [(0.0, ""), (0.25, "not settled")])
 def test_response_settles_about_the_value_it_ends_at(swing_N, says):
     """2 % off, as with the initial gains, in noise of 1 %: no sample of it decides."""
     result = tune(plants.reference_reel())
@@ -164,7 +164,8 @@ def test_plant_that_changes_between_trials_is_not_claimed():
 
     result = tune(Changing(), trials=3)
     assert result.claim.margins is None
-    assert any(word in result.heading() for word in ("leaves", "foretold", "NOT ROBUST", "NO SIG"))
+    said = ("no margins are claimed: ", "NOT ROBUST", "NO SIG")
+    assert any(words in result.heading() for words in said)
 
 
 def test_unstable_plant_is_tuned_without_a_claim():

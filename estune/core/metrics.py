@@ -92,7 +92,7 @@ def step_metrics(
     if not ((time[1:] > time[:-1]).all() and math.isfinite(step_time_s)):
         return NO_METRICS
     first = int(time.searchsorted(step_time_s))
-    t, tail = time[first:], values[-_steady_samples(len(values) - first) :]
+    t, tail = time[first:], values[-steady_samples(len(values) - first) :]
     with np.errstate(over="ignore", invalid="ignore"):  # of a diverged response
         shares = (values - initial) / span
         before, z = shares[:first], shares[first:]
@@ -200,12 +200,13 @@ def _settling_time(t: FloatArray, z: FloatArray, band: float) -> float:
     if not outside.any():
         return float(t[0])
     last = len(z) - 1 - int(outside[::-1].argmax())
-    if last >= len(z) - _steady_samples(len(z)):
+    if last >= len(z) - steady_samples(len(z)):
         return math.nan
     return _crossing(t, z, last, 1.0 + math.copysign(band, z[last] - 1.0))
 
 
-def _steady_samples(after_step: int) -> int:
+def steady_samples(after_step: int) -> int:
+    """Samples of the steady state, of so many after the step."""
     return max(1, after_step // STEADY_SHARE)
 
 

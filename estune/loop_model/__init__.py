@@ -22,8 +22,10 @@ white.
   dry friction (`friction_motion`), in service also where a load makes them white
   (`friction_score`); friction of another law shows by errors that grow with motion
   (`motion_score`).
-- `fitting` leaves out records that the others contradict, up to a quarter: those whose prediction
-  by a fit without them is worse than three times the worst of theirs.
+- `hum` finds a line that stands at rest; it is free in each record, like its offsets.
+- `fitting` leaves out excitations that spoil the fit of the steps, and records that the others
+  contradict, up to a quarter: those whose prediction by a fit without them is worse than three
+  times the worst of theirs.
 - `plant_error` bounds what the true plant may differ from G by, in each band; `intervals` holds
   the uncertainty of the parameters; `claim` says what of the loop is known, or which band is
   not, and `excitation` how large a multisine on the setpoint would make it known.

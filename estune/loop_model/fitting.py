@@ -81,6 +81,36 @@ def fit_loop(
     return fit
 
 
+def fit_with_excitations(
+    steps: Sequence[LoopRecord],
+    excitations: Sequence[LoopRecord],
+    sampling_Hz: float,
+    settling_time_s: float,
+    last: LoopFit | None = None,
+) -> tuple[LoopFit, tuple[LoopRecord, ...]]:
+    """The fit of step trials and excitations, and the excitations that are fitted: all or none.
+
+    An excitation moves the effort faster than a step, perhaps beyond what the plant follows. Where
+    they spoil the fit of the steps they are left out. A mode that only excitations show spoils
+    nothing, for poles are added.
+
+    Args:
+        steps: Records of step trials, at least one.
+        excitations: Records of excitations.
+        sampling_Hz: Sampling rate.
+        settling_time_s: Settling time asked for.
+        last: An earlier fit to start from.
+    """
+    fit = fit_loop((*steps, *excitations), sampling_Hz, settling_time_s, last)
+    if fit.is_white or not excitations:
+        return fit, tuple(excitations)
+    of_steps = last is not None and len(last.errors) == len(steps)
+    alone = last if last and of_steps else fit_loop(steps, sampling_Hz, settling_time_s)
+    spoilt, own = (np.concatenate(one.errors[: len(steps)]) for one in (fit, alone))
+    chance = 1.0 + 5.0 * math.sqrt(2.0 / own.size)
+    return (alone, ()) if _power(spoilt) > chance * _power(own) else (fit, tuple(excitations))
+
+
 def _standing_out(fit: LoopFit) -> list[int]:
     """The records of the largest residuals by far, beyond what chance gives.
 

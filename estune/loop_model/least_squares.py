@@ -18,6 +18,7 @@ import numpy as np
 
 from estune.core.filtering import lfilter
 from estune.core.quantities import FloatArray
+from estune.loop_model.hum import hum_of
 from estune.loop_model.noise_model import WHITE, NoiseModel, shaping
 from estune.loop_model.poles import sections_of
 from estune.loop_model.records import LoopRecord
@@ -61,11 +62,13 @@ class FitSignals(NamedTuple):
         groups: Those of equal length together.
         settling_samples: Settling time asked for, in samples.
         resolution_N: Least standard deviation of the measurement that counts.
+        hum: Frequency of a hum of the measurement, rad/sample; zero without one.
     """
 
     groups: tuple[RecordGroup, ...]
     settling_samples: float
     resolution_N: float
+    hum: float = 0.0
 
     @property
     def samples(self) -> int:
@@ -108,7 +111,7 @@ def signals_of(
         )
         groups.append(RecordGroup(effort, measurement, history, tuple(members)))
     largest = max(float(np.abs(g.measurement).max(initial=0.0)) for g in groups)
-    return FitSignals(tuple(groups), settling_samples, RESOLUTION * largest)
+    return FitSignals(tuple(groups), settling_samples, RESOLUTION * largest, hum_of(records))
 
 
 class Solution(NamedTuple):
@@ -146,7 +149,7 @@ class Solution(NamedTuple):
         """The solution at these poles, this noise and dead time; or with a given numerator."""
         nuisances, rows, targets = [], [], []
         for group in signals.groups:
-            Q = _nuisance(group, coordinates, noise, signals.settling_samples)
+            Q = _nuisance(group, coordinates, noise, signals)
             raw, target = _whitened(group, coordinates, dead, noise, signals.settling_samples)
             nuisances.append(Q)
             rows.append(without(raw, Q).reshape(len(raw), -1))
@@ -241,7 +244,10 @@ def _tap_slopes(x: FloatArray) -> list[FloatArray]:
 
 
 def free_parameters(group: RecordGroup, poles: int, noise: NoiseModel) -> int:
-    """Start states and offsets of the records of a group, with this number of poles."""
+    """Start states and offsets of the records of a group, with this number of poles.
+
+    Those of a hum are the same for all models of the records.
+    """
     swinging = 2 if noise.is_white and not group.history else poles
     return len(group.members) * (swinging + 2)
 
@@ -285,29 +291,34 @@ def whiten(
 
 
 def _nuisance(
-    group: RecordGroup, coordinates: FloatArray, noise: NoiseModel, settling: float
+    group: RecordGroup, coordinates: FloatArray, noise: NoiseModel, signals: FitSignals
 ) -> FloatArray:
     samples = group.effort.shape[1] - group.history
     if noise.is_white and not group.history:
         # Of a loop at rest no mode swings: free states of each would only take up noise, most
         # of all where a mode is hardly damped.
         coordinates = coordinates[:2]
-    return _nuisance_basis(tuple(coordinates.tolist()), noise, settling, samples)
+    poles = tuple(coordinates.tolist())
+    return _nuisance_basis(poles, noise, signals.settling_samples, samples, signals.hum)
 
 
 @lru_cache(maxsize=8)
 def _nuisance_basis(
-    coordinates: tuple[float, ...], noise: NoiseModel, settling: float, samples: int
+    coordinates: tuple[float, ...], noise: NoiseModel, settling: float, samples: int, hum: float
 ) -> FloatArray:
-    """Orthonormal basis of free responses and offsets, shape (samples, up to n + 2)."""
-    pulse = np.eye(1, samples)
+    """Orthonormal basis of free responses, offsets and hum, shape (samples, up to n + 6)."""
+    pulse, levels = np.eye(1, samples), [np.ones(samples)]
+    if hum:
+        # With an amplitude that changes along the record: its frequency is not exact.
+        at, place = hum * np.arange(samples), np.linspace(-1.0, 1.0, samples)
+        levels += [np.cos(at), np.sin(at), place * np.cos(at), place * np.sin(at)]
     if noise.is_white:
         poles = [section.taps for section in sections_of(coordinates)]
-        offsets = [np.ones(samples)]
+        offsets = levels
     else:
         H = shaping(coordinates, noise, settling)
         poles = list(H.zeros)
-        offsets = [whiten(np.ones((1, samples)), H.zeros, H.poles)[0]]
+        offsets = list(whiten(np.array(levels), H.zeros, H.poles))
     columns, free = [], pulse
     for taps in poles:
         free = lfilter([1.0], taps, free)

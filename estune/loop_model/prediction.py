@@ -93,6 +93,11 @@ def predict(model: LoopModel, trial: StepTrial, gains: Gains, noise_N: float = 0
     )
 
 
+def expected_response(model: LoopModel, trial: StepTrial, gains: Gains) -> FloatArray:
+    """The response to a step trial as a deviation, without noise, shape (samples,)."""
+    return _response(model, close_loop(model, gains, trial.controller), trial, gains)[0]
+
+
 def _response(
     model: LoopModel, loop: ClosedLoop, trial: StepTrial, gains: Gains
 ) -> tuple[FloatArray, FloatArray]:

@@ -3,26 +3,22 @@
 import math
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
 from estune.core.comparison import Change
 from estune.core.gains import Gains
-from estune.core.metrics import (
-    BAND,
-    NOISE_SIGMAS,
-    STEADY_SHARE,
-    WIDEST_NOISE_BAND,
-    step_metrics,
-)
+from estune.core.metrics import BAND, NOISE_SIGMAS, steady_samples
 from estune.core.quantities import FloatArray
 from estune.loop_model.claim import Claim, CostCheck, claim
-from estune.loop_model.fitting import fit_loop
+from estune.loop_model.fitting import fit_loop, fit_with_excitations
 from estune.loop_model.intervals import PredictedMargins
 from estune.loop_model.limit_price import LimitPrice, price_of
 from estune.loop_model.loop_fit import LoopFit
 from estune.loop_model.optimum import RobustnessLimits
+from estune.loop_model.prediction import expected_response, predict
 from estune.loop_model.records import LoopRecord
 from estune.run.limit_verdict import LimitVerdict, limit_verdict
 from estune.run.loop import TuningRun
@@ -80,6 +76,22 @@ class IdentifiedLoop(NamedTuple):
         """The records in the order of the fit: step trials, then excitations."""
         return (*(step.signals for step in self.steps), *self.excitations)
 
+    def expected_response(
+        self, plan: Plan, rig: RigDescription, gains: Gains
+    ) -> FloatArray | None:
+        """Response with some gains, N, shape (samples,); None where their loop is not robust.
+
+        Without friction: what that makes a loop do at the end of a trial it may do for ever.
+        """
+        if self.fit is None:
+            return None
+        trial = step_trial(rig, plan.step, plan.cost)
+        trial = replace(trial, effort_N=self.signals[0].rest_effort_N)
+        model = self.fit.model._replace(friction_N=0.0)
+        if not predict(model, trial, gains).sensitivity <= SENSITIVITY_ROBUST:
+            return None
+        return expected_response(model, trial, gains)
+
     def undisturbed(self, records: Iterable[TrialRecord]) -> list[TrialRecord]:
         """The records that the loop rests on, and all records of gains of which it has none.
 
@@ -117,9 +129,10 @@ def identify(
         return IdentifiedLoop(None, reason, remarks=remarks)
     made_of = (loop_signals(record, plan.step, rig).record for record in excitations)
     excited = tuple(record for record in made_of if record is not None)
-    signals = [*(step.signals for step in steps), *excited]
-    fit = fit_loop(signals, rig.controller.sampling_Hz, plan.cost.settling_time_s)
-    return IdentifiedLoop(fit, "", tuple(steps), excited, remarks)
+    signals = [step.signals for step in steps]
+    rate, asked_s = rig.controller.sampling_Hz, plan.cost.settling_time_s
+    fit, fitted = fit_with_excitations(signals, excited, rate, asked_s)
+    return IdentifiedLoop(fit, "", tuple(steps), fitted, remarks)
 
 
 @one_blas_thread()
@@ -194,7 +207,8 @@ def verdict_on(run: TuningRun, change: Change | None) -> Verdict:
     if not (change.is_decrease or broken):
         return Verdict(loop=loop)
     records = loop.undisturbed(run.recent_records)
-    fault = not_robust(records, plan, claimed, gains, rig)
+    expected_N = loop.expected_response(plan, rig, gains)
+    fault = not_robust(records, plan, claimed, gains, rig, expected_N=expected_N)
     return Verdict(fault, broken, loop, limit_verdict(plan, claimed, gains, records))
 
 
@@ -204,12 +218,24 @@ def not_robust(
     claimed: Claim,
     gains: Gains,
     rig: RigDescription,
+    *,
+    expected_N: FloatArray | None = None,
 ) -> str:
     """Why tuned gains are not robust; empty where they are, or in a plan without limits.
 
-    The mean of the records with these gains has to settle, without an error at its end beyond
-    its noise and that of the initial gains, which dry friction leaves with any gains. Ms, if it is
-    claimed, may not be above `SENSITIVITY_ROBUST` unless the plan has no limit of it.
+    The records with these gains have to settle, but for what a known loop still does at the end of
+    a trial that is short for it, without an error at their end beyond their noise and that of the
+    initial gains, which dry friction leaves with any gains. Ms, if it is claimed, may not be above
+    `SENSITIVITY_ROBUST` unless the plan has no limit of it.
+
+    Args:
+        records: Those of the run.
+        plan: Its plan.
+        claimed: What is claimed of the gains.
+        gains: The gains.
+        rig: The rig.
+        expected_N: Their response by the identified loop, shape (samples,); None where that is
+            not known.
     """
     if plan.limits is None:
         return ""
@@ -233,28 +259,30 @@ def not_robust(
     if abs(error_N) > allowed_N:
         ends = f"{error_N:+.2g} {rig.measurement_unit}".rstrip()
         return f"the response ends {ends} off its setpoint (allowed {rig.measured(allowed_N, 2)})"
-    # About the value it ends at: how far that is from the setpoint is judged above. Beside the
-    # band for what the noise leaves of the mean: a response that enters it late is in it.
-    noise_N = _white_noise(
-        responses[:, -max(responses.shape[1] // STEADY_SHARE, 1) :]
-    ) / math.sqrt(len(repeats))
-    widened = min(NOISE_SIGMAS * noise_N / abs(step.step_N), WIDEST_NOISE_BAND - BAND)
-    metrics = step_metrics(
-        first.time_s,
-        responses.mean(axis=0),
-        step_time_s=float(first.time_s[index]),
-        initial=step.preload_N,
-        final=final_N + error_N,
-        band=BAND + widened,
-    )
-    if math.isnan(metrics.settling_time_s):
+    if _swing(responses, expected_N) > BAND * abs(step.step_N):
         return "the response has not settled at the end of the trial"
     return ""
 
 
+def _swing(responses: FloatArray, expected: FloatArray | None) -> float:
+    """Amplitude of a sine of the power with which responses move in their last tenth.
+
+    About the value they end at, beyond what is expected, and without their noise: its power is
+    taken off that of each response, with three standard deviations of what it scatters by. By
+    its largest value a loop that cycles in noise as large would pass for noise.
+    """
+    count = steady_samples(responses.shape[1])
+    tail = responses[:, -count:]
+    if expected is not None:
+        tail = tail - expected[-count:]
+    moves = tail - tail.mean(axis=1, keepdims=True)
+    noise = _white_noise(tail) ** 2 * (1.0 + 3.0 * math.sqrt(2.0 / tail.size))
+    return math.sqrt(2.0 * max(float(np.mean(moves**2)) - noise, 0.0))
+
+
 def _end_error(responses: FloatArray, final_N: float) -> tuple[float, float]:
     """Mean error over the last tenth of the responses, and what their noise explains of it."""
-    tail = responses[:, -max(responses.shape[1] // STEADY_SHARE, 1) :]
+    tail = responses[:, -steady_samples(responses.shape[1]) :]
     count = tail.shape[0]
     explained = NOISE_SIGMAS * _white_noise(tail) / math.sqrt(tail.size)
     if count > 1:

@@ -285,18 +285,15 @@ def _is_settled(plan: Plan, state: Any) -> bool:
 def _end_of_search(session: Session) -> str:
     """Why the search ends; empty where it continues."""
     plan, state = session.plan, session.tuner_state
-    convergence = plan.convergence(state) if plan.may_end(state) else None
-    left = convergence.remaining_improvement if convergence is not None else math.nan
+    found = plan.convergence(state) if plan.may_end(state) else None
     if session.consecutive_censored >= CONSECUTIVE_CENSORED_MAX:
         censored = CONSECUTIVE_CENSORED_MAX
         return f"the search ended after {censored} consecutive unsafe or declined trials"
-    if session.consecutive_settled >= plan.settled_trials(state):
-        return (
-            f"the search ended: the remaining improvement is at most {left:.1%}, below the "
-            f"tolerance of {100.0 * plan.tolerance:.3g}%"
-        )
+    if found is not None and session.consecutive_settled >= plan.settled_trials(state):
+        below = f"below the tolerance of {100.0 * plan.tolerance:.3g}%"
+        return f"the search ended: {found.sentence}, {below}"
     if plan.would_repeat(state):
-        most = f"; the remaining improvement is at most {left:.1%}" if left < 1.0 else ""
+        most = f"; {found.sentence}" if found and found.remaining_improvement < 1.0 else ""
         return f"the search ended: the next trial would repeat an earlier one{most}"
     if session.search_trials >= plan.trials:
         return f"the search used its {plan.trials} trial{'s' if plan.trials > 1 else ''}"

@@ -19,9 +19,8 @@ from typing import Any, Literal
 
 import numpy as np
 
-from estune.loop_model.drawn_optima import draw_optima, equal_range
 from estune.loop_model.excitation import UnknownLoop
-from estune.loop_model.fitting import fit_loop
+from estune.loop_model.fitting import fit_loop, fit_with_excitations
 from estune.loop_model.loop_fit import LoopFit
 from estune.loop_model.model import LoopModel, robustness
 from estune.loop_model.optimum import TOLERANCE, Optimum, RegionSearch, RobustnessLimits
@@ -29,6 +28,7 @@ from estune.loop_model.prediction import Prediction, StepTrial, predict
 from estune.loop_model.records import LoopRecord
 from estune.tuners.identified_loop_state import IdentifiedLoopState
 from estune.tuners.interface import ConvergenceEstimate, CostPrediction
+from estune.tuners.model_convergence import DrawnLoop, model_convergence
 from estune.tuners.observation import Observation, log_cost
 from estune.tuners.predictions import cost_noise, difference, log_of_cost, measured_overshoot
 from estune.tuners.residual_surface import ResidualSurface
@@ -150,8 +150,10 @@ class IdentifiedLoopTuner:
         self, state: IdentifiedLoopState, record: LoopRecord
     ) -> IdentifiedLoopState:
         """The state after a trial that excites the loop, which has no cost."""
-        state = state._replace(excitations=(*state.excitations, record))
-        return self._decided(self._fitted(state))
+        rate, asked_s = self._scales
+        found = (*state.excitations, record)
+        fit, kept = fit_with_excitations(state.records, found, rate, asked_s, state.fit)
+        return self._decided(self._with_fit(state._replace(excitations=kept), fit))
 
     def tell(self, state: IdentifiedLoopState, observation: Observation) -> IdentifiedLoopState:
         """The state after the trial last asked for."""
@@ -269,13 +271,17 @@ class IdentifiedLoopTuner:
                 overshoots=(*state.overshoots, measured_overshoot(record, self.trial)),
                 errors=(*state.errors, cost - predicted),
             )
-        return self._fitted(state)
+        records = (*state.records, *state.excitations)
+        return self._with_fit(state, fit_loop(records, *self._scales, state.fit))
 
-    def _fitted(self, state: IdentifiedLoopState) -> IdentifiedLoopState:
-        """The state with the model fitted to all its records."""
-        trial = self._trial(state)
-        rate, asked_s = trial.controller.sampling_Hz, trial.cost.settling_time_s
-        fit = fit_loop((*state.records, *state.excitations), rate, asked_s, state.fit)
+    @property
+    def _scales(self) -> tuple[float, float]:
+        """Sampling rate and settling time asked for."""
+        assert self.trial is not None  # noqa: S101  there is a record, so there was a trial
+        return self.trial.controller.sampling_Hz, self.trial.cost.settling_time_s
+
+    def _with_fit(self, state: IdentifiedLoopState, fit: LoopFit) -> IdentifiedLoopState:
+        """The state with a model fitted to its records."""
         state = state._replace(fit=fit, surface=None)
         if not state.points:
             return state
@@ -358,26 +364,8 @@ class IdentifiedLoopTuner:
             return None
         if self._at_edge(state, optimum):
             return None
-        draws = draw_optima(
-            fit, lambda model: self._search(state, model), optimum, seed=len(state.costs)
-        )
-        equal = equal_range(self._search(state, fit.model), optimum)
-        low, high = np.fmin(draws.interval[0], equal[0]), np.fmax(draws.interval[1], equal[1])
-        low = np.maximum(low, self.space.coordinates_low)
-        high = np.minimum(high, self.space.coordinates_high)
-        beyond = state.surface.deviation(optimum.coordinates) if state.surface else 0.0
-        return ConvergenceEstimate(
-            noise=cost_noise(state.errors),
-            remaining_improvement=-math.expm1(-float(np.quantile(draws.gains, 0.95)) - beyond),
-            expected_improvement=-math.expm1(-float(np.mean(draws.gains))),
-            intervals=tuple(
-                zip(
-                    self.space.point(tuple(low.tolist())),
-                    self.space.point(tuple(high.tolist())),
-                    strict=True,
-                )
-            ),
-        )
+        loop = DrawnLoop(fit, lambda model: self._search(state, model), optimum, state.surface)
+        return model_convergence(loop, self.space, state.errors, seed=len(state.costs))
 
     def _at_edge(self, state: IdentifiedLoopState, optimum: Optimum) -> bool:
         """Whether the reach, not a bound of the space, holds the optimum back."""

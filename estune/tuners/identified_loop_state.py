@@ -15,7 +15,7 @@ class IdentifiedLoopState(NamedTuple):
     Attributes:
         fallback: State of the fallback tuner.
         records: Last records of the loop in step trials.
-        excitations: Records of its excitations.
+        excitations: Records of its excitations, of those that are fitted.
         points: Coordinates of all trials with a record.
         costs: Logarithms of their costs.
         overshoots: Their overshoots, as shares of the step.

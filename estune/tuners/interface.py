@@ -82,12 +82,20 @@ class ConvergenceEstimate(NamedTuple):
         expected_improvement: The mean of the same quantity.
         intervals: 95 % interval of the optimum of each parameter, in its own unit and the order
             of `SearchSpace.names`; reaches to the bounds along a flat direction.
+        condition: Under what the bound holds, in words; empty where nothing stands against it.
     """
 
     noise: float
     remaining_improvement: float
     expected_improvement: float
     intervals: tuple[tuple[float, float], ...]
+    condition: str = ""
+
+    @property
+    def sentence(self) -> str:
+        """The remaining improvement in words."""
+        most = f"the remaining improvement is at most {self.remaining_improvement:.1%}"
+        return most + (f" {self.condition}" if self.condition else "")
 
 
 class CostPrediction(NamedTuple):
