@@ -27,14 +27,15 @@ def random_rig(seed):
     if rng.random() < 0.3:
         w, damping = 2.0 * np.pi * rng.uniform(2.0, 20.0) / period_s, rng.uniform(0.002, 0.1)
         transfer *= control.tf([w * w], [1.0, 2.0 * damping * w, w * w])
-    most = float(rng.choice([np.inf, 3.0 / abs(gain)]))
+    most = float(rng.choice([1e3, 3.0])) / abs(gain)
     P, I, D, filter_s = np.exp(rng.normal([-2.0, -1.0, -6.0, -3.0], 1.0)).tolist()
+    P, I, D = P / abs(gain), I / period_s / abs(gain), D * period_s / abs(gain)
     made = plants.linear_plant(
         transfer,
         sampling_Hz=100.0 / period_s,
         profile=StepProfile(0.0, 1.0, 0.2 * period_s, 2.0 * period_s),
         settling_time_s=period_s,
-        gains=Gains(P, I / period_s, D * period_s, filter_s * period_s),
+        gains=Gains(P, I, D, filter_s * period_s),
         noise_rms_N=float(rng.choice([0.0, 0.003, 0.03])),
         output_min_N=-most,
         output_max_N=most,
@@ -61,6 +62,7 @@ def test_random_rigs_end_with_an_outcome_or_an_error_of_ours(tuner, rigs, tmp_pa
         if progress.session.number == 3:
             raise KeyboardInterrupt
 
+    refused = 0
     for number in range(rigs):
         run = f"run-{number}"
         try:
@@ -70,4 +72,5 @@ def test_random_rigs_end_with_an_outcome_or_an_error_of_ours(tuner, rigs, tmp_pa
             resumed = estune.resume(tmp_path / run, random_rig(number), watch=None)
             assert resumed.ending
         except EstuneError:
-            continue
+            refused += 1
+    assert refused <= rigs / 2  # or the fuzz hardly tunes

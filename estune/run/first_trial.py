@@ -61,7 +61,8 @@ def check_answer(record: TrialRecord, plan: Plan, rig: RigDescription) -> None:
         return
     what = f"trial {record.trial_id}: the {rig.measurement_name}"
     moves = f"while the {rig.command_name} changes by {rig.commanded(moved)}"
-    if abs(answer) <= ANSWERED * error:
+    rounding = 1e-12 * float(np.abs(record.tension_N).max())
+    if abs(answer) <= max(ANSWERED * error, rounding):
         raise InvalidInput(
             f"{what} does not answer: it changes by {rig.measured(answer, 2)} {moves}; check the "
             "sensor and the drive, make the trial longer, or force the run (--force)"
