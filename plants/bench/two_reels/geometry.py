@@ -102,19 +102,6 @@ def eyelet_angle_rad(
     )
 
 
-def contact_line(P_1: ArrayLike, P_2: ArrayLike) -> FloatArray:
-    """Line of contact at the eyelet: unit vector of `P_1 x P_2`."""
-    across = np.cross(unit_vector("P_1", P_1), unit_vector("P_2", P_2))
-    size = np.linalg.norm(across, axis=-1)
-    collinear = size < _STRAIGHT_rad
-    if collinear.any():
-        raise InvalidInput(
-            f"the cable outside and inside are collinear{index_text(first_index(collinear))}; "
-            "without a bend there is neither a contact line nor friction, move one end sideways"
-        )
-    return np.asarray(across / size[..., None])
-
-
 def unit_vector(name: str, vector: ArrayLike) -> FloatArray:
     """The vectors with unit length, shape (..., 3).
 
