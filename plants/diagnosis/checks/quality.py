@@ -20,31 +20,6 @@ from plants.diagnosis.data.noise import FEWEST, step_of, upper_rms
 from plants.diagnosis.models.base import BaseNumbers
 from plants.effects.plant_scale import PlantScale
 
-MOVES = 3.0
-"""A channel moves when its rms is so many times its noise."""
-SETTLES = 3.0
-"""A record should last so many time constants of the slowest mode."""
-AT_LIMIT = (0.1, 0.5)
-"""Shares of the samples at the current limit from which there is a warning, and a refusal."""
-STATIC = 0.01
-"""Unexplained share of the current below which it is a function of the angle."""
-PLACES = 64
-"""Bins of the angle in which the current is averaged."""
-TURNS_BACK = 2
-"""Times the angle must go to and fro for a function of it to say something."""
-GAIN_ERROR_MAX = 0.2
-"""Gain of the recorded current over the command by which an open loop is worth a warning."""
-FOLLOWS = 0.2
-"""Share of the current that the command must explain in an open loop; a limited or lagging
-actuator leaves that much."""
-COHERENT = 20.0
-"""Share of an output that the command explains, times the samples, from which on it moves, however
-fast: of 300 pairs of white noise 99 % stay below 13."""
-SLOW = 0.01
-"""Share of the record over which a noisy current is averaged."""
-LAG_MAX_samples = 50
-"""Samples by which the measured current may come after the command."""
-
 
 def check(
     measurements: Sequence[MeasuredRecord], model: Any
@@ -146,7 +121,7 @@ def _too_short(m: MeasuredRecord, b: BaseNumbers) -> Iterator[DataIssue]:
             f"{m.duration_s:.3g} s are less than half a period of the model's slowest mode, "
             f"{2.0 * math.pi / natural:.3g} s; record longer",
         )
-    elif m.duration_s < SETTLES * b.slowest_s:
+    elif m.duration_s < 3.0 * b.slowest_s:
         yield DataIssue(
             "warning",
             f"{m.duration_s:.3g} s are short against the model's slowest mode, which settles with "
@@ -163,7 +138,8 @@ def _unmoved(m: MeasuredRecord) -> Iterator[DataIssue]:
     moving = [name for name in m.outputs if _moves(np.asarray(m.channel(name)))]
     if not (still or moving):
         shares = {n: _follows(commanded[0], np.asarray(m.channel(n)))[0] for n in m.outputs}
-        moving = [name for name, share in shares.items() if share * m.samples > COHERENT]
+        # Of 300 pairs of white noise 99 % stay below 13.
+        moving = [name for name, share in shares.items() if share * m.samples > 20.0]
     if still and not moving:
         yield DataIssue("refused", "nothing moves beyond its noise; excite the reel")
     elif still:
@@ -180,7 +156,7 @@ def _moves(column: FloatArray) -> bool:
     """
     noise, slow = upper_rms(column), _slow(column)
     moved = max(float(column.std()), float(slow.std()) * math.sqrt(column.size - slow.size + 1))
-    return moved > MOVES * noise and float(column.std()) > _rounding(column)
+    return moved > 3.0 * noise and float(column.std()) > _rounding(column)
 
 
 def _rounding(column: FloatArray) -> float:
@@ -193,17 +169,19 @@ def _static(m: MeasuredRecord) -> Iterator[DataIssue]:
     if command is None or m.angle_rad is None or not np.ptp(m.angle_rad) > 0.0:
         return
     q = m.angle_rad
-    place = np.minimum((q - q.min()) / np.ptp(q) * PLACES, PLACES - 1).astype(np.int64)
+    bins = 64
+    place = np.minimum((q - q.min()) / np.ptp(q) * bins, bins - 1).astype(np.int64)
     far = np.abs(np.diff(np.sign(q - np.median(q))))
-    if (far > 0).sum() < 2 * TURNS_BACK:
+    # A function of the angle says something where the angle goes to and fro twice.
+    if (far > 0).sum() < 4:
         return
-    count = np.maximum(np.bincount(place, minlength=PLACES), 1)
+    count = np.maximum(np.bincount(place, minlength=bins), 1)
     # A line within each bin, so that a steep function does not look like noise.
-    inside = q - (np.bincount(place, q, PLACES) / count)[place]
-    u = command - (np.bincount(place, command, PLACES) / count)[place]
+    inside = q - (np.bincount(place, q, bins) / count)[place]
+    u = command - (np.bincount(place, command, bins) / count)[place]
     slope = float(inside @ u) / max(float(inside @ inside), 1e-300)
     unexplained = float((u - slope * inside).std()) / max(float(command.std()), 1e-300)
-    if unexplained < STATIC:
+    if unexplained < 0.01:
         yield DataIssue(
             "warning",
             f"it is a function of the angle to {unexplained:.1%}: friction, inertia and stiffness "
@@ -225,10 +203,11 @@ def _mislabelled(m: MeasuredRecord, b: BaseNumbers) -> Iterator[DataIssue]:
         return
     explained, gain = _follows(command, m.current_A)
     # A measured current may be noisy: it is judged by what is slow, too.
-    if max(explained, _follows(_slow(command), _slow(m.current_A))[0]) < FOLLOWS:
+    # A limited or lagging actuator leaves that much.
+    if max(explained, _follows(_slow(command), _slow(m.current_A))[0]) < 0.2:
         sentence = "the record is labelled open, and the current does not follow the setpoint"
         yield DataIssue("refused", f"{sentence}; check the label and the columns", "current_A")
-    elif explained > 1.0 - ROUNDING and abs(gain - 1.0) > GAIN_ERROR_MAX:
+    elif explained > 1.0 - ROUNDING and abs(gain - 1.0) > 0.2:
         yield DataIssue(
             "warning",
             f"the current is {gain:.3g} times setpoint x radius / torque constant; check the "
@@ -238,13 +217,13 @@ def _mislabelled(m: MeasuredRecord, b: BaseNumbers) -> Iterator[DataIssue]:
 
 
 def _slow(column: FloatArray) -> FloatArray:
-    """Moving mean over a share of the record."""
-    width = max(1, round(SLOW * column.size))
+    """Moving mean over a hundredth of the record."""
+    width = max(1, round(0.01 * column.size))
     return np.convolve(column, np.full(width, 1.0 / width), "valid")
 
 
 def _follows(command: FloatArray, current: FloatArray) -> tuple[float, float]:
-    """Share of the current that the command explains, however late within reason, and its gain."""
+    """Share of the current that the command explains, up to 50 samples late, and its gain."""
     from scipy.signal import correlate  # noqa: PLC0415  slow to import
 
     x, y = command - command.mean(), current - current.mean()
@@ -252,7 +231,7 @@ def _follows(command: FloatArray, current: FloatArray) -> tuple[float, float]:
     if not (xx > 0.0 and yy > 0.0):
         return 1.0, 1.0
     likeness = correlate(y, x, method="fft")[x.size - 1 :]
-    best = float(likeness[: LAG_MAX_samples + 1].max())
+    best = float(likeness[:51].max())
     return max(best, 0.0) ** 2 / (xx * yy), best / xx
 
 
@@ -261,9 +240,9 @@ def _at_limit(m: MeasuredRecord, b: BaseNumbers) -> Iterator[DataIssue]:
     if m.current_A is not None:
         flagged |= np.abs(m.current_A) >= b.current_limit_A * (1.0 - ROUNDING)
     share = float(flagged.mean())
-    if share > AT_LIMIT[0]:
+    if share > 0.1:
         yield DataIssue(
-            "refused" if share > AT_LIMIT[1] else "warning",
+            "refused" if share > 0.5 else "warning",
             f"{share:.0%} of the samples are at the current limit; ask for less",
             "current_A",
             int(flagged.argmax()) + 1,

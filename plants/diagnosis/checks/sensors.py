@@ -9,25 +9,10 @@ from estune.recordings.issue import DataIssue
 from plants.diagnosis.data.noise import step_of, upper_rms
 from plants.diagnosis.data.periods import runs
 
-FROZEN_samples = 20
-"""Equal readings in a row from which a noisy sensor is frozen."""
-TENSION_RANGE = 12.0
-"""Range of the tension, in its noise and what a step of the encoder stands for, in which the angle
-cannot stand still."""
-JUMP = 8.0
-"""A jump so many times as large as the largest of the usual ones, there and back, is a dropout."""
-USUAL_QUANTILE = 0.99
 DROPOUT_samples = 5
 """Samples within which a dropout is over."""
-LOST_MAX = 0.3
-"""Share of a record that may be lost before it is refused."""
-RAIL = 0.005
-"""Share of samples at the extreme from which a rail is reported."""
 SHIFT_MAX_samples = 20
 """Samples by which two channels are tried against each other."""
-SHIFT_MIN_samples = 2
-SHIFT_GAIN = 0.3
-"""Share of the residual that a believed shift leaves at most."""
 
 
 def faults(column: str, readings: FloatArray) -> Iterator[DataIssue]:
@@ -52,14 +37,14 @@ def frozen_angle(
         step_rad: Step of the encoder.
     """
     # So far that neither noise nor a step of the encoder can be meant.
-    least = TENSION_RANGE * (step_rad / rad_per_N + upper_rms(tension))
+    least = 12.0 * (step_rad / rad_per_N + upper_rms(tension))
     still = [run for run in _constant_runs(angle) if float(np.ptp(tension[run])) > least]
     yield from _frozen("angle_rad", angle.size, still, " while the tension moves")
 
 
 def _fault(lost: float, column: str, row: int, sentence: str) -> DataIssue:
-    """A fault that loses a share of the record."""
-    return DataIssue("refused" if lost > LOST_MAX else "warning", sentence, column, row)
+    """A fault that loses a share of the record; one that loses much of it is refused."""
+    return DataIssue("refused" if lost > 0.3 else "warning", sentence, column, row)
 
 
 def _at_rail(column: str, readings: FloatArray) -> Iterator[DataIssue]:
@@ -67,7 +52,7 @@ def _at_rail(column: str, readings: FloatArray) -> Iterator[DataIssue]:
     for end in (readings.min(), readings.max()):
         at = readings == end
         share = float(at.mean())
-        if share >= RAIL and at.sum() > 2:
+        if share >= 0.005 and at.sum() > 2:
             sentence = (
                 f"{share:.1%} of the readings are {end:g}, the end of the range; record it with "
                 "more range or less signal"
@@ -76,9 +61,9 @@ def _at_rail(column: str, readings: FloatArray) -> Iterator[DataIssue]:
 
 
 def _constant_runs(readings: FloatArray) -> list[slice]:
-    """The long runs of equal readings."""
+    """The runs of 20 equal readings or more."""
     equal = [slice(run.start, run.stop + 1) for run in runs(np.diff(readings) == 0.0)]
-    return [run for run in equal if run.stop - run.start >= FROZEN_samples]
+    return [run for run in equal if run.stop - run.start >= 20]
 
 
 def _frozen(column: str, samples: int, still: list[slice], when: str) -> Iterator[DataIssue]:
@@ -90,12 +75,12 @@ def _frozen(column: str, samples: int, still: list[slice], when: str) -> Iterato
 
 
 def _dropouts(column: str, readings: FloatArray) -> Iterator[DataIssue]:
-    """Jumps to somewhere else and back again within a few samples."""
+    """Jumps of eight times the usual ones to somewhere else, and back within a few samples."""
     change = np.diff(readings)
-    usual = max(float(np.quantile(np.abs(change), USUAL_QUANTILE)), step_of(readings))
+    usual = max(float(np.quantile(np.abs(change), 0.99)), step_of(readings))
     if not usual > 0.0:
         return
-    jumps = np.flatnonzero(np.abs(change) > JUMP * usual)
+    jumps = np.flatnonzero(np.abs(change) > 8.0 * usual)
     back = np.diff(jumps) <= DROPOUT_samples
     back &= np.sign(change[jumps[1:]]) != np.sign(change[jumps[:-1]])
     if back.any():
@@ -120,5 +105,6 @@ def shift_between(leader: FloatArray, follower: FloatArray) -> int:
         y = follower[SHIFT_MAX_samples + shift : n - SHIFT_MAX_samples + shift]
         left[shift + SHIFT_MAX_samples] = 1.0 - np.corrcoef(x, y)[0, 1] ** 2
     best = int(left.argmin()) - SHIFT_MAX_samples
-    inside = SHIFT_MIN_samples <= abs(best) < SHIFT_MAX_samples
-    return best if inside and left.min() < SHIFT_GAIN**2 * left[SHIFT_MAX_samples] else 0
+    inside = 2 <= abs(best) < SHIFT_MAX_samples
+    # A shift is believed that leaves less than a tenth of what there is without one.
+    return best if inside and left.min() < 0.09 * left[SHIFT_MAX_samples] else 0

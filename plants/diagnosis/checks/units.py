@@ -15,16 +15,6 @@ FACTOR_MAX = 20.0
 """Factor by which no model is wrong."""
 UNIT_FACTOR = 1.6
 """Factor within which a ratio is taken for that of two units; the model may be off by as much."""
-DEGREE = 180.0 / math.pi
-THOUSAND = 1000.0
-TURN = 2.0 * math.pi
-TURN_FACTOR = 1.3
-"""Factor within which a ratio is taken for that of turns: a model may be off by 2 pi, so that this
-is said and the record is used."""
-R2_MIN = 0.5
-"""Share of a channel's variance that another must explain for their ratio to mean something."""
-BOTH_WAYS = 0.05
-"""Share of the time in either direction from which on a motion goes both ways."""
 
 
 def mistaken_units(m: MeasuredRecord, b: BaseNumbers, rate_Hz: float) -> Iterator[DataIssue]:
@@ -36,7 +26,7 @@ def mistaken_units(m: MeasuredRecord, b: BaseNumbers, rate_Hz: float) -> Iterato
     """
     if b.linear is not None:
         return
-    if 1.0 / UNIT_FACTOR < m.sampling_Hz * THOUSAND / rate_Hz < UNIT_FACTOR:
+    if 1.0 / UNIT_FACTOR < m.sampling_Hz * 1000.0 / rate_Hz < UNIT_FACTOR:
         said = f"its samples come at {m.sampling_Hz:.3g} Hz, the model's at {rate_Hz:.3g} Hz"
         yield DataIssue("refused", f"{said}: it seems to be in ms; give s", "time_s")
         return
@@ -77,7 +67,7 @@ def _brakes(angle_rad: FloatArray, effort: FloatArray, smoother: Smoother) -> bo
     columns = np.column_stack([terms[known], np.ones(known.sum())])
     a, b, dry, _ = np.linalg.lstsq(columns, effort[known], rcond=None)[0]
     v = velocity[known]
-    if not BOTH_WAYS < float(np.mean(v > 0.0)) < 1.0 - BOTH_WAYS:
+    if not 0.05 < float(np.mean(v > 0.0)) < 0.95:
         return False
     return bool(a < 0.0 and np.mean(b * v**2 + dry * np.abs(v)) < 0.0)
 
@@ -103,28 +93,30 @@ def _issues(
     """Issues by the slopes relative to the model's; both of them depend on the tension."""
     if by_effort is not None and _is_far(by_effort):
         if by_angle is None or _is_far(by_angle):
-            yield _issue("tension_N", by_effort, "what the command holds", {1 / THOUSAND: "kN"})
+            yield _issue("tension_N", by_effort, "what the command holds", {1e-3: "kN"})
             return
         open_loop = m.loop == "open" and m.setpoint_N is not None
         column, unit = ("setpoint_N", "N") if open_loop else ("current_A", "A")
-        units = {THOUSAND: f"m{unit}", 1.0 / THOUSAND: f"k{unit}"}
+        units = {1e3: f"m{unit}", 1e-3: f"k{unit}"}
         yield _issue(column, 1.0 / by_effort, "what the tension takes", units)
     elif by_angle is not None and _is_far(by_angle):
-        units = {DEGREE: "degrees", THOUSAND: "thousandths, as mm or mrad"}
+        units = {math.degrees(1.0): "degrees", 1e3: "thousandths, as mm or mrad"}
         yield _issue("angle_rad", 1.0 / by_angle, "what the model turns", units)
 
 
 def _issues_of_drive(m: MeasuredRecord, times: float) -> Iterator[DataIssue]:
     """Issues by the torque that the motion takes, relative to the command."""
     command = "setpoint_N" if m.loop == "open" and m.setpoint_N is not None else "current_A"
-    if 1.0 / TURN_FACTOR < times * TURN < TURN_FACTOR:
+    # A model may be off by 2 pi, too: it is said, and the record is used.
+    if 1.0 / 1.3 < times * 2.0 * math.pi < 1.3:
         said = "its changes are 1/6.28 of what the model turns, which is the ratio of turns to rad"
         yield DataIssue("warning", f"{said}; check the unit and the inertia", "angle_rad")
     elif _is_far(times) and times < 1.0:
         unit = "thousandths, as mN m, mN or mA"
-        yield _issue(command, 1.0 / times, "what the motion takes", {THOUSAND: unit})
+        yield _issue(command, 1.0 / times, "what the motion takes", {1e3: unit})
     elif _is_far(times):
-        units = {DEGREE: "degrees", THOUSAND: "thousandths, as mm or mrad, or the command in kN"}
+        thousandths = "thousandths, as mm or mrad, or the command in kN"
+        units = {math.degrees(1.0): "degrees", 1e3: thousandths}
         yield _issue("angle_rad", times, "what the model turns", units)
 
 
@@ -146,4 +138,4 @@ def _is_far(ratio: float) -> bool:
 def _slope(x: FloatArray, y: FloatArray) -> float | None:
     """Slope of y by x, either sign, or None where they have too little to do with each other."""
     slope, share = proportion(x, y)
-    return slope if share > R2_MIN else None
+    return slope if share > 0.5 else None

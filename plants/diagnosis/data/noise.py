@@ -8,16 +8,8 @@ SEGMENT = 1024
 """Most samples in a segment of the spectrum; slower changes are drift."""
 FEWEST = 64
 """Fewest samples of a spectrum."""
-LINE = 5.0
-"""Ratio to its neighbours at which a line is not noise: mains, a mode."""
-UPPER = 0.5
-"""Share of half the sampling rate above which the plant's motion is negligible."""
 QUARTER = 0.25
 """Quantile of the upper spectrum taken as noise; modes and lines may exceed it."""
-FEW_STEPS = 3
-"""Fewest distinct values that show a step."""
-WHOLE = 0.05
-"""Deviation from a whole number of steps, as a share of a step."""
 
 
 def spectral_rms(deviation: FloatArray) -> float:
@@ -31,7 +23,7 @@ def spectral_rms(deviation: FloatArray) -> float:
     power, line = _spectrum(deviation, average="median")
     width = min(2 * max(4, power.size // 20) + 1, 2 * ((power.size - 1) // 2) + 1)
     neighbours = median_filter(power, width, mode="mirror")
-    quiet = np.where(power > LINE * neighbours, neighbours, power)
+    quiet = np.where(power > 5.0 * neighbours, neighbours, power)
     return float(np.sqrt(quiet.sum() * line))
 
 
@@ -47,7 +39,7 @@ def upper_rms(signal: FloatArray) -> float:
     power, width = _spectrum(np.diff(signal, 2), average="mean")
     frequency = np.arange(1, power.size + 1) * width
     white = power / (2.0 * np.sin(np.pi * frequency)) ** 4
-    upper = white[frequency > 0.5 * UPPER]
+    upper = white[frequency > 0.25]  # the plant's motion is negligible there
     segments = max(1.0, 2.0 * signal.size / _segment(signal.size) - 1.0)
     freedom = 2.0 * segments * 0.9  # half overlapping Hann segments: 0.9 of independent ones
     share = float(chi2.ppf(QUARTER, freedom)) / freedom
@@ -57,16 +49,16 @@ def upper_rms(signal: FloatArray) -> float:
 def step_of(signal: FloatArray) -> float:
     """The step that readings are whole multiples of, or 0 where there is none."""
     distinct = np.unique(signal)
-    if distinct.size < FEW_STEPS:
+    if distinct.size < 3:
         return 0.0
     gaps = np.diff(distinct)
     gaps = gaps[gaps > 1e-9 * np.abs(distinct).max()]
-    if gaps.size < FEW_STEPS - 1:
+    if gaps.size < 2:
         return 0.0
     for divisor in (1.0, 2.0, 3.0):  # no two readings may be adjacent
         step = float(gaps.min()) / divisor
         steps = gaps / step
-        if np.abs(steps - np.rint(steps)).max() < WHOLE:
+        if np.abs(steps - np.rint(steps)).max() < 0.05:
             return float(gaps.sum() / np.rint(steps).sum())
     return 0.0
 

@@ -10,12 +10,6 @@ from estune.core.quantities import FloatArray
 
 SAME = 1e-6
 """Relative difference of equal setpoints, in its range; float32 keeps it."""
-SHORTEST = 8
-"""Fewest samples in a period."""
-CANDIDATES = 40
-"""Number of lags that are tried."""
-MOVES = 0.3
-"""Least spread of a period, as a share of the setpoint's: a hold has any period."""
 
 
 class Periods(NamedTuple):
@@ -49,7 +43,7 @@ def periods_of(setpoint: FloatArray) -> Periods | None:
     """
     n = setpoint.size
     spread = float(setpoint.std())
-    if n < 2 * SHORTEST or not spread > 0.0:
+    if n < 16 or not spread > 0.0:
         return None
     same = SAME * float(np.ptp(setpoint))
     for lag in sorted(_likely_lags(setpoint - setpoint.mean())):
@@ -57,7 +51,8 @@ def periods_of(setpoint: FloatArray) -> Periods | None:
         found = max(runs(equal), key=lambda run: run.stop - run.start, default=slice(0, 0))
         first, length = found.start, found.stop - found.start
         whole = setpoint[first : first + lag]
-        if length >= lag and whole.std() >= MOVES * spread:
+        # A hold has any period.
+        if length >= lag and whole.std() >= 0.3 * spread:
             return Periods(first, lag, 1 + length // lag)
     return None
 
@@ -71,15 +66,15 @@ def holds(setpoint: FloatArray, fewest: int) -> list[slice]:
 
 
 def _likely_lags(x: FloatArray) -> list[int]:
-    """The lags of the highest peaks of the autocorrelation."""
+    """The lags, 8 or more, of the 40 highest peaks of the autocorrelation."""
     from scipy.signal import correlate  # noqa: PLC0415  slow to import
 
     n = x.size
     likeness = correlate(x, x, method="fft")[n - 1 :] / np.arange(n, 0, -1)
-    lags = np.arange(SHORTEST, n // 2 + 1)
+    lags = np.arange(8, n // 2 + 1)
     peak = likeness[lags] >= np.maximum(likeness[lags - 1], likeness[lags + 1])
     found = lags[peak]
-    return [int(lag) for lag in found[np.argsort(-likeness[found])][:CANDIDATES]]
+    return [int(lag) for lag in found[np.argsort(-likeness[found])][:40]]
 
 
 def runs(true: NDArray[np.bool_]) -> list[slice]:

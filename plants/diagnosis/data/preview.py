@@ -9,11 +9,6 @@ from estune.core.quantities import FloatArray
 from plants.diagnosis.data.measured_record import CHANNELS, MeasuredRecord
 from plants.diagnosis.data.smoothing import Smoother, proportion
 
-CLEAR = 0.7
-"""Size of a correlation from which its sign says something."""
-STEPWISE = 0.05
-"""Share of the samples at which a setpoint may change to be a sequence of steps."""
-
 
 class Preview(NamedTuple):
     """One record as it was understood.
@@ -67,7 +62,7 @@ def warnings(p: Preview) -> list[str]:
         f"{value:.2f}); if nothing outside moves the cable, turn a sign, as in --scale "
         f"{pair.partition('_')[0]}=-1"
         for pair, value in p.signs.items()
-        if value < -CLEAR
+        if value < -0.7
     ]
 
 
@@ -75,7 +70,7 @@ def _steps(setpoint: FloatArray | None) -> int | None:
     if setpoint is None:
         return None
     changes = int(np.count_nonzero(np.diff(setpoint)))
-    return changes if changes <= STEPWISE * setpoint.size else None
+    return changes if changes <= 0.05 * setpoint.size else None
 
 
 def _signs(m: MeasuredRecord) -> dict[str, float]:

@@ -13,18 +13,6 @@ from numpy.polynomial import hermite_e
 
 from estune.core.quantities import FloatArray
 
-CUT_OFF = 5.0
-"""Widths at which the Gaussian is truncated; exp(-12.5) is 4e-6."""
-
-FEWEST = 8
-"""Fewest samples of a proportion."""
-DIRECT = 256
-"""Longest kernel that is convolved directly, not by FFT."""
-WIDTH_RATIO = 1.1
-"""Resolution of the search for a width."""
-SLOW = 0.01
-"""Width at which signs and units of channels are compared, as a share of the record."""
-
 
 class Smoother(NamedTuple):
     """A Gaussian kernel on a sampling grid.
@@ -40,12 +28,13 @@ class Smoother(NamedTuple):
     @classmethod
     def slow(cls, duration_s: float, sampling_Hz: float) -> "Smoother":
         """The kernel through which signs and units of a record are compared."""
-        return cls(max(SLOW * duration_s, 1.0 / sampling_Hz), sampling_Hz)
+        return cls(max(0.01 * duration_s, 1.0 / sampling_Hz), sampling_Hz)
 
     @property
     def reach(self) -> int:
         """Samples on either side that a smoothed value depends on."""
-        return int(np.ceil(CUT_OFF * self.width_s * self.sampling_Hz))
+        # Beyond five widths a Gaussian is below exp(-12.5), 4e-6 of its peak.
+        return int(np.ceil(5.0 * self.width_s * self.sampling_Hz))
 
     def sampled(self, signal: FloatArray, *coefficients: float) -> FloatArray:
         """`c0 x + c1 x' + c2 x'' + ...` smoothed, of a signal known at the sampling instants.
@@ -98,7 +87,7 @@ def proportion(x: FloatArray, y: FloatArray) -> tuple[float, float]:
     Samples at which one of them is not known are left out.
     """
     known = np.isfinite(x) & np.isfinite(y)
-    if known.sum() < FEWEST:
+    if known.sum() < 8:
         return 0.0, 0.0
     x, y = x[known] - x[known].mean(), y[known] - y[known].mean()
     xx, yy, xy = float(x @ x), float(y @ y), float(x @ y)
@@ -108,7 +97,7 @@ def proportion(x: FloatArray, y: FloatArray) -> tuple[float, float]:
 def _convolved(signal: FloatArray, kernel: FloatArray, reach: int) -> FloatArray:
     if signal.size <= 2 * reach:
         return np.full(signal.size, np.nan)
-    if kernel.size <= DIRECT:
+    if kernel.size <= 256:
         smooth = np.convolve(signal, kernel, mode="same")
     else:
         from scipy.signal import oaconvolve  # noqa: PLC0415  slow to import
@@ -131,7 +120,7 @@ def least_width(wanted: Callable[[float], bool], shortest_s: float, longest_s: f
     low, high = shortest_s, max(shortest_s, longest_s)
     if wanted(low):
         return low
-    while high / low > WIDTH_RATIO:
+    while high / low > 1.1:
         middle = float(np.sqrt(low * high))
         low, high = (low, middle) if wanted(middle) else (middle, high)
     return high

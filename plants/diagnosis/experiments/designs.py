@@ -26,26 +26,16 @@ from estune.trial.profiles import (
 )
 from plants.simulation.plant import drive_of
 
-MARGIN = 0.1
-"""Share of the range between the limits that is kept free at either end."""
 WIDEST = 4.0
 """Greatest range in suggested steps: limits may be far wider than the operating range."""
-QUIET = 0.2
-"""Hold at the preload before each excitation, in time units: it shows the noise."""
 LOW_Hz = 0.5
 """Lowest frequency, per time unit."""
 HIGHEST = 0.45
 """Highest line of a multisine, relative to the sampling rate."""
-PER_SETTLING = 8.0
-"""Time unit of a fast plant, in settling times."""
-BAND_END = 6.0
-"""Upper end of a multisine's low band, in 1/settling time."""
 SINE = 0.25
 """First rms of a multisine, relative to half the range; a crest factor is near 2."""
 SMALL = 0.2
 """Relative amplitude of a small triangle: a free drum near zero force shows friction."""
-SMALLEST = 0.02
-"""Least share of its first size to which an excitation may be scaled down."""
 
 
 class Experiment(NamedTuple):
@@ -98,7 +88,7 @@ class RigScale:
         A plant that settles within less than an eighth of a second has a shorter one.
         """
         settling_s = self.rig.settling_time_s
-        return max(settling_s, min(1.0, PER_SETTLING * settling_s))
+        return max(settling_s, min(1.0, 8.0 * settling_s))
 
     @cached_property
     def range_N(self) -> tuple[float, float]:
@@ -106,7 +96,8 @@ class RigScale:
         limits, (low, high) = self.rig.limits, self.rig.step.extremes_N
         size = WIDEST / 2.0 * (high - low)
         low, high = max(limits.tension_min_N, low - size), min(limits.tension_max_N, high + size)
-        margin = MARGIN * (high - low)
+        # A tenth of the range stays free at either end.
+        margin = 0.1 * (high - low)
         return low + margin, high - margin
 
     @property
@@ -117,7 +108,7 @@ class RigScale:
     @property
     def start_s(self) -> float:
         """Hold before an excitation, s."""
-        return self.seconds(QUIET)
+        return self.seconds(0.2)
 
     def seconds(self, units: float) -> float:
         """A time as a whole number of samples, s."""
@@ -148,7 +139,7 @@ class RigScale:
             if excess <= 1.0:
                 break
             size /= excess * 1.0001
-            if size < SMALLEST * first:
+            if size < 0.02 * first:
                 return None
         made = Experiment(design.name, design.title.format(profile), profile)
         return made if self.allows(profile) else None
@@ -204,7 +195,7 @@ def _multisine(periods: int, lines: Lines) -> Make:
 
     def make(rig: RigScale, at: float, size: float) -> AnyProfile:
         start, span = rig.start_s, rig.seconds(2.0)
-        last_Hz = min(BAND_END / rig.rig.settling_time_s, HIGHEST * rig.sampling_Hz)
+        last_Hz = min(6.0 / rig.rig.settling_time_s, HIGHEST * rig.sampling_Hz)
         if rig.open_only:
             last_Hz = min(0.1 * rig.sampling_Hz, 60.0 / rig.unit_s)
         band = max(1, round(LOW_Hz / rig.unit_s * span)), _line(last_Hz, span)

@@ -36,11 +36,6 @@ from plants.diagnosis.prediction.prediction import CHANNELS, Predictor
 from plants.diagnosis.residual.localisation import Block, ResidualLocation
 from plants.diagnosis.result import NextExperiment, Verdict
 
-SEPARATION_MIN = 0.1
-"""Least separation that decides; at it the wrong model's error is 1.05 times the noise floor."""
-ANY_GAINS = Gains(1.0, 0.0, 0.0, 0.0)
-"""Gains of an open-loop trial have no effect."""
-
 
 class Evidence(NamedTuple):
     """Evidence of a diagnosis.
@@ -93,7 +88,8 @@ def rig_of(model: Any, measurements: Sequence[MeasuredRecord]) -> RigDescription
     if not hasattr(model, "describe"):
         return None
     try:
-        described: RigDescription = model.describe("rig", ANY_GAINS)
+        # Gains of an open-loop trial have no effect.
+        described: RigDescription = model.describe("rig", Gains(1.0, 0.0, 0.0, 0.0))
     except EstuneError:
         return None
     setpoints = [m.setpoint_N for m in measurements if m.setpoint_N is not None]
@@ -142,7 +138,8 @@ def _deciding(
         f"distinguishes {' and '.join(rivals)}: they differ by {math.sqrt(most):.2g} sigmas, rms, "
         "with all other parameters free"
     )
-    best = _best(experiments, separation, SEPARATION_MIN, why)
+    # At 0.1 the wrong model's error is 1.05 times the noise floor.
+    best = _best(experiments, separation, 0.1, why)
     return best and replace(best, separation=most)
 
 

@@ -41,8 +41,6 @@ from plants.models.unloaded_reel import UnloadedReel
 
 ROUNDS_MAX = 6
 """Most diagnoses."""
-NEW_EXPERIMENTS = 2
-"""Experiments run after an effect was added; they had no part in finding it."""
 
 
 def improve(
@@ -226,7 +224,7 @@ def _diagnose_rounds(
 def _new_experiments(lab: ExperimentRunner, found: Diagnosis) -> list[Experiment]:
     """Experiments that validate the effects found, or the one that would decide, if not run."""
     if found.verdict in ("named", "incomplete"):
-        return lab.new_experiments(NEW_EXPERIMENTS)
+        return lab.new_experiments(2)
     if found.next_experiment is None or found.next_experiment.trial.profile in lab.done:
         return []
     trial = found.next_experiment.trial

@@ -9,9 +9,6 @@ from plants.effects import Effect, Port, Signal, Site, parameter
 from plants.effects.cable_slack import TINY_N, straightened, stretched
 from plants.effects.effect import Response, Values
 
-TINY_N3 = 1e-30
-"""Keeps the third root differentiable where there is no weight."""
-
 
 @dataclass(frozen=True)
 class Calibration(Effect):
@@ -84,7 +81,8 @@ class SaggingCalibration(Calibration):
         del p
         unit = reel.stiffness_N_m * reel.gravity_m_s2**2 * reel.cable_length_m**3 / 24.0
         own_kg_m, added_kg_m = reel.cable_density_kg_m, vars(reel).get("added_density_kg_m", 0.0)
-        Q = unit * (own_kg_m + added_kg_m) ** 2 + TINY_N3
+        # The third root stays differentiable where there is no weight.
+        Q = unit * (own_kg_m + added_kg_m) ** 2 + 1e-30
         a, preload = 1.0 - 2.0 * unit * own_kg_m**2 / reel.preload_N**3, reel.preload_N
         slack = {}
         if "slack_m" in vars(reel):

@@ -28,7 +28,6 @@ from plants.models.linear_plant import LinearPlant
 from plants.models.path_structure import PathStructure, squarings_for
 from plants.models.symbolic_plant import TracedStructure
 
-LEAST_SQUARINGS = 4
 HORIZON = 5.0
 """A prediction's length times the natural frequency: most of a period."""
 LONGEST_share = 0.2
@@ -152,7 +151,7 @@ class DiagnosedModel(ABC):
     def squarings(self, fastest_rad_s: float) -> int:
         """Squarings of a matrix exponential of such a rate; the same for most records."""
         slowest_Hz = min(m.sampling_Hz for m in self.measurements)
-        return max(LEAST_SQUARINGS, squarings_for(fastest_rad_s, slowest_Hz))
+        return max(4, squarings_for(fastest_rad_s, slowest_Hz))
 
     def window_s(self, wanted_s: float, shortest_samples: int) -> float:
         """A window's length within a share of the shortest record, and above some samples."""

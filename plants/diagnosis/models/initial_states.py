@@ -16,12 +16,8 @@ from scipy.linalg import expm
 from estune.core.quantities import FloatArray
 from plants.diagnosis.models.diagnosed_model import Local
 
-RESIDUAL_MAX = 1.05
-"""Residual of a span, relative to the noise, up to which it may grow."""
 SPANS = (1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48)
 """Samples on either side that are tried, beyond what the unknowns need."""
-RATE_MAX = 5.0
-"""Greatest product of span and fastest rate: the backward propagation of a mode grows with it."""
 
 
 class InitialStates(NamedTuple):
@@ -48,10 +44,11 @@ def estimate_states(
     best = sampled.states(at, needed)
     for extra in SPANS:
         either = needed + extra
-        if 4 * either > output.size or either * rate > RATE_MAX:
+        # The backward propagation of a mode grows with its rate.
+        if 4 * either > output.size or either * rate > 5.0:
             break
         wider = sampled.states(at, either)
-        if wider.residual > max(RESIDUAL_MAX * noise, best.residual):
+        if wider.residual > max(1.05 * noise, best.residual):
             break
         best = wider
     return best._replace(deviation=noise * best.deviation)

@@ -30,16 +30,8 @@ from plants.models.linear_with_effects import LinearEffectStructure
 from plants.models.pole_zero_form import transfer_function
 
 SHORTEST_samples = 24
-MOST_RATE = 4.0
-"""Greatest growth of the fastest pole in a fit that keeps the matrix exponential exact."""
-TIMES = 60
-LEAST_DAMPING = 1e-5
-RESIDUAL_RATIO = 0.8
-"""Residual of a difference equation, relative to that without its newest input, that proves it."""
 MEAN_LEAD_samples = 0.5
 """Mean lead of an input with first-order hold over one with zero-order hold."""
-SAMPLES_PER_TERM = 20
-"""Fewest samples of a record for each term of a difference equation."""
 
 
 class DiagnosedLinear(DiagnosedPlant):
@@ -68,7 +60,8 @@ class DiagnosedLinear(DiagnosedPlant):
     def structure(self, effects: tuple[type[Effect], ...]) -> LinearEffectStructure:
         """The plant with these effects."""
         rates = np.abs(np.linalg.eigvals(np.array(self._linear.A)))
-        n = self.squarings(MOST_RATE * float(rates.max(initial=1e-9)))
+        # The fastest pole may grow fourfold in a fit.
+        n = self.squarings(4.0 * float(rates.max(initial=1e-9)))
         return LinearEffectStructure(
             self.kinds, effects, fractional=True, squarings=n, rounded=False
         )
@@ -98,13 +91,14 @@ class DiagnosedLinear(DiagnosedPlant):
     def _slope(self) -> float:
         """1 where the output depends on the input of the same instant: no zero-order hold."""
         held, curved = (sum(self._left(m, newest) for m in self.measurements) for newest in (1, 0))
-        return 1.0 if curved < RESIDUAL_RATIO * held else 0.0
+        # The newest input counts where it takes off a fifth of the residual.
+        return 1.0 if curved < 0.8 * held else 0.0
 
     def _left(self, m: MeasuredRecord, newest: int) -> float:
         """Residual sum of squares of a difference equation; its newest input is `newest` back."""
         n, y = self.kinds.order, m.tension_N
         u = shifted(self.command_N(m), self.values["dead_time_s"] * m.sampling_Hz)
-        if y is None or y.size < SAMPLES_PER_TERM * n or not np.isfinite(y).all():
+        if y is None or y.size < 20 * n or not np.isfinite(y).all():
             return 0.0
         past = [y[n - k : y.size - k] for k in range(1, n + 1)]
         past += [u[n - k : u.size - k] for k in range(newest, n + 1)]
@@ -144,9 +138,9 @@ class DiagnosedLinear(DiagnosedPlant):
         stepped[:n, :n], stepped[:n, n] = np.reshape(np.array(model.A), (n, n)), model.B
         step = 0.1 * self.sizes.torque_rms_Nm * self.model.torque_unit
         visible = 12.0 * SHOWS * noise_floor(self.measurements).tension_N
-        times = np.geomspace(shortest_s, max(longest_s, shortest_s), TIMES)
+        times = np.geomspace(shortest_s, max(longest_s, shortest_s), num=60)
         travels = step * np.abs(expm(times[:, None, None] * stepped)[:, :n, n] @ np.array(model.C))
-        return float(times[min(int(np.searchsorted(travels, visible)), TIMES - 1)])
+        return float(times[min(int(np.searchsorted(travels, visible)), times.size - 1)])
 
     def calibrated(
         self, values: Mapping[str, float], effects: Sequence[type[Effect]] = ()
@@ -170,7 +164,7 @@ def _free(name: str, value: float) -> Free:
     """A gain, mode or time constant."""
     unit = "Hz" if name.endswith("_Hz") else "s" if name.endswith("_s") else ""
     if "damping" in name and value > 0.0:
-        low = min(LEAST_DAMPING, value)
+        low = min(1e-5, value)
         return Free(name, unit, value, low, max(RANGE * value, 2.0), "log", "base")
     if value > 0.0:
         return positive(name, unit, value)

@@ -28,15 +28,6 @@ from plants.models.reel_equations import (
     viscous_friction_Nms,
 )
 
-LENGTHS_DIFFER = 0.05
-"""Spread of the cable lengths, relative to their mean, that identifies parameters by length."""
-OFTEN = 0.1
-"""Share of samples with a slack cable that identifies the torque's offset beside the gauge's."""
-SAGS = 1e-3
-"""Error of the linear law, relative to the preload, above which sag is modelled in full."""
-MOST_RATE = 2.0
-"""Greatest growth of the fastest rate in a fit that keeps the matrix exponential exact."""
-
 
 class DiagnosedReel(DiagnosedModel):
     """A `Reel`; its length and preload are those of each record."""
@@ -81,7 +72,7 @@ class DiagnosedReel(DiagnosedModel):
             preload, Q = self.preload(m), self._sag_N3(m)
             T = max(float(np.quantile(m.tension_N, 0.01)), 0.05 * preload)
             bent = Q * (1.0 / T**2 - 1.0 / preload**2) - 2.0 * Q * (preload - T) / preload**3
-            if abs(bent) > SAGS * preload:
+            if abs(bent) > 1e-3 * preload:
                 return True
         return False
 
@@ -97,7 +88,7 @@ class DiagnosedReel(DiagnosedModel):
                 sag = self._sag_N3(m)
                 slack += int(np.count_nonzero(m.tension_N < (2.0 * sag) ** (1.0 / 3.0)))
                 samples += m.samples
-        return slack > OFTEN * samples
+        return slack > 0.1 * samples
 
     def _sag_N3(self, m: MeasuredRecord) -> float:
         """The own weight's Q = k w^2 L^3/24, N^3."""
@@ -132,10 +123,11 @@ class DiagnosedReel(DiagnosedModel):
 
     def structure(self, effects: tuple[type[Effect], ...]) -> ReelStructure:
         """The reel with these effects."""
+        # The fastest rate may double in a fit.
         return ReelStructure(
             effects=effects,
             fractional=True,
-            squarings=self.squarings(MOST_RATE * self._fastest_rad_s),
+            squarings=self.squarings(2.0 * self._fastest_rad_s),
             rounded=False,
             watched=self.is_watched,
             by_gauge=self.placed_by == "tension_N",
@@ -170,7 +162,7 @@ class DiagnosedReel(DiagnosedModel):
     def _calibrations(self) -> list[Slot]:
         r, c = self.model, self.calibration
         lengths = [self.length(m) for m in self.measurements]
-        differ = max(lengths) - min(lengths) > LENGTHS_DIFFER * np.mean(lengths)
+        differ = max(lengths) - min(lengths) > 0.05 * np.mean(lengths)
         friction = max(r.viscous_friction_Nms, self._unit_friction)
         parameters = [
             positive("drum_inertia_kg_m2", "kg m2", r.drum_inertia_kg_m2),

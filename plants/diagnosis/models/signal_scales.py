@@ -9,11 +9,6 @@ from estune.core.quantities import FloatArray
 from plants.diagnosis.data.noise import step_of
 from plants.effects import RecordScale
 
-RESOLVED = 20.0
-"""Steps of the encoder, rms, in a travel that a velocity is taken from."""
-SLOWEST = 0.02
-"""Share of the moving samples that are slower than the least speed at which records dwell."""
-
 
 def signal_scale(
     currents: Sequence[FloatArray],
@@ -56,7 +51,7 @@ def travels(angle: FloatArray) -> tuple[FloatArray, int]:
     step, span = step_of(angle), 1
     while True:
         moved = angle[span:] - angle[:-span]
-        if 2 * span >= angle.size or _rms([moved]) >= RESOLVED * step:
+        if 2 * span >= angle.size or _rms([moved]) >= 20.0 * step:
             return moved, span
         span *= 2
 
@@ -71,7 +66,7 @@ def _least(parts: Sequence[FloatArray]) -> float:
     """Speed that the slowest share of the moving samples stays below."""
     speeds = np.abs(np.concatenate(parts)) if parts else np.empty(0)
     moving = speeds[speeds > 0.0]
-    return float(np.quantile(moving, SLOWEST)) if moving.size else 0.0
+    return float(np.quantile(moving, 0.02)) if moving.size else 0.0
 
 
 def _rms(signals: Sequence[FloatArray]) -> float:

@@ -23,8 +23,6 @@ from plants.models.linear_structures import DrumStructure
 from plants.models.linear_with_effects import LinearEffectStructure
 from plants.models.unloaded_reel import UnloadedReel
 
-MOST_RATE = 100.0
-"""Greatest growth of friction over inertia in a fit that keeps the matrix exponential exact."""
 SHORTEST_samples = 10
 """Least samples of a window: its initial state takes two. Longer windows weigh slow errors more:
 with 24 Coulomb friction of a measured drive at 100 Hz comes out 7 % off, with 10 or 8 3 %."""
@@ -58,7 +56,8 @@ class DiagnosedDrum(DiagnosedModel):
     def structure(self, effects: tuple[type[Effect], ...]) -> LinearEffectStructure:
         """The drum with these effects."""
         p = self.model
-        n = self.squarings(MOST_RATE * max(p.viscous_friction_Nms, 1e-9) / p.drum_inertia_kg_m2)
+        # Friction over inertia may grow a hundredfold in a fit.
+        n = self.squarings(100.0 * max(p.viscous_friction_Nms, 1e-9) / p.drum_inertia_kg_m2)
         return LinearEffectStructure(
             DrumStructure(), effects, fractional=True, squarings=n, rounded=False
         )

@@ -8,10 +8,6 @@ from plants.diagnosis.pipeline.compare import EffectComparison
 from plants.diagnosis.search.intervals import intervals as fitted_intervals
 from plants.effects import Cogging, MainsInterference, Quantisation
 
-STEP_KNOWN = 2e-3
-"""Relative uncertainty of a step found among readings: they are written with few digits, of which
-the step has as many."""
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StatedIntervals:
@@ -48,7 +44,8 @@ def _beside_the_fit(compared: EffectComparison) -> dict[str, Interval]:
         }
     q = compared.fitted.noise.coarse_step_N
     if Quantisation in compared.effects and q is not None:
-        step = Interval(q, q * (1.0 - STEP_KNOWN), q * (1.0 + STEP_KNOWN), "N")
+        # Readings are written with few digits, of which the step has as many.
+        step = Interval(q, q * (1.0 - 2e-3), q * (1.0 + 2e-3), "N")
         values_of[Quantisation.name] = {"step_N": step.over(read)}
     if compared.waves is not None:
         values_of[Cogging.name] = compared.waves.parameters

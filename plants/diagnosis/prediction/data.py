@@ -17,20 +17,10 @@ from plants.diagnosis.models.initial_states import estimate_states
 from plants.diagnosis.prediction.library import CHANNELS
 from plants.diagnosis.prediction.window_projection import WindowProjection
 
-FIRST_samples = 8
-"""Samples at a record's start whose mean is its first reading."""
-REST_RATE = 0.05
-"""Share of a rate's rms below which a record that begins at its preload begins at rest."""
 DEVIATIONS = 4.0
 """Standard deviations within which a reading agrees with the expected one."""
-LAG_MAX_s = 0.05
-"""Greatest lag of a measured current behind the command."""
 LAG_TOLERANCE = 1.05
 """Sum of squares, relative to the least of all lags, up to which a lag fits as well."""
-OUTLIER = 5.0
-"""Mean square of a window, relative to the median of all, at which it is clipped."""
-SIGMA_MIN = 1e-9
-"""Sigma of a channel without noise, relative to its size."""
 
 
 class Index(NamedTuple):
@@ -178,7 +168,7 @@ def _unrepeated_rms(
     square = np.bincount(index.window[chosen], unexplained[chosen] ** 2)[windows]
     square /= np.bincount(index.window[chosen])[windows]
     # A few impacts are no noise floor.
-    return float(np.sqrt(np.minimum(square, OUTLIER * np.median(square)).mean()))
+    return float(np.sqrt(np.minimum(square, 5.0 * np.median(square)).mean()))
 
 
 class _Start(NamedTuple):
@@ -228,7 +218,7 @@ def _rests(
         return True
     rates = np.abs(placed[1:])
     typical, strict = np.std(np.diff(output)) * m.sampling_Hz, DEVIATIONS * deviation[1:]
-    if rates.size and rates[0] > strict[0] + REST_RATE * typical:
+    if rates.size and rates[0] > strict[0] + 0.05 * typical:
         return False
     tension = m.tension_N
     if tension is None:
@@ -244,7 +234,7 @@ def _reading(model: DiagnosedModel, m: MeasuredRecord, noise: NoiseFloor) -> flo
     if tension is None:
         # A drum without a cable stands where it is.
         return model.preload(m) if "tension_N" in model.outputs else 0.0
-    first = tension[:FIRST_samples]
+    first = tension[:8]
     mean = float(first[np.isfinite(first)].mean()) if np.isfinite(first).any() else m.preload_N
     close = DEVIATIONS * _rms(noise, "tension_N") / np.sqrt(first.size)
     # An excitation may begin with the record, and mains interference may be on it.
@@ -314,7 +304,7 @@ def _sigma(
     noise: NoiseFloor, channel: str, spread: float, largest: float, known: float = 0.0
 ) -> float:
     """Sigma_eff of a channel, from the rms to explain, the largest reading and known noise."""
-    least = SIGMA_MIN * max(spread, largest, 1e-3)
+    least = 1e-9 * max(spread, largest, 1e-3)
     return float(np.fmax(noise.effective(channel, spread, known), least))
 
 
@@ -328,7 +318,7 @@ def _without_lag(m: MeasuredRecord, newtons_per_ampere: float) -> FloatArray | N
     if current is None:
         return None
     command = m.command_A(newtons_per_ampere)
-    most = min(round(LAG_MAX_s * m.sampling_Hz), m.samples // 4)
+    most = min(round(0.05 * m.sampling_Hz), m.samples // 4)  # lags up to 50 ms
     kept = m.samples - most
     before = np.concatenate([command[:1], command[:-1]])
     columns = np.stack([command, before - command, np.ones(m.samples)], axis=1)

@@ -36,8 +36,6 @@ RECORD_ARRAYS = (
     *("measured", "source", "block_end", "record_blocks"),
 )
 """Arrays of `PredictionData` that the C code reads, by the names of `Task`."""
-STATE_STEP = 1e-3
-"""Step of a window's initial state, relative to its spread."""
 
 
 class Prediction(NamedTuple):
@@ -349,4 +347,4 @@ def _state_steps(of: PredictionData, placed: int) -> FloatArray:
     spread = of.window_place.std(axis=0) if len(of.window_place) > 1 else np.zeros(placed)
     size = np.abs(of.window_place).max(axis=0, initial=0.0)
     wide = np.where(spread > 0.0, spread, size)
-    return STATE_STEP * np.where(wide > 0.0, wide, 1.0)
+    return 1e-3 * np.where(wide > 0.0, wide, 1.0)

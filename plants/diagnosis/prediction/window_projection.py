@@ -5,9 +5,6 @@ from numpy.typing import NDArray
 
 from estune.core.quantities import FloatArray
 
-DEPENDENT = 1e-6
-"""A direction of which less than this share is independent of the others is left out."""
-
 
 class WindowProjection:
     """Inner products and projections, window by window."""
@@ -34,7 +31,8 @@ class WindowProjection:
             for _ in range(2):
                 remainder = self.residual_after(remainder, basis[:n])
             length = np.sqrt(self.dot(remainder, remainder))
-            np.divide(remainder, length, out=basis[n], where=length > DEPENDENT)
+            # What is nearly a combination of the others is left out.
+            np.divide(remainder, length, out=basis[n], where=length > 1e-6)
         return basis
 
     def residual_after(self, signal: FloatArray, basis: FloatArray) -> FloatArray:

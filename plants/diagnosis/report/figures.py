@@ -35,7 +35,6 @@ AFTER: dict[str, Any] = {"color": BLUE, "linewidth": 1.1}
 MEASURED: dict[str, Any] = {"color": BLACK, "linewidth": 3.0, "alpha": 0.3}
 
 _EXCERPT_samples = 1200
-_BINS = 600
 BARS_MAX = 14
 """Effects that a ranking draws; the rest are in its table."""
 
@@ -191,9 +190,10 @@ def _rate_Hz(time_s: FloatArray) -> float:
 
 def _envelope(time: FloatArray, signal: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Least and greatest value in each of a few hundred bins, so that a page stays small."""
-    if time.size <= 2 * _BINS:
+    bins = 600
+    if time.size <= 2 * bins:
         return time, np.minimum(signal, 0.0), np.maximum(signal, 0.0)
-    starts = np.linspace(0, time.size, _BINS, endpoint=False).astype(int)
+    starts = np.linspace(0, time.size, bins, endpoint=False).astype(int)
     known = np.nan_to_num(signal)
     return time[starts], np.minimum.reduceat(known, starts), np.maximum.reduceat(known, starts)
 

@@ -25,7 +25,6 @@ from plants.diagnosis.residual.localisation import (
 
 NOISE: dict[str, Any] = {"color": GREY, "linewidth": 1.0, "linestyle": (0, (4, 2))}
 _BLOCK_COLOURS = (VERMILION, PURPLE, GREEN, BLUE)
-_COLUMNS = 3
 
 
 def draw_shares(ax: Axes, where: ResidualLocation) -> Axes:
@@ -52,9 +51,10 @@ def draw_shares(ax: Axes, where: ResidualLocation) -> Axes:
 def block_figure(block: Block) -> Figure:
     """Location of a block's residual: its spectrum, and its mean over each variable."""
     panels = 1 + len(block.views)
-    rows = -(-panels // _COLUMNS)
+    columns = 3
+    rows = -(-panels // columns)
     figure = new_figure(WIDTH_in, 1.75 * rows)
-    axes = figure.subplots(rows, _COLUMNS, squeeze=False).ravel()
+    axes = figure.subplots(rows, columns, squeeze=False).ravel()
     draw_block_spectrum(axes[0], block)
     for ax, view in zip(axes[1:], sorted(block.views, key=lambda v: -v.share), strict=False):
         draw_view(ax, block, view)

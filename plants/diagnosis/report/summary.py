@@ -20,8 +20,6 @@ _HEADINGS = {
     "unknown": "UNEXPLAINED",
     "none": "NO MISSING EFFECT",
 }
-_PLACES_MAX = 7
-"""Decimals beyond which a number is written with an exponent."""
 
 
 class TextTable(NamedTuple):
@@ -286,5 +284,5 @@ def _rounded(value: float, places: int | None) -> str:
         return "-"
     if places is None:
         return f"{value:.4g}"
-    within = 0 <= places <= _PLACES_MAX
+    within = 0 <= places <= 7
     return f"{value:.{places}f}" if within else f"{round(value, places):.6g}"

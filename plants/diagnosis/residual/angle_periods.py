@@ -16,12 +16,6 @@ from estune.core.quantities import FloatArray
 
 PEAKS = 3
 """Peaks taken."""
-STEPS = 8192
-"""Most steps that the angle is divided into."""
-FINE = 8
-"""Periods tried for each that the widest turning tells apart."""
-SURE = 1e-3
-"""Share of the samples by which a wave must differ from a straight line where they are."""
 
 
 class ResidualOverAngle(NamedTuple):
@@ -44,8 +38,9 @@ def per_turn(
     extent = max((float(np.ptp(t.angle_rad)) for t in turnings), default=0.0)
     if extent == 0.0:
         return []
-    step = max(read_rad, extent / STEPS)
-    size = 2 ** math.ceil(math.log2(FINE * extent / step))
+    step = max(read_rad, extent / 8192)
+    # Eight periods are tried for each that the widest turning tells apart.
+    size = 2 ** math.ceil(math.log2(8 * extent / step))
     orders = 2.0 * math.pi / (size * step) * np.arange(size // 2)
     explained = np.sum([_explained(t, step, size) for t in turnings], axis=0)
     inner = np.flatnonzero(orders * extent >= 2.0 * math.pi * fewest)
@@ -80,7 +75,8 @@ def _explained(turning: ResidualOverAngle, step: float, size: int) -> FloatArray
         [[place.size + twice.real, -twice.imag], [-twice.imag, place.size - twice.real]]
     )
     normal -= np.einsum("akn,bkn->abn", columns, columns)
-    normal[[0, 1], [0, 1]] += SURE * place.size
+    # A wave has to differ from a straight line where the samples are.
+    normal[[0, 1], [0, 1]] += 1e-3 * place.size
     weights = np.linalg.solve(
         normal.transpose(2, 0, 1), np.stack([pull.real, -pull.imag], axis=1)[:, :, None]
     )[:, :, 0]

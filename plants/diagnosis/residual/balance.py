@@ -24,12 +24,6 @@ from plants.diagnosis.data.measured_record import MeasuredRecord
 from plants.diagnosis.data.smoothing import Smoother, least_width
 from plants.diagnosis.models.base import BaseNumbers
 
-NOISE_MAX = 0.02
-"""Noise of the smoothed balance, as a share of its terms, that the smoothing aims at."""
-ORDER_MAX = 6
-"""Higher derivatives are noise on any record."""
-
-
 Signals = Mapping[str, FloatArray]
 """Signals of one record, or simulated noise of them, shape (samples,) each: `effort_N` (command
 times newtons per ampere) and, where measured, `angle_rad`, `tension_N` (the output of a plant that
@@ -165,7 +159,8 @@ def equations(b: BaseNumbers, channels: frozenset[str]) -> tuple[Equation, ...]:
     gauge, encoder = "tension_N" in channels, "angle_rad" in channels
     if b.linear is not None:
         _, denominator = transfer(b.linear)
-        if denominator.size - 1 > ORDER_MAX:
+        # Higher derivatives are noise on any record.
+        if denominator.size - 1 > 6:
             return tuple(balances)
         return (*balances, PLANT, PLANT_OF_SMOOTH_INPUT)
     cable = b.stiffness_N_m is not None
@@ -212,7 +207,7 @@ def smoother_for(
             equation.balance(most.numbers, s, smoother) for s in (most.signals, most.noise)
         )
         noise_rms = np.nanstd(by_noise.known) + np.nanstd(by_noise.columns.sum(axis=1))
-        return bool(noise_rms <= NOISE_MAX * np.nanstd(terms.known))
+        return bool(noise_rms <= 0.02 * np.nanstd(terms.known))
 
     return Smoother(least_width(quiet, shortest_s, longest_s), sampling_Hz)
 

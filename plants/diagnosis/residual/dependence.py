@@ -22,8 +22,6 @@ LEVELS = 3
 CELLS = 512
 """Cells of the angle in which a residual is summed before the search for its period; a quarter as
 many periods can be told apart."""
-NESTED = 0.9
-"""Share of the best view's that a simpler view must explain to be named in its place."""
 SIMPLER: Mapping[str, tuple[str, ...]] = {
     "velocity sign and tension": ("velocity sign", "tension"),
     "velocity": ("velocity sign",),
@@ -187,7 +185,7 @@ def strongest(listed: Sequence[ResidualDependence]) -> ResidualDependence:
     nearly = [
         by_name[name]
         for name in SIMPLER.get(best.name, ())
-        if name in by_name and by_name[name].share >= NESTED * best.share
+        if name in by_name and by_name[name].share >= 0.9 * best.share
     ]
     return max(nearly, key=lambda view: view.share, default=best)
 

@@ -44,8 +44,6 @@ RATIO_MIN = 1.2
 """Least ratio to its noise, known to about 10 %, of a block that is reported."""
 SHARE_MIN = 0.1
 """Least share of the residual of a variable that is reported."""
-R2_MIN = 0.4
-"""Least share of one block explained by another for both to have one cause."""
 READING = "gauge's reading"
 SAMPLES_MAX = 12_000
 """Samples used for the dependence on variables; longer residuals are subsampled."""
@@ -242,10 +240,10 @@ def _responsible(blocks: Sequence[Block], sampling_Hz: float) -> list[Block]:
     if gauge is None or not ordered[0].ratio > RATIO_MIN:
         return ordered
     shown = eyelet is not None and eyelet.ratio > RATIO_MIN
-    if eyelet is not None and shown and _signed_R2(gauge, eyelet, sampling_Hz) > R2_MIN:
+    if eyelet is not None and shown and _signed_R2(gauge, eyelet, sampling_Hz) > 0.4:
         return [eyelet, *(block for block in ordered if block is not eyelet)]
     if force is not None and force.ratio > RATIO_MIN:
-        if _signed_R2(force, gauge, sampling_Hz) < -R2_MIN:
+        if _signed_R2(force, gauge, sampling_Hz) < -0.4:
             others = [block for block in ordered if block not in (force, gauge)]
             return [replace(gauge, title=READING), *others, force]
     elif force is not None:

@@ -16,12 +16,6 @@ from plants.diagnosis.models.base import BaseNumbers
 from plants.diagnosis.residual.balance import Equation, Record
 from plants.diagnosis.residual.dependence import LEVELS, Variable, quantiles
 
-WIDTH_MAX = 0.02
-"""Greatest smoothing width of a plant without a natural frequency, as a share of the record."""
-SIGN_NOISE = 3.0
-"""A velocity within so many times its noise has no sign."""
-VELOCITY_NOISE_MAX = 0.1
-"""Noise of the velocity, as a share of it, at which its sign is reliable."""
 SEGMENT = 512
 """Samples in a segment of the spectrum."""
 
@@ -62,7 +56,7 @@ def widest_s(records: Sequence[Record]) -> float:
     """Greatest smoothing width that keeps the plant's own motion, s."""
     natural = max(r.numbers.natural_rad_s for r in records)
     shortest = min(r.measurement.duration_s for r in records)
-    return min(WIDTH_MAX * shortest, 1.0 / natural if natural > 0.0 else math.inf)
+    return min(0.02 * shortest, 1.0 / natural if natural > 0.0 else math.inf)
 
 
 def fit_balance(equation: Equation, records: Sequence[Record], smoother: Smoother) -> BalanceFit:
@@ -109,11 +103,11 @@ def variables(records: Sequence[Record]) -> list[Variable]:
     def quiet(width_s: float) -> bool:
         smoother = Smoother(width_s, rate)
         noise = np.nanstd(velocity(smoother, noise=True))
-        return bool(noise <= VELOCITY_NOISE_MAX * np.nanstd(velocity(smoother)))
+        return bool(noise <= 0.1 * np.nanstd(velocity(smoother)))
 
     smoother = Smoother(least_width(quiet, 1.0 / rate, widest_s(records)), rate)
     v, commands = velocity(smoother), [(r.signals["effort_N"], r.numbers) for r in records]
-    least = SIGN_NOISE * float(np.nanstd(velocity(smoother, noise=True)))
+    least = 3.0 * float(np.nanstd(velocity(smoother, noise=True)))
     sign = np.where(np.isfinite(v), np.sign(v) * (np.abs(v) > least), np.nan)
     way = np.where(np.isfinite(sign), sign + 1.0, -1.0).astype(np.int64)
     commanded = [smoother.held(u, b.dead_time_s, 0.0, 1.0) for u, b in commands]

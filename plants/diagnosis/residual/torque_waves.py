@@ -26,18 +26,11 @@ from plants.diagnosis.models.base import BaseNumbers
 from plants.diagnosis.residual.angle_periods import ResidualOverAngle, per_turn
 from plants.effects.cogging import WAVES
 
-FEWEST_PERIODS = 3.0
-"""Periods of a wave that the widest record has to show."""
-WORTH = 0.1
-"""Share of the power left that each further wave takes off at least."""
 WIDTH_s = 0.005
 """Smoothing of motion and current alike."""
 WHOLE = 0.9
 """Share of what the best order takes off from which on, over a turn or more, the next whole number
 is meant."""
-FAST = 5.0
-"""Speed, in times the usual one, above which a motion is no slow one: it starts or jumps."""
-PARTS = 3
 
 
 class TorqueMotion(NamedTuple):
@@ -148,7 +141,8 @@ def _motion(m: MeasuredRecord, b: BaseNumbers) -> TorqueMotion:
     angle, velocity = (smoother.sampled(m.angle_rad, *c) for c in ((1.0,), (0.0, 1.0)))
     inside = np.isfinite(torque) & np.isfinite(angle)
     speed = np.abs(velocity[inside])
-    slow = speed <= FAST * max(float(np.median(speed)), 1e-300)
+    # What is five times as fast as usual starts or jumps.
+    slow = speed <= 5.0 * max(float(np.median(speed)), 1e-300)
     v = velocity[inside][slow]
     terms = np.column_stack([v, np.sign(v)])
     return TorqueMotion(torque[inside][slow], angle[inside][slow], terms)
@@ -187,11 +181,11 @@ def _left_out(parts: list[TorqueMotion], orders: Sequence[float], *, moving: boo
 
 
 def _parts(motions: Sequence[TorqueMotion]) -> list[TorqueMotion]:
-    """The records; of one alone, its turns in parts that each have all angles."""
+    """The records; of one alone, three parts of its turns, each with all angles."""
     if len(motions) > 1:
         return list(motions)
     (m,) = motions
-    edges = np.linspace(0, m.angle_rad.size, PARTS + 1).astype(int)
+    edges = np.linspace(0, m.angle_rad.size, 4).astype(int)
     return [
         TorqueMotion(m.torque_Nm[a:b], m.angle_rad[a:b], m.terms[a:b])
         for a, b in zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True)
@@ -199,7 +193,7 @@ def _parts(motions: Sequence[TorqueMotion]) -> list[TorqueMotion]:
 
 
 def _orders(motions: Sequence[TorqueMotion]) -> tuple[float, ...]:
-    """Periods a turn of the waves that are worth it, the greatest first."""
+    """Periods a turn of the waves that are worth it, the greatest first; three in a record."""
     extent = max(float(np.ptp(m.angle_rad)) for m in motions)
     angle = np.concatenate([m.angle_rad for m in motions])
 
@@ -210,7 +204,7 @@ def _orders(motions: Sequence[TorqueMotion]) -> tuple[float, ...]:
     orders: tuple[float, ...] = ()
     residual = left(orders)
     for _ in range(WAVES):
-        found = per_turn([ResidualOverAngle(angle, residual)], 0.0, FEWEST_PERIODS)
+        found = per_turn([ResidualOverAngle(angle, residual)], 0.0, 3.0)
         if not found:
             break
         tried = {(*orders, found[0]): left((*orders, found[0]))}
@@ -221,7 +215,8 @@ def _orders(motions: Sequence[TorqueMotion]) -> tuple[float, ...]:
         # The last tried is the whole number.
         most, (last, gain) = max(gained.values()), list(gained.items())[-1]
         added = last if gain >= WHOLE * most else next(iter(tried))
-        if gained[added] < WORTH * _power(residual) or added[-1] in orders:
+        # Each further wave takes off a tenth of the power left at least.
+        if gained[added] < 0.1 * _power(residual) or added[-1] in orders:
             break
         orders, residual = added, tried[added]
     return orders

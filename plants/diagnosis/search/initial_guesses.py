@@ -13,11 +13,6 @@ from plants.diagnosis.residual.localisation import Block, ResidualLocation
 from plants.diagnosis.search.model_fitter import ModelFitter
 from plants.effects import RecordScale
 
-FEW = np.array([1.0, 1.5, 2.0, 3.0, 4.0])
-"""Periods in all the turning there is that are tried at any rate."""
-FEWEST = 4
-"""Fewest samples of a record that are looked at for a wave over the angle."""
-
 
 def record_scale(
     fitter: ModelFitter, where: ResidualLocation, values: Mapping[str, float]
@@ -69,7 +64,7 @@ def _per_turn(
     kept = [n for n, m in enumerate(measurements) if m.sampling_Hz == rate]
     for n, residual in zip(kept, block.residual, strict=True):
         m, inside = measurements[n], np.isfinite(residual)
-        if m.angle_rad is None or inside.sum() < FEWEST:
+        if m.angle_rad is None or inside.sum() < 4:
             continue
         read = max(read, step_of(m.angle_rad))
         zero = values.get(f"encoder_zero_rad[{n}]")
@@ -79,5 +74,5 @@ def _per_turn(
         return per_turn(turnings, read)
     joined = ResidualOverAngle(*map(np.concatenate, zip(*common, strict=True)))
     # What friction hides here shows in predictions.
-    few = 2.0 * math.pi / float(np.ptp(joined.angle_rad)) * FEW
-    return [*per_turn([*turnings, joined], read), *few.tolist()]
+    turn = 2.0 * math.pi / float(np.ptp(joined.angle_rad))
+    return [*per_turn([*turnings, joined], read), *(n * turn for n in (1.0, 1.5, 2.0, 3.0, 4.0))]

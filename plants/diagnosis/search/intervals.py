@@ -29,8 +29,6 @@ LACKING = 0.5
 """Share of what a base model leaves that lacks an effect by which its values are shifted: of 32
 values on machines with an effect that has no name 0.3, 0.4, 0.5 and 0.7 hold 0.81, 0.84, 0.91
 and 0.91."""
-FURTHEST = 2.0
-"""Prior deviations by which a group may move a value."""
 
 
 def intervals(
@@ -129,7 +127,7 @@ def jackknife(
         of_group = columns[:, group == n]
         others = normal - of_group @ of_group.T + np.eye(len(columns))
         moved = np.linalg.solve(others, of_group @ residuals[group == n])
-        total += np.clip(moved, -FURTHEST, FURTHEST) ** 2
+        total += np.clip(moved, -2.0, 2.0) ** 2
     count = groups.size
     spread: FloatArray = np.sqrt(total * (count - 1) / max(count, 1))
     return spread

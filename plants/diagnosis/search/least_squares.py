@@ -22,22 +22,11 @@ from plants.diagnosis.search.constants import CONSTANTS
 
 Numbers = NDArray[np.int64]
 
-DAMPINGS = (0.0, 1e-4, 1e-3, 1e-2, 0.03, 0.1, 1.0, 30.0)
-"""Levenberg's dampings, relative to the columns' own size: as many as are predicted side by side.
-The fine ones are for narrow valleys, where a step a little too long or too short is lost."""
-VALLEY = 0.5
-"""A round that lowers the sum of squares to no less than this share of it is in such a valley."""
 CONVERGED = 1e-3
 """A round that lowers the sum of squares by a smaller share is the last: models are compared by
 tens of per cent."""
 FINAL = 1e-5
 """That of the fit whose values are reported."""
-DEAD = 1e-9
-"""A value whose derivative is below this share of the greatest does nothing where it is."""
-STRIDES = (1.0, 3.0)
-"""Further steps along such a valley, relative to the step of a round."""
-FLAT = 1e-10
-"""Directions whose curvature is below this share of the greatest are left alone."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -163,12 +152,15 @@ def fit(
         known = prior.equations(at.values[moves], weight)
         columns = jacobian.T * scale.inner(at.values)[:, None]
         slope = _Slope.of(columns, residuals, scale, known)
-        at = lowest([slope.step(begun.values, d) for d in DAMPINGS], begun)
+        # As many as are predicted side by side; the fine ones are for narrow valleys.
+        dampings = (0.0, 1e-4, 1e-3, 1e-2, 0.03, 0.1, 1.0, 30.0)
+        at = lowest([slope.step(begun.values, d) for d in dampings], begun)
         converged = cost(begun) - cost(at) < tolerance * cost(begun)
         if converged:
             break
-        if cost(at) > VALLEY * cost(begun):
-            at = lowest([scale.beyond(begun.values, at.values, n) for n in STRIDES], at)
+        # A valley: further steps along it are tried.
+        if cost(at) > 0.5 * cost(begun):
+            at = lowest([scale.beyond(begun.values, at.values, n) for n in (1.0, 3.0)], at)
     if at.residuals is None:
         at = _Point(at.values, predictor.residuals(at.values[None, :], entries)[0])
     return WhitenedFit(predictor, at.values, entries, at.known, moves, converged)
@@ -324,7 +316,8 @@ class _Slope(NamedTuple):
 
 def _lengths(squares: FloatArray) -> FloatArray:
     """Lengths of columns; infinite where one is nothing beside the others, so that it stays."""
-    dead = squares <= DEAD**2 * max(float(squares.max(initial=0.0)), 1e-300)
+    # Below 1e-9 of the greatest, a derivative does nothing.
+    dead = squares <= 1e-18 * max(float(squares.max(initial=0.0)), 1e-300)
     lengths: FloatArray = np.where(dead, np.inf, np.sqrt(np.where(dead, 1.0, squares)))
     return lengths
 
@@ -333,7 +326,7 @@ def _solution(
     curvature: FloatArray, directions: FloatArray, pull: FloatArray, damping: float
 ) -> FloatArray:
     """Solution of (normal + damping) x = pull that leaves flat directions alone."""
-    kept = curvature > FLAT * max(float(curvature[-1]), 1e-300)
+    kept = curvature > 1e-10 * max(float(curvature[-1]), 1e-300)
     weights = np.where(kept, 1.0 / np.where(kept, curvature + damping, 1.0), 0.0)
     solution: FloatArray = directions @ (weights * (directions.T @ pull))
     return solution

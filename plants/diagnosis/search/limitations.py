@@ -14,20 +14,14 @@ from plants.diagnosis.result import Limitation
 from plants.diagnosis.search.model_fitter import CandidateFit
 from plants.effects.plant_scale import PlantScale
 
-ONE_WAY, SLOW, EDGE = 0.02, 0.01, 1e-3
-"""Share of the travel against the main direction; share of the samples below a tenth of the rms
-velocity; distance from a bound, relative."""
-GOING, ONE_WAY_TIME = 0.3, 0.1
-"""Speed relative to the median one from which on a drive moves in a direction, and share of that
-time against the main direction: a winch motor that is turned one way slips back for 0.05 of it, by
-its cogging."""
+ONE_WAY, ONE_WAY_TIME = 0.02, 0.1
+"""Shares of the travel, and of the time in motion, against the main direction below which a motion
+goes one way: a winch motor that is turned one way slips back for 0.05 of it, by its cogging."""
 BEYOND = 2.0
 """Standard deviations of what is known of a number beyond which it has moved."""
 USUAL_sd, GUESSED_sd = 0.35, 0.8
 """Standard deviation of the logarithm of a number of which nothing is stated, and of a friction,
 which is often no more than a guess: twice that is a factor of two, and of five."""
-NOISES, PUSHES = 5.0, 0.01
-"""Noises below zero at which a tension is; share of such readings from which on it is said."""
 
 
 def limitations(
@@ -73,9 +67,10 @@ def _of_tension(measurements: Sequence[MeasuredRecord]) -> list[Limitation]:
     tensions = [m.tension_N for m in measurements if m.tension_N is not None]
     if not tensions:
         return []
-    low = np.concatenate([t < -NOISES * max(upper_rms(t), step_of(t)) for t in tensions])
+    # By five noises or steps: a hundredth of the readings may be so.
+    low = np.concatenate([t < -5.0 * max(upper_rms(t), step_of(t)) for t in tensions])
     share = float(np.mean(low))
-    if share < PUSHES:
+    if share < 0.01:
         return []
     said = f"{share:.0%} of the tensions read are below zero, and a cable cannot push"
     remedy = "check the sign and the zero of tension_N"
@@ -92,13 +87,13 @@ def _of_base(base: CandidateFit, scale: PlantScale) -> list[Limitation]:
             continue
         factor, name = value / f.start, scale.name(f.name)
         moved = f"{name} moved to {factor:.2g} times what was given"
-        if f.scale == "log" and min(value / f.low, f.high / value) < 1.0 + EDGE:
+        if f.scale == "log" and min(value / f.low, f.high / value) < 1.001:
             said = f"{moved}, the limit of the fit; check the units and signs of the columns"
             label = f"{name} at its bound"
             limits.append(Limitation("base_parameter_at_bound", label, said, by_data=True))
         elif f.prior is None:
             usual = USUAL_sd if f.scale == "log" else GUESSED_sd
-            if abs(math.log(max(factor, EDGE))) > BEYOND * usual:
+            if abs(math.log(max(factor, 1e-3))) > BEYOND * usual:
                 said = f"{moved}; check it: it may compensate for an effect that the model lacks"
                 limits.append(Limitation("base_parameter_moved", f"{name} x{factor:.2g}", said))
         elif (beyond := _distance(f, value)) > BEYOND:
@@ -123,7 +118,7 @@ def _of_motion(measurements: Sequence[MeasuredRecord]) -> list[Limitation]:
         return []
     limits = []
     # Of the way, or of the time: a jump at the start of a record goes far.
-    going = np.abs(moved) > GOING * np.median(np.abs(moved[moved != 0.0]))
+    going = np.abs(moved) > 0.3 * np.median(np.abs(moved[moved != 0.0]))
     ways = sorted([float(moved[moved > 0].sum()), -float(moved[moved < 0].sum())])
     times = sorted([int((going & (moved > 0)).sum()), int((going & (moved < 0)).sum())])
     if ways[0] < ONE_WAY * ways[1] or times[0] < ONE_WAY_TIME * times[1]:
@@ -132,7 +127,7 @@ def _of_motion(measurements: Sequence[MeasuredRecord]) -> list[Limitation]:
             "of the force; record motion both ways"
         )
         limits.append(Limitation("one_direction", "one direction of motion", said))
-    if np.mean(np.abs(moved) < 0.1 * size) < SLOW:
+    if np.mean(np.abs(moved) < 0.1 * size) < 0.01:
         said = (
             "no motion is slow: friction at low speed cannot be identified; record slow motion "
             "and standstill"

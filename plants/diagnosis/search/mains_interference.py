@@ -16,16 +16,8 @@ from plants.diagnosis.interval import Interval
 from plants.diagnosis.search.constants import CONSTANTS
 from plants.diagnosis.search.model_fitter import CandidateFit, ModelFitter
 
-MAINS_Hz, HARMONICS, OVERTONES = (50.0, 60.0), 3, (2, 3, 5)
-"""Frequencies looked at, their multiples, and multiples of the one found that go with it."""
-TOLERANCE = 0.01
-"""Relative tolerance of a mains frequency."""
-FINER = 8
-"""Into so many parts a step of frequency is divided about the highest line."""
 BESIDE = (0.87, 0.9, 0.93, 1.07, 1.1, 1.13)
 """Neighbouring frequencies, relative to the line's."""
-ALIKE = (0.5, 2.0)
-"""Amplitude in a record, as a share of the median of all: interference ignores the motion."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -85,8 +77,8 @@ def find_mains_interference(
         return None
     longest = max(float(np.ptp(line.time_s)) for line in lines)
     highest = 0.5 * min(m.sampling_Hz for m in measurements)
-    tried = (mains * n for mains in MAINS_Hz for n in range(1, HARMONICS + 1))
-    peaks = [_peak(lines, f, longest) for f in tried if f * (1.0 + TOLERANCE) <= highest]
+    tried = (50.0, 60.0, 100.0, 120.0, 150.0, 180.0)
+    peaks = [_peak(lines, f, longest) for f in tried if 1.01 * f <= highest]
     best = max((p for p in peaks if p is not None), key=lambda p: p[1], default=None)
     return None if best is None else _interference(measurements, lines, best[0], longest, noise_N)
 
@@ -125,17 +117,17 @@ def _powers(lines: Sequence[_Line], first_Hz: float, step_Hz: float, number: int
 
 
 def _peak(lines: Sequence[_Line], about_Hz: float, longest_s: float) -> tuple[float, float] | None:
-    """Frequency of the highest line near a frequency, and its power, or None if it is no line."""
-    step, lowest = 0.25 / longest_s, about_Hz * (1.0 - TOLERANCE)
-    power = _powers(lines, lowest, step, math.ceil(2.0 * TOLERANCE * about_Hz / step))
+    """Highest line within 1 % of a frequency, and its power, or None if it is no line."""
+    step, lowest = 0.25 / longest_s, 0.99 * about_Hz
+    power = _powers(lines, lowest, step, math.ceil(0.02 * about_Hz / step))
     beside = [_powers(lines, about_Hz * share, 0.0, 1)[0] for share in BESIDE]
     top = int(power.argmax())
     if power[top] < CONSTANTS.line * float(np.median(beside)):
         return None
     near = lowest + (top - 1) * step
-    power = _powers(lines, near, step / FINER, 2 * FINER + 1)
+    power = _powers(lines, near, step / 8.0, 17)
     top = int(power.argmax())
-    return near + top * step / FINER, float(power[top])
+    return near + top * step / 8.0, float(power[top])
 
 
 def _interference(
@@ -148,7 +140,8 @@ def _interference(
     waves = {line.number: line.wave(frequency_Hz) for line in lines}
     sizes = np.array([math.hypot(*w) for w in waves.values()])
     middle = float(np.median(sizes))
-    alike = (sizes > ALIKE[0] * middle) & (sizes < ALIKE[1] * middle)
+    # Interference ignores the motion: its amplitude is the same in all records.
+    alike = (sizes > 0.5 * middle) & (sizes < 2.0 * middle)
     # What a model lacks may make lines, too, but not in records of every kind.
     alike &= np.array([line.stands_out(frequency_Hz) for line in lines])
     if middle < CONSTANTS.audible * math.sqrt(2.0) * noise_N or alike.mean() < 0.75:
@@ -180,7 +173,7 @@ def _cleaned(
     for line in lines:
         m = cleaned[line.number]
         waves = [(amplitude_N, frequency_Hz, phases[line.number])]
-        for order in OVERTONES:
+        for order in (2, 3, 5):
             if order * frequency_Hz < 0.5 * m.sampling_Hz:
                 sine, cosine = line.wave(order * frequency_Hz)
                 wave = math.hypot(sine, cosine), order * frequency_Hz, math.atan2(cosine, sine)

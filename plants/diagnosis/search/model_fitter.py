@@ -21,22 +21,12 @@ from plants.effects import Effect, Port, RecordScale, Role
 
 SHIFTS = np.array([0.0, *(sign * 3.0**n for n in range(6) for sign in (-1, 1))])
 """Shifts of a record's own value, in floors of change, among which the best is begun with."""
-TURNS = np.arange(8) / 8.0
-"""Shares of a period by which a record's wave is turned, among which the best is begun with."""
 BASE_ROUNDS = 40
 """Most rounds of the fit without effects."""
-LONGEST = 60
-"""Most rounds of a fit that is reported."""
-BOUND = 1e-6
-"""A value this near to a bound, relative to it, is at it."""
-BLOCK_WINDOWS, BLOCKS, BLOCKS_OF_FEW = 3, 12, 24
-"""Least windows of a block, most blocks of a record, and that of one of two records."""
 
 MOST_ENTRIES = 60_000
 """Residual entries from twice which on a fit takes only some; J is then known to 1 % or so."""
 
-AT_ONCE = 16
-"""Rows whose residuals are held at a time, a multiple of those predicted side by side."""
 
 Effects = tuple[type[Effect], ...]
 Numbers = NDArray[np.int64]
@@ -89,7 +79,7 @@ class CandidateFit:
 
 def _edges(free: Free, value: float) -> list[float]:
     """The bounds that a value is at."""
-    return [edge for edge in (free.low, free.high) if math.isclose(value, edge, rel_tol=BOUND)]
+    return [edge for edge in (free.low, free.high) if math.isclose(value, edge, rel_tol=1e-6)]
 
 
 class ModelFitter:
@@ -196,7 +186,7 @@ class ModelFitter:
         """The same, fitted until nothing is gained."""
         fitted = model.fitted
         moved = fitted.moved
-        done = fit(fitted.predictor, fitted.values, moved, self.entries, LONGEST, tolerance=FINAL)
+        done = fit(fitted.predictor, fitted.values, moved, self.entries, 60, tolerance=FINAL)
         return CandidateFit(model.effects, done)
 
     def best_starts(self, predictor: Predictor, rows: FloatArray, most: int) -> FloatArray:
@@ -227,7 +217,8 @@ class ModelFitter:
             per_turn = rows[:, periods[-1]] if periods else np.ones(len(rows))
             length = 2.0 * math.pi / per_turn
             for places in (of for kind, of in kinds.items() if kind not in known):
-                rows = self._shifted(predictor, rows, places, TURNS[None, :] * length[:, None])
+                turns = np.arange(8) / 8.0 * length[:, None]
+                rows = self._shifted(predictor, rows, places, turns)
         if {Port.CABLE, Port.EYELET} & {port for e in effects for port in e.ports()}:
             for places in kinds.values():
                 rows = self._shifted(predictor, rows, places, None)
@@ -266,12 +257,12 @@ class ModelFitter:
 
     def _blocks(self) -> Numbers:
         index = self.base.index
-        most = BLOCKS_OF_FEW if len(self.measurements) <= 2 else BLOCKS
+        most = 24 if len(self.measurements) <= 2 else 12
         group, first = np.zeros(index.sigma.size, np.int64), 0
         for n in range(len(self.measurements)):
             of_record = np.flatnonzero(index.measurement == n)
             windows, place = np.unique(index.window[of_record], return_inverse=True)
-            blocks = max(1, min(most, windows.size // BLOCK_WINDOWS))
+            blocks = max(1, min(most, windows.size // 3))
             group[of_record] = first + place * blocks // max(windows.size, 1)
             first += blocks
         return group
@@ -320,8 +311,8 @@ def _squares(
 ) -> FloatArray:
     """Sums of squared residuals from each of some entries to the next, shape (rows, sums)."""
     sums = np.empty((len(rows), first.size))
-    for begin in range(0, len(rows), AT_ONCE):
-        chunk = slice(begin, begin + AT_ONCE)
+    for begin in range(0, len(rows), 16):
+        chunk = slice(begin, begin + 16)
         residuals = predictor.residuals(rows[chunk], entries)
         np.add.reduceat(np.square(residuals, out=residuals), first, axis=1, out=sums[chunk])
     return sums

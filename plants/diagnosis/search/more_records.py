@@ -16,8 +16,6 @@ from plants.diagnosis.search.search import LEADING
 
 SEARCHED_samples = 60_000
 """Samples that a search takes: of 80 records of 10 000 samples, six."""
-SETTLING = 4
-"""Rounds in which only the values of single records move."""
 
 
 def differing(measurements: Sequence[MeasuredRecord]) -> tuple[MeasuredRecord, ...]:
@@ -76,7 +74,7 @@ def refitted(fitter: ModelFitter, models: FittedModels, conclusion: Conclusion) 
 
 def carried_over(fitter: ModelFitter, model: CandidateFit) -> CandidateFit:
     """A model fitted to other records, from its values on some."""
-    settled = settle(fitter, model, SETTLING)
+    settled = settle(fitter, model, 4)
     return fitter.fit(model.effects, settled.fitted.values)
 
 

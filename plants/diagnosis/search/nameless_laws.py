@@ -17,8 +17,6 @@ from plants.effects.effect import Response, Values
 
 KNOTS = (-1.0, -0.5, -0.15, 0.15, 0.5, 1.0)
 """Values of w/(|w| + w_s) at which a curve of the velocity has its knots."""
-SECANTS = 20
-"""They halve the error each; what is left is far below the noise floor."""
 
 
 def _torque() -> float:
@@ -155,7 +153,8 @@ class CableBend(Effect):
     def rest(p: Values, state: Signal, signal: Signal, _site: Site) -> Response:
         """The linear law's tension, by a secant to the origin, again and again."""
         linear = signal
-        for _ in range(SECANTS):
+        # Each halves the error: what is left is far below the noise floor.
+        for _ in range(20):
             linear = 0.5 * (linear + signal / _stiffer(p, ca.fabs(linear)))
         return state, linear
 

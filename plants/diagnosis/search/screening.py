@@ -25,23 +25,8 @@ residual: less than the first moves it in proportion, and is not seen better."""
 MOVED = (0.5, 3.0)
 """Changes of the residual by the sizes chosen, in its own size: a law that is bent points another
 direction when it acts strongly."""
-LEVELS, GRID, FREQUENCIES = 14, 7, 40
-"""Values tried of a limit, of a shape, and of a frequency: those some 10 % apart, so that a
-resonance damped as frames are is seen from the next one."""
-ROWS, MODES = 50, 100
-"""Most combinations of shapes, and those where one is a frequency."""
-WIDE = 15.0
-"""Range of shapes about the usual value, as a factor, where the records show no range."""
-APART_BY, MOST_VALUES = 3.0, 13
-"""Factor between speeds or travels that are tried, and most of them."""
-APART = 0.3
-"""Logarithm of the ratio from which on two frequencies are worth a start each."""
-FURTHEST = 30.0
-"""A size may be extrapolated by this factor from the one that was tried."""
-STARTS = 8
-"""Starts kept of an effect, the most promising first."""
-ACTING = 1e-3
-"""A limit acts that changes the residuals by more than this, in times the noise floor."""
+GRID = 7
+"""Values tried of a shape whose range the records do not show."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -136,7 +121,7 @@ class _Directions:
         limited = bool(self.effect.named(Role.LIMIT))
         directions, usual_change = self._limits() if limited else self._amplitudes()
         directions.sort(key=lambda direction: -direction.share)
-        most = STARTS + len(self.phases)  # a period is soon lost
+        most = 8 + len(self.phases)  # a period is soon lost
         starts = np.array([direction.start for direction in self._apart(directions)[:most]])
         grids = self._grids()
         return ScreeningResult(
@@ -149,7 +134,8 @@ class _Directions:
         kept: list[_Direction] = []
         for direction in directions:
             near = (np.abs(np.log(direction.start[rates] / k.start[rates])) for k in kept)
-            if not rates or all((distance > APART).any() for distance in near):
+            # Frequencies 35 % apart are worth a start each.
+            if not rates or all((distance > 0.3).any() for distance in near):
                 kept.append(direction)
         return kept
 
@@ -163,19 +149,19 @@ class _Directions:
         """Levels of a limit from where it begins to act."""
         name = self.sizes[0]
         p = self.declared[name]
-        levels = np.geomspace(p.low, p.high, LEVELS)
+        levels = np.geomspace(p.low, p.high, 14)
         change = self.context.products(self._changes(self._rows(name, levels))).rms
-        acting = np.flatnonzero(change > ACTING)
+        acting = np.flatnonzero(change > 1e-3)
         if not acting.size:
             return [_Direction(0.0, self.without_effect.copy())], 0.0
-        top = min(int(acting[-1]) + 1, LEVELS - 1)
+        top = min(int(acting[-1]) + 1, levels.size - 1)
         # From where it does not act to where it changes as much as there is to explain.
         enough = acting[change[acting] > max(1.0, 2.0 * self.context.size)]
         bottom = int(enough[-1]) if enough.size else int(acting[0])
-        rows = self._rows(name, np.geomspace(levels[bottom], levels[top], LEVELS))
+        rows = self._rows(name, np.geomspace(levels[bottom], levels[top], levels.size))
         products = self.context.products(self._changes(rows))
         directions = []
-        for n in np.flatnonzero(products.rms > ACTING).tolist():
+        for n in np.flatnonzero(products.rms > 1e-3).tolist():
             share, weights = products.of(slice(n, n + 1)).explained(only_up=True)
             # It does not act in proportion: what has to be stretched far is no direction.
             fits = math.exp(-0.1 * math.log(max(float(weights[0]), 1e-9)) ** 2)
@@ -287,14 +273,14 @@ class _Directions:
             weights = np.array([math.hypot(sine, cosine)])
         for name, weight in zip(self.sizes, weights.tolist(), strict=True):
             p, neutral = self.declared[name], self.without_effect[self.column[name]]
-            size = float(np.clip(weight, -FURTHEST, FURTHEST)) * (tried[name] - neutral)
+            size = float(np.clip(weight, -30.0, 30.0)) * (tried[name] - neutral)
             row[self.column[name]] = min(max(neutral + size, p.low), p.high)
         return row
 
     def _shapes(self) -> list[dict[str, float]]:
         """Combinations of the shapes' values."""
         grids = self._grids()
-        most = MODES if self.effect.named(Role.FREQUENCY) else ROWS
+        most = 100 if self.effect.named(Role.FREQUENCY) else 50
         while math.prod(map(len, grids.values())) > most:
             shorter = [name for name in grids if len(grids[name]) > 2]
             cut = min(shorter, key=lambda name: len(grids[name]))
@@ -314,16 +300,18 @@ class _Directions:
         usual = float(self.predictor.start[self.column[name]])
         if p.role is Role.FREQUENCY:
             low, high = max(p.low, self.context.lowest_Hz), min(p.high, self.context.highest_Hz)
-            return [*suggested, *np.geomspace(low, max(high, low), FREQUENCIES).tolist()]
+            # Some 10 % apart: a resonance damped as frames are is seen from the next one.
+            return [*suggested, *np.geomspace(low, max(high, low), 40).tolist()]
         if suggested:
             return suggested
         shown = shown_range(p.unit, self.context.records)
         if shown is not None:
             low, high = (min(max(edge, p.low), p.high) for edge in shown)
-            values = 1 + math.ceil(math.log(max(high / low, 1.0)) / math.log(APART_BY))
-            return [float(v) for v in np.geomspace(low, high, min(values, MOST_VALUES))]
+            # No more than a factor of three apart.
+            values = 1 + math.ceil(math.log(max(high / low, 1.0)) / math.log(3.0))
+            return [float(v) for v in np.geomspace(low, high, min(values, 13))]
         if p.low > 0.0 and usual > 0.0:
-            low, high = max(p.low, usual / WIDE), min(p.high, usual * WIDE)
+            low, high = max(p.low, usual / 15.0), min(p.high, usual * 15.0)
             return [float(v) for v in np.geomspace(low, high, GRID)]
         return [float(v) for v in np.linspace(p.low, p.high, GRID)]
 

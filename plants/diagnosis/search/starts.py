@@ -20,18 +20,7 @@ from plants.effects import Effect, Port, Role
 
 ROUGH = np.array([0.1, 0.3, 1.0, 2.0, 3.5, 6.0, 12.0])
 """Sizes tried of an effect that no direction shows, relative to the usual one."""
-SPLITS = (0.25, 0.5)
-"""Shares of the size of a simpler law that go over to a size of its own."""
-HALVINGS = ((2, 4), (3, 2), (2, 1))
-"""Rounds with shapes held, and how many starts are gone on with."""
-FREE = 3
-"""Rounds of the best start with all its values."""
 SHAPES = (Role.SHAPE, Role.FREQUENCY, Role.PERIODS)
-FAR = 5.0
-"""Ratio of powers left, to another model's, from which on a fit is not gone on with."""
-MOST = {0: 2, 1: 4}
-"""Starts by the number of shapes; more have `MANY`."""
-MANY = 8
 
 
 def may_be_nonlinear(screened: ScreeningResult) -> bool:
@@ -68,7 +57,7 @@ def fit_added(
     if simpler is not None:
         pools.append([predictor.row(v) for v in _beside(fitter, screened, simpler, current)])
     shapes = [f"{screened.effect.name}.{n}" for n in screened.effect.named(*SHAPES)]
-    most = max(1, MOST.get(len(shapes), MANY) // len(pools))
+    most = max(1, (2, 4, 8)[min(len(shapes), 2)] // len(pools))
     starts = []
     for pool in pools:
         rows = fitter.best_starts(predictor, np.array(pool), 2 * most)
@@ -85,14 +74,15 @@ def halved(
     least: float,
 ) -> CandidateFit:
     """The best of several starts by successive halving."""
-    for rounds, most in HALVINGS:
+    # Rounds with shapes held, and how many starts are gone on with.
+    for rounds, most in ((2, 4), (3, 2), (2, 1)):
         if len(rows) > most:
             fits = [fitter.fit(effects, row, rounds, held=shapes) for row in rows]
             fits.sort(key=lambda f: f.J)
-            if 1.3 + FAR * (max(least, 1.0) - 1.0) < fits[0].J:
+            if CONSTANTS.floor + 5.0 * (max(least, 1.0) - 1.0) < fits[0].J:
                 return fits[0]
             rows = np.array([f.fitted.values for f in fits[:most]])
-    return fitter.fit(effects, rows[0], FREE)
+    return fitter.fit(effects, rows[0], 3)
 
 
 def _suggested(
@@ -122,7 +112,7 @@ def coarse_fit(fitter: ModelFitter, effect: type[Effect]) -> CandidateFit:
         rows[:, n] = np.clip(sizes, f.low, f.high)
     for most in (4, 3):  # some only find their zeros from near
         rows = fitter.best_starts(predictor, fitter.placed((effect,), rows), most)
-    return fitter.fit((effect,), rows[0], FREE)
+    return fitter.fit((effect,), rows[0], 3)
 
 
 def _beside(
@@ -157,7 +147,7 @@ def _beside(
                 suggestions.append({**origin, **inherited_values, **shape, **usual})
                 continue
             whole = inherited_values[f"{name}.{main}"]
-            for share in SPLITS if sizes else (0.0,):
+            for share in (0.25, 0.5) if sizes else (0.0,):
                 split = {f"{name}.{n}": share * whole for n in sizes}
                 remaining = {f"{name}.{main}": whole * (1.0 - share if sizes else 1.0)}
                 suggestions.append({**origin, **inherited_values, **shape, **split, **remaining})

@@ -18,10 +18,6 @@ from plants.diagnosis.search.least_squares import fit
 from plants.diagnosis.search.model_fitter import CandidateFit, ModelFitter, Numbers
 from plants.diagnosis.search.more_records import settle
 
-THIRDS = 3
-REFITTED = 4
-"""Rounds of a refit from the optimum."""
-
 
 class ModelStage(NamedTuple):
     """A model on the way to the one that is believed.
@@ -62,11 +58,11 @@ def held_out(fitter: ModelFitter, model: CandidateFit) -> FloatArray:
     shared = np.setdiff1d(model.fitted.moved, fitter.moves(predictor, frozenset()))
     third = thirds(fitter)[entries]
     residuals = np.zeros(entries.size)
-    for n in range(THIRDS):
+    for n in range(3):
         left_out, others = third == n, third != n
         if not left_out.any() or not others.any():
             left_out = others = np.ones(entries.size, np.bool_)
-        values = fit(predictor, model.fitted.values, shared, entries[others], REFITTED).values
+        values = fit(predictor, model.fitted.values, shared, entries[others], 4).values
         residuals[left_out] = predictor.residuals(values[None, :], entries[left_out])[0]
     return residuals
 
@@ -82,7 +78,7 @@ def thirds(fitter: ModelFitter) -> Numbers:
     for n in range(len(fitter.measurements)):
         of_record = np.flatnonzero(index.measurement == n)
         windows, place = np.unique(index.window[of_record], return_inverse=True)
-        third[of_record] = (n + place * THIRDS // max(windows.size, 1)) % THIRDS
+        third[of_record] = (n + place * 3 // max(windows.size, 1)) % 3
     return third
 
 
@@ -91,7 +87,7 @@ def segments(fitter: ModelFitter) -> tuple[DataSegment, ...]:
     index, third_of = fitter.base.index, thirds(fitter)
     stretches = []
     for n, m in enumerate(fitter.measurements):
-        for third in range(THIRDS):
+        for third in range(3):
             times = index.time_s[(index.measurement == n) & (third_of == third)]
             if times.size:
                 ends = float(times.min()), float(times.max())

@@ -7,9 +7,6 @@ from plants.diagnosis.search.fitted_models import FittedModels
 from plants.diagnosis.search.model_fitter import CandidateFit, ModelFitter
 from plants.effects import Effect
 
-RECKONED = 0.1
-"""Relative uncertainty of an inertia or a friction that was calculated from drawings."""
-
 
 def find_wrong_parameter(
     fitter: ModelFitter, models: FittedModels, effects: Sequence[type[Effect]]
@@ -35,7 +32,8 @@ def find_wrong_parameter(
     if effect.base_parameter not in [f.name for f in numbers]:
         # It does what all the others do together, which are wrong only where one is far off.
         moved = [abs(base.values[f.name] / f.start - 1.0) for f in numbers if f.start]
-        return best if max(moved, default=0.0) > RECKONED else None
+        # An inertia or a friction that was calculated from drawings may be a tenth off.
+        return best if max(moved, default=0.0) > 0.1 else None
     unit = next(f.unit for f in numbers if f.name == effect.base_parameter)
     # What it is per length of cable is a part of it.
     per_length = f"{unit} per m"
