@@ -3,7 +3,7 @@
 Command: `python -m experiments.diagnosis_constants`.
 Target: none; a table and a figure for each number.
 
-Each number of `plants.diagnosis.search.constants` is changed alone. Verdicts are worked out again
+Each number of `plants.diagnosis.constants` is changed alone. Verdicts are worked out again
 from the fits that `experiments.hidden_effects` stored (`--rows`); without such a file cases of the
 validation block are diagnosed first. Intervals are worked out again from models that are right of
 machines with one effect. Numbers that are found in the noise are tried on machines with mains
@@ -27,7 +27,7 @@ from experiments.hidden_scores import DiagnosisTask, Row, diagnose, measurement,
 from experiments.results import command_line, print_results, save_figure
 from plants.diagnosis.pipeline import intervals as interval_step
 from plants.diagnosis.search import intervals, mains_interference
-from plants.diagnosis.search.constants import CONSTANTS, Constants
+from plants.diagnosis.constants import CONSTANTS, Constants
 from plants.diagnosis.search.decide import decide, probabilities
 from plants.diagnosis.search.model_fitter import CandidateFit, ModelFitter
 from plants.effects import EFFECTS

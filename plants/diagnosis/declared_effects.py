@@ -4,12 +4,12 @@ import math
 from collections.abc import Mapping
 from dataclasses import replace
 
+from plants.diagnosis.constants import CONSTANTS
 from plants.diagnosis.data.noise_floor import NoiseFloor
 from plants.diagnosis.interval import Interval
 from plants.diagnosis.models.diagnosed_model import DiagnosedModel, diagnosed
 from plants.diagnosis.report.plant_units import in_own_units
 from plants.diagnosis.result import DeclaredEffect, explained_share
-from plants.diagnosis.search.constants import CONSTANTS
 from plants.diagnosis.search.model_fitter import BASE_ROUNDS, CandidateFit, ModelFitter
 from plants.effects import Effect
 

@@ -9,8 +9,6 @@ from estune.recordings.issue import DataIssue
 from plants.diagnosis.data.noise import step_of, upper_rms
 from plants.diagnosis.data.periods import runs
 
-DROPOUT_samples = 5
-"""Samples within which a dropout is over."""
 SHIFT_MAX_samples = 20
 """Samples by which two channels are tried against each other."""
 
@@ -81,12 +79,13 @@ def _dropouts(column: str, readings: FloatArray) -> Iterator[DataIssue]:
     if not usual > 0.0:
         return
     jumps = np.flatnonzero(np.abs(change) > 8.0 * usual)
-    back = np.diff(jumps) <= DROPOUT_samples
+    longest = 5
+    back = np.diff(jumps) <= longest
     back &= np.sign(change[jumps[1:]]) != np.sign(change[jumps[:-1]])
     if back.any():
         row, count = int(jumps[:-1][back][0]) + 2, int(back.sum())
         sentence = f"the readings jump away and back {count} times; check the sensor and its cable"
-        yield _fault(count * DROPOUT_samples / readings.size, column, row, sentence)
+        yield _fault(count * longest / readings.size, column, row, sentence)
 
 
 def shift_between(leader: FloatArray, follower: FloatArray) -> int:

@@ -11,8 +11,6 @@ from plants.diagnosis.data.measured_record import MeasuredRecord
 from plants.diagnosis.data.smoothing import Smoother, proportion
 from plants.diagnosis.models.base import BaseNumbers
 
-FACTOR_MAX = 20.0
-"""Factor by which no model is wrong."""
 UNIT_FACTOR = 1.6
 """Factor within which a ratio is taken for that of two units; the model may be off by as much."""
 
@@ -132,7 +130,7 @@ def _issue(column: str, times: float, what: str, units: dict[float, str]) -> Dat
 
 
 def _is_far(ratio: float) -> bool:
-    return not 1.0 / FACTOR_MAX < ratio < FACTOR_MAX
+    return not 1.0 / 20.0 < ratio < 20.0
 
 
 def _slope(x: FloatArray, y: FloatArray) -> float | None:

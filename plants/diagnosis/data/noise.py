@@ -4,8 +4,6 @@ import numpy as np
 
 from estune.core.quantities import FloatArray
 
-SEGMENT = 1024
-"""Most samples in a segment of the spectrum; slower changes are drift."""
 FEWEST = 64
 """Fewest samples of a spectrum."""
 QUARTER = 0.25
@@ -64,7 +62,7 @@ def step_of(signal: FloatArray) -> float:
 
 
 def _segment(samples: int) -> int:
-    return int(min(SEGMENT, max(FEWEST // 2, samples // 8)))
+    return int(min(1024, max(FEWEST // 2, samples // 8)))
 
 
 def _spectrum(signal: FloatArray, average: str) -> tuple[FloatArray, float]:

@@ -14,18 +14,10 @@ from typing import Any
 import numpy as np
 
 from estune.core.quantities import FloatArray
+from plants.diagnosis.constants import CONSTANTS
 from plants.diagnosis.data.measured_record import CHANNELS, OUTPUTS, MeasuredRecord
 from plants.diagnosis.data.noise import FEWEST, spectral_rms, step_of, upper_rms
 from plants.diagnosis.data.periods import SAME, holds, periods_of
-
-ALLOWANCE = 0.004
-"""Allowance for numerics and model form, as a share of a signal's rms."""
-
-UPPER_MOST = 1.2
-"""Greatest noise relative to that of the upper spectrum: repeats of a free drive differ by a
-random walk (13.5 mrad beside a step of 0.63 mrad), periods of a jittered timer by its jitter
-(0.085 to 0.122 N where the gauge has 0.040 N); four fifths of a gauge's power are white on the
-machines of the experiments, whose noise is 1.1 times that of their upper spectrum."""
 
 SOURCES = ("repeats", "periods", "quiet stretches", "upper spectrum", "steps")
 """Sources of a noise estimate, the best first; `steps` is rounding alone."""
@@ -77,7 +69,7 @@ class NoiseFloor:
             least_rms: Lower bound of sigma_n.
         """
         noise = max(self._rms(channel), least_rms)
-        return float((noise**2 + (ALLOWANCE * signal_rms) ** 2) ** 0.5)
+        return float((noise**2 + (CONSTANTS.allowance * signal_rms) ** 2) ** 0.5)
 
     def _rms(self, channel: str) -> float:
         return self.channels[channel].rms if channel in self.channels else float("nan")
@@ -103,7 +95,7 @@ def _noise(m: MeasuredRecord, column: FloatArray, repeated: float | None) -> Noi
     """The noise of one channel of one record."""
     lsb = step_of(column)
     rms, how = (repeated, SOURCES[0]) if repeated is not None else _alone(m, column)
-    if m.samples >= FEWEST and rms > (most := UPPER_MOST * upper_rms(column)):
+    if m.samples >= FEWEST and rms > (most := CONSTANTS.upper_most * upper_rms(column)):
         rms, how = most, SOURCES[3]
     rounding = lsb / math.sqrt(12.0)
     return Noise(rms, lsb, how) if rms > rounding else Noise(rounding, lsb, SOURCES[4])

@@ -28,14 +28,8 @@ from plants.simulation.plant import drive_of
 
 WIDEST = 4.0
 """Greatest range in suggested steps: limits may be far wider than the operating range."""
-LOW_Hz = 0.5
-"""Lowest frequency, per time unit."""
 HIGHEST = 0.45
 """Highest line of a multisine, relative to the sampling rate."""
-SINE = 0.25
-"""First rms of a multisine, relative to half the range; a crest factor is near 2."""
-SMALL = 0.2
-"""Relative amplitude of a small triangle: a free drum near zero force shows friction."""
 
 
 class Experiment(NamedTuple):
@@ -198,7 +192,7 @@ def _multisine(periods: int, lines: Lines) -> Make:
         last_Hz = min(6.0 / rig.rig.settling_time_s, HIGHEST * rig.sampling_Hz)
         if rig.open_only:
             last_Hz = min(0.1 * rig.sampling_Hz, 60.0 / rig.unit_s)
-        band = max(1, round(LOW_Hz / rig.unit_s * span)), _line(last_Hz, span)
+        band = max(1, round(0.5 / rig.unit_s * span)), _line(last_Hz, span)
         end = start + periods * span
         return MultisineProfile(at, size, span, *band, end, start, lines=lines, loop="open")
 
@@ -217,7 +211,7 @@ def _chirp(length: float) -> Make:
     def make(rig: RigScale, at: float, size: float) -> AnyProfile:
         start, last_Hz = rig.start_s, 0.15 * rig.sampling_Hz
         end = start + rig.seconds(length)
-        return ChirpProfile(at, size, LOW_Hz / rig.unit_s, last_Hz, end, start, loop="open")
+        return ChirpProfile(at, size, 0.5 / rig.unit_s, last_Hz, end, start, loop="open")
 
     return make
 
@@ -231,12 +225,12 @@ SWEEP = "a sweep about {0.preload_N:.3g} N up to {0.last_Hz:.3g} Hz"
 STAIRS = "{0.stairs} stairs up and down, {0.hold_s:g} s each"
 
 INITIAL = (
-    Design("multisine-odd-sparse", SINES, _multisine(3, "odd_sparse"), 0.45, SINE, SINE),
+    Design("multisine-odd-sparse", SINES, _multisine(3, "odd_sparse"), 0.45, 0.25, 0.25),
     Design("triangle-wide", TRIANGLE, _triangle(4.0, 1.0)),
-    Design("triangle-low", TRIANGLE, _triangle(1.0, 2.5), 0.25, free=SMALL),
+    Design("triangle-low", TRIANGLE, _triangle(1.0, 2.5), 0.25, free=0.2),
     Design("stairs", STAIRS, _stairs(4, 0.4, 1), free=None),
     Design("minor-loops", LOOPS, _triangle(0.6, 6, shrink=0.7), 0.55),
-    Design("multisine-all", SINES, _multisine(2, "all"), 0.55, SINE, SINE),
+    Design("multisine-all", SINES, _multisine(2, "all"), 0.55, 0.25, 0.25),
     Design("chirp", SWEEP, _chirp(2.8), 0.4, 0.5, 0.5),
     Design("triangle-turn", ONWARD, _triangle(1.6, 1.5), cabled=None, free=0.5),
 )
@@ -246,15 +240,15 @@ CANDIDATES = (
     Design("triangle-slow-high", TRIANGLE, _triangle(4.0, 2.0), 0.8, free=None),
     Design("triangle-ramp", TRIANGLE, _triangle(9.0, 1.0), 0.5, 0.5, 0.5),
     Design("minor-loops", LOOPS, _triangle(1.0, 9, shrink=0.7)),
-    Design("multisine-high", SINES, _high_multisine, 0.5, 2.0 * SINE, 2.0 * SINE),
-    Design("multisine-odd-sparse", SINES, _multisine(4, "odd_sparse"), 0.5, SINE, SINE),
+    Design("multisine-high", SINES, _high_multisine, 0.5, 0.5, 0.5),
+    Design("multisine-odd-sparse", SINES, _multisine(4, "odd_sparse"), 0.5, 0.25, 0.25),
     Design("chirp", SWEEP, _chirp(8.0), 0.5, 0.5, 0.5),
     # A constant force would accelerate a free drum without end.
     Design("staircase", STAIRS, _stairs(5, 0.5, 2), free=None),
     Design("long-hold", STAIRS, _stairs(1, 4.0, 1), free=None),
     Design("triangle-turn-slowly", ONWARD, _triangle(2.0, 4.0), cabled=None, free=0.25),
     Design("triangle-turn-fast", ONWARD, _triangle(2.0, 4.0), cabled=None),
-    Design("triangle-small", TRIANGLE, _triangle(1.0, 8.0), cabled=None, free=SMALL),
+    Design("triangle-small", TRIANGLE, _triangle(1.0, 8.0), cabled=None, free=0.2),
 )
 
 

@@ -18,6 +18,7 @@ from estune.run.loop import Stopped
 from estune.run.targets import open_target
 from estune.support.whole_file import replace_file
 from estune.trial import RigDescription
+from plants.diagnosis.constants import CONSTANTS
 from plants.diagnosis.data.records import drum_of, read_measurements
 from plants.diagnosis.experiments.designs import Experiment, initial_experiments
 from plants.diagnosis.explain import explain
@@ -32,15 +33,11 @@ from plants.diagnosis.improvement.result import Improvement, ImprovementRound
 from plants.diagnosis.improvement.tuning import ImprovementOptions, Tuned, tune_with_model
 from plants.diagnosis.progress import Progress, silent
 from plants.diagnosis.report.diagnosis import Diagnosis
-from plants.diagnosis.search.constants import CONSTANTS
 from plants.effects import Effect
 from plants.models.model_file import to_toml
 from plants.models.mounting import MountedModel
 from plants.models.reel import Reel, reference_reel
 from plants.models.unloaded_reel import UnloadedReel
-
-ROUNDS_MAX = 6
-"""Most diagnoses."""
 
 
 def improve(
@@ -51,7 +48,7 @@ def improve(
     data: str | Path | None = None,
     columns: ColumnMap = AS_NAMED,
     effects: Sequence[type[Effect] | str] | None = None,
-    rounds: int = ROUNDS_MAX,
+    rounds: int = 6,
     tuning: ImprovementOptions | None = None,
     rig: str | None = None,
     say: Say = lambda _: None,

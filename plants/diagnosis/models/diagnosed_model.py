@@ -28,13 +28,6 @@ from plants.models.linear_plant import LinearPlant
 from plants.models.path_structure import PathStructure, squarings_for
 from plants.models.symbolic_plant import TracedStructure
 
-HORIZON = 5.0
-"""A prediction's length times the natural frequency: most of a period."""
-LONGEST_share = 0.2
-"""Longest window, relative to the shortest record."""
-SHOWS = 30.0
-"""Travel of a plant that nothing holds, within a window, due to a tenth of the command's rms, in
-times the noise of its output."""
 SENSORS = ("angle_zero", "current_gain", "current_offset", "reference_offset", "input_slope")
 """Errors of the readings and the command of a record, in the order of the C code. The input slope
 is the hold between samples: 0 for zero order, 1 for first order."""
@@ -155,7 +148,7 @@ class DiagnosedModel(ABC):
 
     def window_s(self, wanted_s: float, shortest_samples: int) -> float:
         """A window's length within a share of the shortest record, and above some samples."""
-        longest_s = LONGEST_share * min(m.duration_s for m in self.measurements)
+        longest_s = 0.2 * min(m.duration_s for m in self.measurements)
         rate_Hz = max(m.sampling_Hz for m in self.measurements)
         return max(min(wanted_s, longest_s), shortest_samples / rate_Hz)
 

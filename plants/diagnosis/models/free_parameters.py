@@ -4,19 +4,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any, Literal, NamedTuple
 
+from plants.diagnosis.constants import CONSTANTS
 from plants.diagnosis.models.calibration import Calibration
 
 BASE = "base"
 """Owner of the base-model parameters that all records share."""
 
-RANGE = 20.0
-"""Factor by which a fit may change a positive parameter either way."""
 CALIBRATION = Calibration.name
-INERTIA_sd = 0.3
-"""Standard deviation of the logarithm of an inertia or mass that nobody states better: reckoned
-from drawings or a data sheet. Without it an inertia of a motor bench moved by a factor of 4.3 to
-make up for dry friction; with 0.2 and 0.4 it stayed within 9 %. Other numbers have none unless
-their owner states one: a prior on viscous friction makes dry friction of a wrong viscous one."""
 DRY_MASS = "drum_inertia_kg_m2"
 
 
@@ -75,7 +69,7 @@ def informed(free: Free, deviation: float | None) -> Free:
 
 def positive(name: str, unit: str, value: float, owner: str = BASE) -> Free:
     """A positive parameter, within a factor of its given value."""
-    return Free(name, unit, value, value / RANGE, value * RANGE, "log", owner)
+    return Free(name, unit, value, value / CONSTANTS.range, value * CONSTANTS.range, "log", owner)
 
 
 def either_way(name: str, unit: str, value: float, reach: float, owner: str = BASE) -> Free:
@@ -95,4 +89,4 @@ def of_calibration(free: Free, name: str = "", factor: float = 1.0) -> Slot:
 
 def stated(model: Any) -> Mapping[str, float]:
     """Standard deviations of the logarithm of a model's own numbers, by field."""
-    return {DRY_MASS: INERTIA_sd, **dict(getattr(model, "uncertainty", ()))}
+    return {DRY_MASS: CONSTANTS.inertia_sd, **dict(getattr(model, "uncertainty", ()))}

@@ -16,9 +16,6 @@ from scipy.linalg import expm
 from estune.core.quantities import FloatArray
 from plants.diagnosis.models.diagnosed_model import Local
 
-SPANS = (1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48)
-"""Samples on either side that are tried, beyond what the unknowns need."""
-
 
 class InitialStates(NamedTuple):
     """Estimated states at some instants.
@@ -42,7 +39,7 @@ def estimate_states(
     rate = float(np.abs(np.linalg.eigvals(local.A)).max(initial=0.0)) / sampling_Hz
     sampled = _Sampled(local, output, sampling_Hz)
     best = sampled.states(at, needed)
-    for extra in SPANS:
+    for extra in (1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48):
         either = needed + extra
         # The backward propagation of a mode grows with its rate.
         if 4 * either > output.size or either * rate > 5.0:

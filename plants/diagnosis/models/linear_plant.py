@@ -10,12 +10,12 @@ import numpy as np
 from scipy.linalg import expm
 
 from estune.interop import linear_model, sampled_model
+from plants.diagnosis.constants import CONSTANTS
 from plants.diagnosis.data.measured_record import MeasuredRecord
 from plants.diagnosis.data.noise_floor import noise_floor
-from plants.diagnosis.models.diagnosed_model import HORIZON, SHOWS, Local
+from plants.diagnosis.models.diagnosed_model import Local
 from plants.diagnosis.models.diagnosed_plant import DiagnosedPlant
 from plants.diagnosis.models.free_parameters import (
-    RANGE,
     Free,
     Slot,
     either_way,
@@ -29,7 +29,6 @@ from plants.models.linear_plant import LinearPlant, linear_plant
 from plants.models.linear_with_effects import LinearEffectStructure
 from plants.models.pole_zero_form import transfer_function
 
-SHORTEST_samples = 24
 MEAN_LEAD_samples = 0.5
 """Mean lead of an input with first-order hold over one with zero-order hold."""
 
@@ -122,11 +121,11 @@ class DiagnosedLinear(DiagnosedPlant):
     @cached_property
     def suggested_horizon_s(self) -> float:
         """Most of a period of the plant, with enough samples."""
-        wanted = float(HORIZON / self.values["rate_rad_s"])
+        wanted = float(CONSTANTS.horizon / self.values["rate_rad_s"])
         if "origin" in self.kinds.poles:
-            ends = (self.window_s(end, SHORTEST_samples) for end in (0.0, math.inf))
+            ends = (self.window_s(end, 24) for end in (0.0, math.inf))
             wanted = min(wanted, self._travelling_s(*ends))
-        return self.window_s(wanted, SHORTEST_samples)
+        return self.window_s(wanted, 24)
 
     def _travelling_s(self, shortest_s: float, longest_s: float) -> float:
         """Time in which a tenth of the input's rms moves the output well past its noise.
@@ -137,7 +136,7 @@ class DiagnosedLinear(DiagnosedPlant):
         stepped = np.zeros((n + 1, n + 1))
         stepped[:n, :n], stepped[:n, n] = np.reshape(np.array(model.A), (n, n)), model.B
         step = 0.1 * self.sizes.torque_rms_Nm * self.model.torque_unit
-        visible = 12.0 * SHOWS * noise_floor(self.measurements).tension_N
+        visible = 12.0 * CONSTANTS.travel * noise_floor(self.measurements).tension_N
         times = np.geomspace(shortest_s, max(longest_s, shortest_s), num=60)
         travels = step * np.abs(expm(times[:, None, None] * stepped)[:, :n, n] @ np.array(model.C))
         return float(times[min(int(np.searchsorted(travels, visible)), times.size - 1)])
@@ -165,8 +164,8 @@ def _free(name: str, value: float) -> Free:
     unit = "Hz" if name.endswith("_Hz") else "s" if name.endswith("_s") else ""
     if "damping" in name and value > 0.0:
         low = min(1e-5, value)
-        return Free(name, unit, value, low, max(RANGE * value, 2.0), "log", "base")
+        return Free(name, unit, value, low, max(CONSTANTS.range * value, 2.0), "log", "base")
     if value > 0.0:
         return positive(name, unit, value)
-    reach = (1.0 - 1.0 / RANGE) * abs(value)
+    reach = (1.0 - 1.0 / CONSTANTS.range) * abs(value)
     return either_way(name, unit, value, reach if value else 1.0)

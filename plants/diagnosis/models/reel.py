@@ -8,9 +8,10 @@ import numpy as np
 
 from estune.core.quantities import FloatArray
 from plants.cable.taut import GRAVITY_M_S2
+from plants.diagnosis.constants import CONSTANTS
 from plants.diagnosis.data.measured_record import MeasuredRecord
 from plants.diagnosis.models.calibration import SaggingCalibration
-from plants.diagnosis.models.diagnosed_model import HORIZON, DiagnosedModel, Local, free_drum
+from plants.diagnosis.models.diagnosed_model import DiagnosedModel, Local, free_drum
 from plants.diagnosis.models.free_parameters import (
     Slot,
     either_way,
@@ -273,4 +274,4 @@ class DiagnosedReel(DiagnosedModel):
             drum_stiffness_Nm_rad(self._at(m), self.preload(m)) for m in self.measurements
         )
         J = self._at(self.measurements[0]).drum_inertia_kg_m2
-        return float(HORIZON / math.sqrt(slowest / J))
+        return float(CONSTANTS.horizon / math.sqrt(slowest / J))

@@ -7,9 +7,10 @@ from functools import cached_property
 import numpy as np
 
 from estune.core.quantities import FloatArray
+from plants.diagnosis.constants import CONSTANTS
 from plants.diagnosis.data.measured_record import MeasuredRecord
 from plants.diagnosis.data.noise import step_of
-from plants.diagnosis.models.diagnosed_model import SHOWS, DiagnosedModel, Local, free_drum
+from plants.diagnosis.models.diagnosed_model import DiagnosedModel, Local, free_drum
 from plants.diagnosis.models.free_parameters import (
     Slot,
     either_way,
@@ -22,10 +23,6 @@ from plants.models.effect_applicability import unavailable
 from plants.models.linear_structures import DrumStructure
 from plants.models.linear_with_effects import LinearEffectStructure
 from plants.models.unloaded_reel import UnloadedReel
-
-SHORTEST_samples = 10
-"""Least samples of a window: its initial state takes two. Longer windows weigh slow errors more:
-with 24 Coulomb friction of a measured drive at 100 Hz comes out 7 % off, with 10 or 8 3 %."""
 
 
 class DiagnosedDrum(DiagnosedModel):
@@ -113,5 +110,9 @@ class DiagnosedDrum(DiagnosedModel):
         step = max(steps) or 2.0 * math.pi / self.model.encoder_counts
         step /= math.sqrt(12.0)
         torque = 0.1 * max(self.sizes.torque_rms_Nm, 1e-300)
-        wanted = math.sqrt(12.0 * 2.0 * self.model.drum_inertia_kg_m2 * SHOWS * step / torque)
-        return self.window_s(wanted, SHORTEST_samples)
+        wanted = math.sqrt(
+            12.0 * 2.0 * self.model.drum_inertia_kg_m2 * CONSTANTS.travel * step / torque
+        )
+        # Longer windows weigh slow errors more: with 24 samples at least Coulomb friction of a
+        # measured drive at 100 Hz comes out 7 % off, with 10 or 8 3 %.
+        return self.window_s(wanted, 10)

@@ -10,6 +10,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
+from plants.diagnosis.constants import CONSTANTS
 from plants.diagnosis.data.measured_record import MeasuredRecord
 from plants.diagnosis.data.records import FolderContents
 from plants.diagnosis.models.base import BaseNumbers
@@ -19,7 +20,6 @@ from plants.diagnosis.residual.localisation import ResidualLocation
 from plants.diagnosis.residual.torque_waves import TorqueWaves, torque_waves
 from plants.diagnosis.result import SearchStep, Verdict, explained_share
 from plants.diagnosis.search.conclusion import Conclusion, conclude
-from plants.diagnosis.search.constants import CONSTANTS
 from plants.diagnosis.search.fitted_models import FittedModels
 from plants.diagnosis.search.limitations import most_refused
 from plants.diagnosis.search.mains_interference import MainsLine

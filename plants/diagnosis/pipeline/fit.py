@@ -20,14 +20,6 @@ from plants.diagnosis.search.model_fitter import CandidateFit, ModelFitter
 from plants.diagnosis.search.more_records import differing
 from plants.effects import MainsInterference, RecordScale
 
-SAME = 0.995
-"""Ratio of the powers that two laws leave from which on the simpler one is kept: of three reels
-with an effect that bends the cable's law, full sag left 0.42, 0.44 and 0.58 of what the linear law
-did. Simulated reels have the linear law."""
-LINE_ROUNDS = 2
-"""Fits of mains interference and base model in turn: beside a base model fitted to the readings
-with the line, the amplitude of a line of 12 times the noise came out 15 % too large."""
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BaseFit:
@@ -67,10 +59,12 @@ def fit(plant: DiagnosedModel, noise: SensorNoise, choices: EffectChoices) -> Ba
     fuller = plant.fuller
     if fuller is not None:
         fitter_of_fuller, base_of_fuller = _base_fit(fuller, searched, noise)
-        if base_of_fuller.J < SAME * base.J:
+        # Of three reels that sag, full sag left 0.42, 0.44 and 0.58 of what the linear law did.
+        if base_of_fuller.J < 0.995 * base.J:
             plant, fitter, base = fuller, fitter_of_fuller, base_of_fuller
     line = None
-    for _ in range(LINE_ROUNDS if MainsInterference in choices.in_noise else 0):
+    # Beside a base model fitted with the line, a line of 12 noises came out 15 % too large.
+    for _ in range(2 if MainsInterference in choices.in_noise else 0):
         interference = line_in_residual(fitter, base, searched)
         if interference is None:
             break

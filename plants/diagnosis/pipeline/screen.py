@@ -2,17 +2,12 @@
 
 from collections.abc import Sequence
 
+from plants.diagnosis.constants import CONSTANTS
 from plants.diagnosis.pipeline.fit import BaseFit
-from plants.diagnosis.search.constants import CONSTANTS
 from plants.diagnosis.search.nameless_laws import NAMELESS
 from plants.diagnosis.search.score_context import ScoreContext
 from plants.diagnosis.search.screening import Screening, ScreeningResult, screen_effect
-from plants.diagnosis.search.search import AIMED
 from plants.effects import Effect
-
-DISTORTED = 16.0
-"""Power of the base model's error from which on directions are worked out from the model as given,
-too: its numbers may have moved far to make up for what is missing."""
 
 
 def screen(fitted: BaseFit) -> Screening:
@@ -25,7 +20,7 @@ def screen(fitted: BaseFit) -> Screening:
 
     declared = {e.name: screened(e, contexts) for e in fitted.choices.structural}
     best = max((s.screening_R2 for s in declared.values()), default=0.0)
-    if models.base.J > DISTORTED and best < AIMED:
+    if CONSTANTS.distorted < models.base.J and best < CONSTANTS.aimed:
         contexts.append(ScoreContext.of(fitter, models.given, fitted.scale))
         declared = {n: s.merged(screened(s.effect, contexts[1:])) for n, s in declared.items()}
     if CONSTANTS.nothing >= models.base.J:

@@ -29,8 +29,6 @@ from plants.effects import Effect
 
 __all__ = ["CHANNELS", "Index", "Prediction", "Predictor"]
 
-STEP = 1e-6
-"""Step of a finite difference, relative to the value, or to its range where it is zero."""
 RECORD_ARRAYS = (
     *("record_samples", "preload", "reading", "command", "windows", "window_at", "window_place"),
     *("measured", "source", "block_end", "record_blocks"),
@@ -202,7 +200,7 @@ class Predictor:
     def _step(self, n: int, value: float) -> float:
         free = self.free[n]
         size = max(abs(value), abs(free.start)) or 1e-3 * (free.high - free.low)
-        step = STEP * size
+        step = 1e-6 * size
         return -step if value + step > free.high else step
 
 

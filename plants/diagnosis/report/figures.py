@@ -23,7 +23,6 @@ from estune.support.plot_style import (
     legend,
     new_figure,
 )
-from plants.diagnosis.data.noise import SEGMENT
 from plants.diagnosis.report.residual_figures import NOISE, draw_shares
 from plants.diagnosis.report.summary import main_channel, step_name, worst_trace
 from plants.diagnosis.residual.residuals import spectrum
@@ -34,7 +33,6 @@ BEFORE: dict[str, Any] = {"color": ORANGE, "linewidth": 1.1}
 AFTER: dict[str, Any] = {"color": BLUE, "linewidth": 1.1}
 MEASURED: dict[str, Any] = {"color": BLACK, "linewidth": 3.0, "alpha": 0.3}
 
-_EXCERPT_samples = 1200
 BARS_MAX = 14
 """Effects that a ranking draws; the rest are in its table."""
 
@@ -166,12 +164,13 @@ def changed(trace: Trace) -> bool:
 def excerpt(trace: Trace) -> slice:
     """The stretch in which the base model is worst, short enough that its curves can be read."""
     samples = trace.time_s.size
-    if samples <= _EXCERPT_samples:
+    shown = 1200
+    if samples <= shown:
         return slice(0, samples)
     wrong = np.nan_to_num((trace.measured - trace.before) ** 2)
     power = np.cumsum(np.concatenate([[0.0], wrong]))
-    start = int(np.argmax(power[_EXCERPT_samples:] - power[:-_EXCERPT_samples]))
-    return slice(start, start + _EXCERPT_samples)
+    start = int(np.argmax(power[shown:] - power[:-shown]))
+    return slice(start, start + shown)
 
 
 def error_density(traces: Iterable[Trace], which: str) -> tuple[FloatArray, FloatArray]:
@@ -180,7 +179,7 @@ def error_density(traces: Iterable[Trace], which: str) -> tuple[FloatArray, Floa
     rate = _rate_Hz(traces[0].time_s)
     same = [t for t in traces if math.isclose(_rate_Hz(t.time_s), rate, rel_tol=1e-3)]
     errors = [t.measured - getattr(t, which) for t in same]
-    frequency, power = spectrum([error - np.nanmean(error) for error in errors], rate, SEGMENT)
+    frequency, power = spectrum([error - np.nanmean(error) for error in errors], rate)
     return frequency, np.sqrt(np.maximum(power, 1e-300))
 
 

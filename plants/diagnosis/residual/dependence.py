@@ -19,9 +19,6 @@ from plants.diagnosis.residual.angle_periods import ResidualOverAngle, per_turn
 BINS = 8
 LEVELS = 3
 """Bins of a variable, and of one that is crossed with the sign of the velocity."""
-CELLS = 512
-"""Cells of the angle in which a residual is summed before the search for its period; a quarter as
-many periods can be told apart."""
 SIMPLER: Mapping[str, tuple[str, ...]] = {
     "velocity sign and tension": ("velocity sign", "tension"),
     "velocity": ("velocity sign",),
@@ -135,13 +132,14 @@ class Fit:
         from_start = angle.of - np.nanmin(angle.of)
         span = max(float(np.nanmax(from_start)), 1e-300)
         turning = ResidualOverAngle(from_start[self.chosen], self.residual)
-        # A period must fit twice into the angles seen.
-        found = per_turn([turning], span / CELLS, 2.0)
+        # A period must fit twice into the angles seen; of 512 cells a quarter are told apart.
+        cells = 512
+        found = per_turn([turning], span / cells, 2.0)
         period = 2.0 * math.pi / found[0] if found else span
         phase = np.nan_to_num(2.0 * np.pi * from_start / period)
         wave = self.spread(np.column_stack([np.cos(phase), np.sin(phase)]))
         # Mean of the maximum of so many exponential draws, two degrees of freedom each.
-        share, _ = self.explained(wave[self.chosen], 2.0 * (math.log(0.25 * CELLS) + 0.577))
+        share, _ = self.explained(wave[self.chosen], 2.0 * (math.log(0.25 * cells) + 0.577))
         sine = self.binned(Variable("position period", angle.unit, from_start % period), 2 * BINS)
         return replace(sine, share=share, detail=f"{period:.3g} {angle.unit}")
 

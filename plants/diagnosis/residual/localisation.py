@@ -12,9 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estune.core.quantities import FloatArray
+from plants.diagnosis.constants import CONSTANTS
 from plants.diagnosis.data.measured_record import MeasuredRecord
 from plants.diagnosis.data.noise import FEWEST
-from plants.diagnosis.data.noise_floor import ALLOWANCE, NoiseFloor
+from plants.diagnosis.data.noise_floor import NoiseFloor
 from plants.diagnosis.data.smoothing import Smoother
 from plants.diagnosis.models.base import BaseNumbers
 from plants.diagnosis.residual.balance import Equation, Record, equations, smoother_for
@@ -38,15 +39,9 @@ from plants.diagnosis.residual.residuals import (
 
 __all__ = ["Block", "ResidualDependence", "ResidualLocation", "localise"]
 
-BAND_POWER = 0.9
-"""Share of the residual's power in its band."""
 RATIO_MIN = 1.2
 """Least ratio to its noise, known to about 10 %, of a block that is reported."""
-SHARE_MIN = 0.1
-"""Least share of the residual of a variable that is reported."""
 READING = "gauge's reading"
-SAMPLES_MAX = 12_000
-"""Samples used for the dependence on variables; longer residuals are subsampled."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -93,7 +88,7 @@ class Block:
     def regime(self) -> ResidualDependence | None:
         """The variable the residual follows, or None where it follows none."""
         view = strongest(self.views)
-        return view if view.share >= SHARE_MIN else None
+        return view if view.share >= 0.1 else None
 
     @property
     def band(self) -> str:
@@ -182,7 +177,7 @@ def _block(
     _, noise_power = spectrum(np.split(fitted.noise, ends), rate)
     low_Hz, high_Hz = _band(frequency, np.maximum(power - noise_power, 0.0))
     dependence = _dependence(equation, smoother, fitted, inside, ends)
-    allowance = ALLOWANCE * float(fitted.known[inside].std())
+    allowance = CONSTANTS.allowance * float(fitted.known[inside].std())
     return Block(
         name=equation.name,
         title=equation.title,
@@ -207,8 +202,8 @@ def _dependence(
     inside: NDArray[np.bool_],
     ends: NDArray[np.int64],
 ) -> Fit:
-    """The residual for the dependence on variables, subsampled to at most SAMPLES_MAX."""
-    stride = max(1, int(inside.sum()) // SAMPLES_MAX)
+    """The residual for the dependence on variables, of many samples some."""
+    stride = max(1, int(inside.sum()) // 12_000)
     chosen = np.flatnonzero(inside)[::stride]
     parts = [p for p in map(inner, np.split(fitted.residual, ends)) if p.size >= FEWEST]
     loose = float(np.mean([independent_share(residual) for residual in parts]))
@@ -264,12 +259,11 @@ def _signed_R2(block: Block, explaining: Block, sampling_Hz: float) -> float:
 
 
 def _band(frequency: FloatArray, power: FloatArray) -> tuple[float, float]:
-    """The band with the middle of a power, Hz; zeros without power."""
+    """The band with the middle 90 % of a power, Hz; zeros without power."""
     total = np.cumsum(power)
     if not total[-1] > 0.0:
         return 0.0, 0.0
-    edges = [(1.0 - BAND_POWER) / 2.0, (1.0 + BAND_POWER) / 2.0]
-    low, high = np.searchsorted(total / total[-1], edges)
+    low, high = np.searchsorted(total / total[-1], [0.05, 0.95])
     return float(frequency[low]), float(frequency[min(high, frequency.size - 1)])
 
 

@@ -16,9 +16,6 @@ from plants.diagnosis.models.base import BaseNumbers
 from plants.diagnosis.residual.balance import Equation, Record
 from plants.diagnosis.residual.dependence import LEVELS, Variable, quantiles
 
-SEGMENT = 512
-"""Samples in a segment of the spectrum."""
-
 
 def prepared(
     measurements: Sequence[MeasuredRecord],
@@ -141,14 +138,12 @@ def _angle_from_slack(record: Record, smoother: Smoother) -> FloatArray:
     return angle - float(np.nanmean(angle)) + tension / record.numbers.tension_per_angle_N_rad
 
 
-def spectrum(
-    parts: Sequence[FloatArray], sampling_Hz: float, longest: int = SEGMENT
-) -> tuple[FloatArray, FloatArray]:
+def spectrum(parts: Sequence[FloatArray], sampling_Hz: float) -> tuple[FloatArray, FloatArray]:
     """Frequencies, Hz, and power spectral density of a signal over some records (Welch 1967)."""
     from scipy.signal import welch  # noqa: PLC0415  slow to import
 
     finite = [signal for signal in map(inner, parts) if signal.size >= FEWEST]
-    segment = min([longest, *(signal.size for signal in finite)]) // 2 * 2
+    segment = min([512, *(signal.size for signal in finite)]) // 2 * 2
     powers = [welch(signal, sampling_Hz, nperseg=segment, detrend=False)[1] for signal in finite]
     frequency: FloatArray = np.linspace(0.0, sampling_Hz / 2.0, segment // 2 + 1)
     if not finite:

@@ -4,6 +4,7 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
+from plants.diagnosis.constants import CONSTANTS
 from plants.diagnosis.result import (
     Candidate,
     ModelSummary,
@@ -12,7 +13,6 @@ from plants.diagnosis.result import (
     Slugs,
     Verdict,
 )
-from plants.diagnosis.search.constants import CONSTANTS
 from plants.diagnosis.search.decide import (
     Decision,
     decide,

@@ -5,9 +5,9 @@ from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from typing import NamedTuple
 
+from plants.diagnosis.constants import CONSTANTS, Constants
 from plants.diagnosis.result import ModelSummary as Model
 from plants.diagnosis.result import Slugs, Verdict
-from plants.diagnosis.search.constants import CONSTANTS, Constants
 
 
 class Decision(NamedTuple):

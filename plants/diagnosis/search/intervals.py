@@ -20,15 +20,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estune.core.quantities import FloatArray
+from plants.diagnosis.constants import CONSTANTS
 from plants.diagnosis.interval import QUANTILE, Interval
 from plants.diagnosis.models.free_parameters import BASE, Free
-from plants.diagnosis.search.constants import CONSTANTS
 from plants.diagnosis.search.model_fitter import CandidateFit, ModelFitter, record_of
-
-LACKING = 0.5
-"""Share of what a base model leaves that lacks an effect by which its values are shifted: of 32
-values on machines with an effect that has no name 0.3, 0.4, 0.5 and 0.7 hold 0.81, 0.84, 0.91
-and 0.91."""
 
 
 def intervals(
@@ -59,7 +54,9 @@ def intervals(
     explained, unexplained_length = (
         math.sqrt(max(power, 0.0) * residuals.size) for power in (base.J - model.J, model.J - 1.0)
     )
-    unexplained = unexplained_length * (c.form_taken_up if model.effects else LACKING)
+    unexplained = unexplained_length * (
+        c.form_taken_up if model.effects else CONSTANTS.form_lacking
+    )
     form = {e.name: max(e.form_error, c.form_least) for e in model.effects}
     stated = {}
     for f, value, s, unit, shift in zip(

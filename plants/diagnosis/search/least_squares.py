@@ -17,16 +17,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estune.core.quantities import FloatArray
+from plants.diagnosis.constants import CONSTANTS
 from plants.diagnosis.prediction.prediction import Predictor
-from plants.diagnosis.search.constants import CONSTANTS
 
 Numbers = NDArray[np.int64]
-
-CONVERGED = 1e-3
-"""A round that lowers the sum of squares by a smaller share is the last: models are compared by
-tens of per cent."""
-FINAL = 1e-5
-"""That of the fit whose values are reported."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -116,7 +110,7 @@ def fit(
     entries: Numbers,
     rounds: int = 15,
     *,
-    tolerance: float = CONVERGED,
+    tolerance: float = 1e-3,  # models are compared by tens of per cent
     informed: bool = True,
 ) -> WhitenedFit:
     """Lowers the sum of squares of some residuals: Levenberg-Marquardt within the bounds.

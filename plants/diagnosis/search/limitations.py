@@ -8,20 +8,12 @@ import numpy as np
 from estune.recordings.issue import DataIssue
 from plants.diagnosis.data.measured_record import MeasuredRecord
 from plants.diagnosis.data.noise import step_of, upper_rms
+from plants.diagnosis.interval import QUANTILE
 from plants.diagnosis.models.free_parameters import Free
 from plants.diagnosis.models.signal_scales import travels
 from plants.diagnosis.result import Limitation
 from plants.diagnosis.search.model_fitter import CandidateFit
 from plants.effects.plant_scale import PlantScale
-
-ONE_WAY, ONE_WAY_TIME = 0.02, 0.1
-"""Shares of the travel, and of the time in motion, against the main direction below which a motion
-goes one way: a winch motor that is turned one way slips back for 0.05 of it, by its cogging."""
-BEYOND = 2.0
-"""Standard deviations of what is known of a number beyond which it has moved."""
-USUAL_sd, GUESSED_sd = 0.35, 0.8
-"""Standard deviation of the logarithm of a number of which nothing is stated, and of a friction,
-which is often no more than a guess: twice that is a factor of two, and of five."""
 
 
 def limitations(
@@ -92,11 +84,12 @@ def _of_base(base: CandidateFit, scale: PlantScale) -> list[Limitation]:
             label = f"{name} at its bound"
             limits.append(Limitation("base_parameter_at_bound", label, said, by_data=True))
         elif f.prior is None:
-            usual = USUAL_sd if f.scale == "log" else GUESSED_sd
-            if abs(math.log(max(factor, 1e-3))) > BEYOND * usual:
+            # A friction is often no more than a guess.
+            usual = 2.0 if f.scale == "log" else 5.0
+            if not 1.0 / usual < factor < usual:
                 said = f"{moved}; check it: it may compensate for an effect that the model lacks"
                 limits.append(Limitation("base_parameter_moved", f"{name} x{factor:.2g}", said))
-        elif (beyond := _distance(f, value)) > BEYOND:
+        elif (beyond := _distance(f, value)) > QUANTILE:
             known = f"{f.prior / (1.0 if f.scale == 'log' else f.start):.0%}"
             said = f"{moved}, {beyond:.1f} standard deviations of {known}; check it first"
             limits.append(Limitation("base_parameter_moved", f"{name} x{factor:.2g}", said))
@@ -121,7 +114,8 @@ def _of_motion(measurements: Sequence[MeasuredRecord]) -> list[Limitation]:
     going = np.abs(moved) > 0.3 * np.median(np.abs(moved[moved != 0.0]))
     ways = sorted([float(moved[moved > 0].sum()), -float(moved[moved < 0].sum())])
     times = sorted([int((going & (moved > 0)).sum()), int((going & (moved < 0)).sum())])
-    if ways[0] < ONE_WAY * ways[1] or times[0] < ONE_WAY_TIME * times[1]:
+    # A winch motor that is turned one way slips back for 0.05 of the time, by its cogging.
+    if ways[0] < 0.02 * ways[1] or times[0] < 0.1 * times[1]:
         said = (
             "all motion is in one direction: dry friction cannot be distinguished from an offset "
             "of the force; record motion both ways"

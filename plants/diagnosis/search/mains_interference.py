@@ -10,10 +10,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from estune.core.quantities import FloatArray
+from plants.diagnosis.constants import CONSTANTS
 from plants.diagnosis.data.measured_record import MeasuredRecord
 from plants.diagnosis.data.noise_floor import Noise
 from plants.diagnosis.interval import Interval
-from plants.diagnosis.search.constants import CONSTANTS
 from plants.diagnosis.search.model_fitter import CandidateFit, ModelFitter
 
 BESIDE = (0.87, 0.9, 0.93, 1.07, 1.1, 1.13)

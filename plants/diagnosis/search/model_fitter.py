@@ -9,23 +9,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estune.core.quantities import FloatArray
+from plants.diagnosis.constants import CONSTANTS
 from plants.diagnosis.data.measured_record import MeasuredRecord
 from plants.diagnosis.data.noise_floor import NoiseFloor
 from plants.diagnosis.models.base import BaseNumbers
 from plants.diagnosis.models.diagnosed_model import DiagnosedModel
 from plants.diagnosis.models.free_parameters import Free
 from plants.diagnosis.prediction.prediction import Prediction, Predictor
-from plants.diagnosis.search.constants import CONSTANTS
-from plants.diagnosis.search.least_squares import FINAL, WhitenedFit, fit
+from plants.diagnosis.search.least_squares import WhitenedFit, fit
 from plants.effects import Effect, Port, RecordScale, Role
 
 SHIFTS = np.array([0.0, *(sign * 3.0**n for n in range(6) for sign in (-1, 1))])
 """Shifts of a record's own value, in floors of change, among which the best is begun with."""
 BASE_ROUNDS = 40
 """Most rounds of the fit without effects."""
-
-MOST_ENTRIES = 60_000
-"""Residual entries from twice which on a fit takes only some; J is then known to 1 % or so."""
 
 
 Effects = tuple[type[Effect], ...]
@@ -101,7 +98,8 @@ class ModelFitter:
         self._predictors: dict[Effects, Predictor] = {}
         self.base = self.predictor(())
         sample = self.base.index.sample
-        self.entries: Numbers = np.flatnonzero(sample % max(1, sample.size // MOST_ENTRIES) == 0)
+        # Of more, some: J is then known to 1 % or so.
+        self.entries: Numbers = np.flatnonzero(sample % max(1, sample.size // 60_000) == 0)
         self.group = self._blocks()
 
     def predictor(self, effects: Effects) -> Predictor:
@@ -186,7 +184,7 @@ class ModelFitter:
         """The same, fitted until nothing is gained."""
         fitted = model.fitted
         moved = fitted.moved
-        done = fit(fitted.predictor, fitted.values, moved, self.entries, 60, tolerance=FINAL)
+        done = fit(fitted.predictor, fitted.values, moved, self.entries, 60, tolerance=1e-5)
         return CandidateFit(model.effects, done)
 
     def best_starts(self, predictor: Predictor, rows: FloatArray, most: int) -> FloatArray:

@@ -12,7 +12,6 @@ from plants.diagnosis.search.conclusion import Conclusion
 from plants.diagnosis.search.fitted_models import FittedModels
 from plants.diagnosis.search.mains_interference import MainsLine, line_in_residual
 from plants.diagnosis.search.model_fitter import CandidateFit, ModelFitter
-from plants.diagnosis.search.search import LEADING
 
 SEARCHED_samples = 60_000
 """Samples that a search takes: of 80 records of 10 000 samples, six."""
@@ -67,7 +66,7 @@ def refitted(fitter: ModelFitter, models: FittedModels, conclusion: Conclusion) 
     ranked = sorted(models.with_effects.values(), key=lambda fit: fit.J)
     believed = [fit for fit in conclusion.stages if fit.effects]
     tied = [f for names, f in models.with_effects.items() if names & {*conclusion.tied}]
-    chosen = {fit.names: fit for fit in (*ranked[:LEADING], *believed, *tied)}
+    chosen = {fit.names: fit for fit in (*ranked[:4], *believed, *tied)}
     base = FittedModels(fitter.given(), carried_over(fitter, models.base))
     return base.adding(carried_over(fitter, fit) for fit in chosen.values())
 

@@ -15,9 +15,6 @@ from plants.effects import Effect, Port, Signal, Site, parameter
 from plants.effects.bristles import bent
 from plants.effects.effect import Response, Values
 
-KNOTS = (-1.0, -0.5, -0.15, 0.15, 0.5, 1.0)
-"""Values of w/(|w| + w_s) at which a curve of the velocity has its knots."""
-
 
 def _torque() -> float:
     value: float = parameter(0.01, low=-1e4, high=1e4, unit="N m", neutral=0.0)
@@ -53,7 +50,8 @@ class VelocityCurve(Effect):
         far = ca.fabs(w) + p.scale_rad_s
         values = (p.down_3_Nm, p.down_2_Nm, p.down_1_Nm, p.up_1_Nm, p.up_2_Nm, p.up_3_Nm)
         torque, slope = values[0], 0.0
-        for n, (a, b) in enumerate(pairwise(KNOTS)):
+        knots = (-1.0, -0.5, -0.15, 0.15, 0.5, 1.0)
+        for n, (a, b) in enumerate(pairwise(knots)):
             part, rise = (w / far - a) / (b - a), values[n + 1] - values[n]
             torque += rise * ca.fmin(ca.fmax(part, 0.0), 1.0)
             inside = ca.logic_and(part >= 0.0, part < 1.0)

@@ -10,9 +10,6 @@ from plants.diagnosis.search.least_squares import Prior, prior_weight
 from plants.diagnosis.search.model_fitter import CandidateFit, ModelFitter, Numbers
 from plants.effects import RecordScale
 
-SCREENED = 12_000
-"""Entries that directions are compared over: a product over many is as well known from some."""
-
 
 class ScoreContext(NamedTuple):
     """The residual that directions are compared with.
@@ -40,7 +37,8 @@ class ScoreContext(NamedTuple):
         """The context of a fit."""
         fitted = model.fitted
         sample = fitted.predictor.index.sample[fitted.entries]
-        screened = sample % max(1, sample.size // SCREENED) == 0
+        # A product over many entries is as well known from some.
+        screened = sample % max(1, sample.size // 12_000) == 0
         entries, residual = fitted.entries[screened], fitted.residuals[screened]
         moves = fitter.moves(fitted.predictor)
         slope = fitted.predictor.linearise(fitted.values, moves, entries, residual)[1].T

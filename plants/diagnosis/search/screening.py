@@ -25,8 +25,6 @@ residual: less than the first moves it in proportion, and is not seen better."""
 MOVED = (0.5, 3.0)
 """Changes of the residual by the sizes chosen, in its own size: a law that is bent points another
 direction when it acts strongly."""
-GRID = 7
-"""Values tried of a shape whose range the records do not show."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -309,11 +307,11 @@ class _Directions:
             low, high = (min(max(edge, p.low), p.high) for edge in shown)
             # No more than a factor of three apart.
             values = 1 + math.ceil(math.log(max(high / low, 1.0)) / math.log(3.0))
-            return [float(v) for v in np.geomspace(low, high, min(values, 13))]
+            return [*np.geomspace(low, high, min(values, 13))]
         if p.low > 0.0 and usual > 0.0:
             low, high = max(p.low, usual / 15.0), min(p.high, usual * 15.0)
-            return [float(v) for v in np.geomspace(low, high, GRID)]
-        return [float(v) for v in np.linspace(p.low, p.high, GRID)]
+            return [*np.geomspace(low, high, 7)]
+        return [*np.linspace(p.low, p.high, 7)]
 
 
 def shown_range(unit: str, records: RecordScale) -> tuple[float, float] | None:

@@ -6,8 +6,8 @@ Nothing is decided here. Every fit is kept; `decide` says which model is believe
 import math
 from collections.abc import Iterable, Mapping, Sequence
 
+from plants.diagnosis.constants import CONSTANTS
 from plants.diagnosis.progress import Progress, portion, silent
-from plants.diagnosis.search.constants import CONSTANTS
 from plants.diagnosis.search.decide import best_of, relative
 from plants.diagnosis.search.fitted_models import FittedModels, is_named, summarise
 from plants.diagnosis.search.model_fitter import (
@@ -21,17 +21,6 @@ from plants.diagnosis.search.score_context import ScoreContext
 from plants.diagnosis.search.screening import Screening, ScreeningResult, screen_effect
 from plants.diagnosis.search.starts import coarse_fit, fit_added, may_be_nonlinear
 from plants.effects import Effect, RecordScale, Role
-
-BESIDE = 5
-"""Further effects whose direction is worked out beside those that are there, and as many laws
-without a name as have one no worse."""
-SHORTLIST = 5
-"""Effects fitted jointly, by their direction."""
-AIMED, AIMED_BESIDE = 0.5, 0.2
-"""A law is fitted whose direction explains this share of what the best's does: on 22 development
-seeds that of the effect hidden explained 0.76 or more, of a second effect 0.22 or more."""
-LEADING, BEHIND = 4, 3.0
-"""Fits that are finished, and ratio of powers beyond which none is."""
 
 
 def power(fit: CandidateFit) -> float:
@@ -104,8 +93,8 @@ def fit_promising(
     """
     ranked = sorted(screening.declared.values(), key=lambda s: -s.screening_R2)
     best = max((s.screening_R2 for s in ranked), default=0.0)
-    least_R2 = best * (AIMED_BESIDE if current.effects else AIMED)
-    promising = [s for s in ranked if s.screening_R2 > least_R2][:SHORTLIST]
+    least_R2 = best * (CONSTANTS.aimed_beside if current.effects else CONSTANTS.aimed)
+    promising = [s for s in ranked if s.screening_R2 > least_R2][:5]
     families = {family_of(s.effect) for s in promising}
     if not current.effects:
         families |= {family_of(s.effect) for s in ranked if s.effect.resists and s.effect.family}
@@ -113,13 +102,13 @@ def fit_promising(
     # The most promising family first, of it the simpler ones: others begin with their fit.
     aim = {family_of(s.effect): s.screening_R2 for s in reversed(chosen)}
     chosen.sort(key=lambda s: (-aim[family_of(s.effect)], _depth(s.effect), -s.screening_R2))
-    chosen += [s for s in screening.nameless.values() if s.screening_R2 >= AIMED * best]
+    chosen += [s for s in screening.nameless.values() if s.screening_R2 >= CONSTANTS.aimed * best]
     fits: list[CandidateFit] = []
     least = math.inf
     for n, candidate in enumerate(chosen):
         progress(f"fitting {candidate.effect.title}", n / len(chosen))
         # Beside a model that leaves nothing only those count that point the same way.
-        if max(least, 1.0) <= CONSTANTS.floor and candidate.screening_R2 < AIMED * best:
+        if max(least, 1.0) <= CONSTANTS.floor and candidate.screening_R2 < CONSTANTS.aimed * best:
             continue
         simpler = _simpler(candidate.effect, fits)
         fit = fit_added(fitter, current, candidate, simpler, least=least)
@@ -183,7 +172,7 @@ def screen_beside(
     others = [e for e in (*declared, *nameless) if e not in resonant]
     alone = {e.name: screen_effect(e, fitter.predictor((e,)), context) for e in others}
     others.sort(key=lambda e: -alone[e.name].screening_R2)
-    named = [e for e in others if e not in NAMELESS][:BESIDE]
+    named = [e for e in others if e not in NAMELESS][:5]
     first = others[: others.index(named[-1]) + 1] if named else []
     directions = alone | {e.name: beside(e) for e in (*resonant, *first)}
     unnamed = {e.name: directions.pop(e.name) for e in nameless}
@@ -215,7 +204,7 @@ def _finished(
     for fit in ranked:
         limit = min(least, _least(fitter, finished))
         limit = limit if math.isfinite(limit) else fit.J
-        leads = BEHIND * limit > fit.J and len(finished) < LEADING
+        leads = CONSTANTS.behind * limit > fit.J and len(finished) < 4
         rounds = 40 if fit is ranked[0] else 15
         finished.append(fitter.refine(fit, rounds) if leads else fit)
     return finished

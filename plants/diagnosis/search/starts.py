@@ -13,7 +13,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from estune.core.quantities import FloatArray
-from plants.diagnosis.search.constants import CONSTANTS
+from plants.diagnosis.constants import CONSTANTS
 from plants.diagnosis.search.model_fitter import CandidateFit, ModelFitter, simpler_of
 from plants.diagnosis.search.screening import ScreeningResult
 from plants.effects import Effect, Port, Role

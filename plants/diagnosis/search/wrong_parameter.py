@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 
-from plants.diagnosis.search.constants import CONSTANTS
+from plants.diagnosis.constants import CONSTANTS
 from plants.diagnosis.search.fitted_models import FittedModels
 from plants.diagnosis.search.model_fitter import CandidateFit, ModelFitter
 from plants.effects import Effect

@@ -1,4 +1,4 @@
-"""The numbers by which fits are judged: for verdicts, probabilities and intervals.
+"""The numbers that decide: verdicts, probabilities, intervals, noise, and which laws are fitted.
 
 Powers are mean squares of whitened residuals: 1 is the noise floor. Measured on hidden machines of
 the development and validation seeds (experiments/hidden_machines/seeds.md) and on two measured
@@ -60,6 +60,9 @@ class Constants(NamedTuple):
     form_taken_up: float = 0.15
     """Share of what effects leave by which values are shifted: 0.1, 0.15 and 0.2 hold 0.94, 0.95
     and 0.95 of them, half intervals being 3.4, 4.0 and 4.4 times the median error."""
+    form_lacking: float = 0.5
+    """That of a base model that lacks an effect: of 32 values on machines with an effect that has
+    no name 0.3, 0.4, 0.5 and 0.7 hold 0.81, 0.84, 0.91 and 0.91."""
     coarse: float = 3.0
     """Step of a gauge, in noises beside it, from which on most readings of a steady tension are
     the same."""
@@ -67,6 +70,35 @@ class Constants(NamedTuple):
     """Power of a mains line over that of neighbouring frequencies; a quarter in each record."""
     audible: float = 0.5
     """Least root mean square of mains interference, in noises of the gauge."""
+    allowance: float = 0.004
+    """Allowance for numerics and model form beside the noise, as a share of a signal's rms."""
+    upper_most: float = 1.2
+    """Greatest noise relative to that of the upper spectrum: repeats of a free drive differ by a
+    random walk (13.5 mrad beside a step of 0.63 mrad), periods of a jittered timer by its jitter
+    (0.085 to 0.122 N where the gauge has 0.040 N); four fifths of a gauge's power are white on the
+    machines of the experiments, whose noise is 1.1 times that of their upper spectrum."""
+    range: float = 20.0
+    """Factor by which a fit may change a positive parameter either way."""
+    inertia_sd: float = 0.3
+    """Standard deviation of the logarithm of an inertia or mass that nobody states better. Without
+    it an inertia of a motor bench moved by a factor of 4.3 to make up for dry friction; with 0.2
+    and 0.4 it stayed within 9 %. Other numbers have none unless their owner states one: one on
+    viscous friction makes dry friction of a wrong viscous one."""
+    horizon: float = 5.0
+    """Length of a prediction times the natural frequency: most of a period."""
+    travel: float = 30.0
+    """Travel of a plant that nothing holds, within a prediction, due to a tenth of the command's
+    rms, in times the noise of its output."""
+    distorted: float = 16.0
+    """Power of the base model's error from which on directions are worked out from the model as
+    given, too: its numbers may have moved far to make up for what is missing."""
+    aimed: float = 0.5
+    """A law is fitted whose direction explains this share of what the best's does: on 22
+    development seeds that of the effect hidden explained 0.76 or more."""
+    aimed_beside: float = 0.2
+    """That of a second effect, which explained 0.22 or more there."""
+    behind: float = 3.0
+    """Ratio of powers to the best one's beyond which a fit is not finished."""
 
 
 CONSTANTS = Constants()
