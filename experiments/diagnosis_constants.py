@@ -25,9 +25,10 @@ from experiments import hidden_machines
 from experiments.hidden_effects import FIRST_SEED, OUT, tasks
 from experiments.hidden_scores import DiagnosisTask, Row, diagnose, measurement, model
 from experiments.results import command_line, print_results, save_figure
+from plants.diagnosis.constants import CONSTANTS, Constants
+from plants.diagnosis.data import noise_floor
 from plants.diagnosis.pipeline import intervals as interval_step
 from plants.diagnosis.search import intervals, mains_interference
-from plants.diagnosis.constants import CONSTANTS, Constants
 from plants.diagnosis.search.decide import decide, probabilities
 from plants.diagnosis.search.model_fitter import CandidateFit, ModelFitter
 from plants.effects import EFFECTS
@@ -140,7 +141,10 @@ def in_noise(cases: int, c: Constants) -> tuple[float, float]:
     """Shares of noisy machines found and of sound ones blamed, no other effect declared."""
     names = ("mains_interference", "quantisation")
     found, blamed = 0, 0
-    with mock.patch.object(mains_interference, "CONSTANTS", c):
+    with (
+        mock.patch.object(mains_interference, "CONSTANTS", c),
+        mock.patch.object(noise_floor, "CONSTANTS", c),
+    ):
         for n in range(cases):
             for name in (*names, "none"):
                 case, _ = hidden_machines.draw(FIRST_SEED + n, "plain", name)

@@ -10,7 +10,7 @@ from plants.diagnosis.interval import Interval
 from plants.diagnosis.models.diagnosed_model import DiagnosedModel, diagnosed
 from plants.diagnosis.report.plant_units import in_own_units
 from plants.diagnosis.result import DeclaredEffect, explained_share
-from plants.diagnosis.search.model_fitter import BASE_ROUNDS, CandidateFit, ModelFitter
+from plants.diagnosis.search.model_fitter import CandidateFit, ModelFitter
 from plants.effects import Effect
 
 
@@ -36,8 +36,7 @@ def declared_effects(
         others = (*plant.effects[:n], *plant.effects[n + 1 :], plant.calibration)
         without = diagnosed(replace(plant.model, effects=others), plant.measurements)
         fitter = ModelFitter(without, plant.measurements, noise)
-        J_without = fitter.fit((), fitter.base.start, BASE_ROUNDS).J
-        listed.append(_declared(type(effect), J_without, base.J, fitted, plant))
+        listed.append(_declared(type(effect), fitter.base_fit().J, base.J, fitted, plant))
     return tuple(listed)
 
 

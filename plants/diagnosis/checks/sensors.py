@@ -9,9 +9,6 @@ from estune.recordings.issue import DataIssue
 from plants.diagnosis.data.noise import step_of, upper_rms
 from plants.diagnosis.data.periods import runs
 
-SHIFT_MAX_samples = 20
-"""Samples by which two channels are tried against each other."""
-
 
 def faults(column: str, readings: FloatArray) -> Iterator[DataIssue]:
     """The faults of a sensor's readings, shape (samples,)."""
@@ -95,15 +92,15 @@ def shift_between(leader: FloatArray, follower: FloatArray) -> int:
         leader: Shape (samples,).
         follower: Same shape; where it comes earlier, the answer is negative.
     """
-    n = leader.size
-    if n < 8 * SHIFT_MAX_samples or not (np.ptp(leader) > 0.0 and np.ptp(follower) > 0.0):
+    n, most = leader.size, 20
+    if n < 8 * most or not (np.ptp(leader) > 0.0 and np.ptp(follower) > 0.0):
         return 0
-    x = leader[SHIFT_MAX_samples : n - SHIFT_MAX_samples]
-    left = np.empty(2 * SHIFT_MAX_samples + 1)
-    for shift in range(-SHIFT_MAX_samples, SHIFT_MAX_samples + 1):
-        y = follower[SHIFT_MAX_samples + shift : n - SHIFT_MAX_samples + shift]
-        left[shift + SHIFT_MAX_samples] = 1.0 - np.corrcoef(x, y)[0, 1] ** 2
-    best = int(left.argmin()) - SHIFT_MAX_samples
-    inside = 2 <= abs(best) < SHIFT_MAX_samples
+    x = leader[most : n - most]
+    left = np.empty(2 * most + 1)
+    for shift in range(-most, most + 1):
+        y = follower[most + shift : n - most + shift]
+        left[shift + most] = 1.0 - np.corrcoef(x, y)[0, 1] ** 2
+    best = int(left.argmin()) - most
+    inside = 2 <= abs(best) < most
     # A shift is believed that leaves less than a tenth of what there is without one.
-    return best if inside and left.min() < 0.09 * left[SHIFT_MAX_samples] else 0
+    return best if inside and left.min() < 0.09 * left[most] else 0

@@ -11,9 +11,6 @@ from plants.diagnosis.data.measured_record import MeasuredRecord
 from plants.diagnosis.data.smoothing import Smoother, proportion
 from plants.diagnosis.models.base import BaseNumbers
 
-UNIT_FACTOR = 1.6
-"""Factor within which a ratio is taken for that of two units; the model may be off by as much."""
-
 
 def mistaken_units(m: MeasuredRecord, b: BaseNumbers, rate_Hz: float) -> Iterator[DataIssue]:
     """Columns that seem to be in another unit, or of the other sign: refused where that is clear.
@@ -24,7 +21,7 @@ def mistaken_units(m: MeasuredRecord, b: BaseNumbers, rate_Hz: float) -> Iterato
     """
     if b.linear is not None:
         return
-    if 1.0 / UNIT_FACTOR < m.sampling_Hz * 1000.0 / rate_Hz < UNIT_FACTOR:
+    if _is_unit(m.sampling_Hz * 1000.0 / rate_Hz):
         said = f"its samples come at {m.sampling_Hz:.3g} Hz, the model's at {rate_Hz:.3g} Hz"
         yield DataIssue("refused", f"{said}: it seems to be in ms; give s", "time_s")
         return
@@ -119,7 +116,7 @@ def _issues_of_drive(m: MeasuredRecord, times: float) -> Iterator[DataIssue]:
 
 
 def _issue(column: str, times: float, what: str, units: dict[float, str]) -> DataIssue:
-    near = [u for f, u in units.items() if 1 / UNIT_FACTOR < times / f < UNIT_FACTOR]
+    near = [u for f, u in units.items() if _is_unit(times / f)]
     sentence = f"its changes are {times:.3g} times {what}"
     if not near:
         return DataIssue("warning", f"{sentence}; check the unit and the model", column)
@@ -127,6 +124,11 @@ def _issue(column: str, times: float, what: str, units: dict[float, str]) -> Dat
     proper = "N m, N or A" if "mN m" in near[0] else proper
     sentence += f": it seems to be in {near[0]}; give {proper}"
     return DataIssue("refused", sentence, column)
+
+
+def _is_unit(ratio: float) -> bool:
+    """Whether a ratio is one, but for what a model may be off."""
+    return 1.0 / 1.6 < ratio < 1.6
 
 
 def _is_far(ratio: float) -> bool:

@@ -6,8 +6,6 @@ from estune.core.quantities import FloatArray
 
 FEWEST = 64
 """Fewest samples of a spectrum."""
-QUARTER = 0.25
-"""Quantile of the upper spectrum taken as noise; modes and lines may exceed it."""
 
 
 def spectral_rms(deviation: FloatArray) -> float:
@@ -38,10 +36,11 @@ def upper_rms(signal: FloatArray) -> float:
     frequency = np.arange(1, power.size + 1) * width
     white = power / (2.0 * np.sin(np.pi * frequency)) ** 4
     upper = white[frequency > 0.25]  # the plant's motion is negligible there
+    quarter = 0.25  # modes and lines may exceed it
     segments = max(1.0, 2.0 * signal.size / _segment(signal.size) - 1.0)
     freedom = 2.0 * segments * 0.9  # half overlapping Hann segments: 0.9 of independent ones
-    share = float(chi2.ppf(QUARTER, freedom)) / freedom
-    return float(np.sqrt(0.5 * np.quantile(upper, QUARTER) / share))
+    share = float(chi2.ppf(quarter, freedom)) / freedom
+    return float(np.sqrt(0.5 * np.quantile(upper, quarter) / share))
 
 
 def step_of(signal: FloatArray) -> float:

@@ -58,6 +58,16 @@ class NoiseFloor:
         """Noise of the encoder, rad rms; nan without an encoder."""
         return self._rms("angle_rad")
 
+    @property
+    def coarse_step_N(self) -> float | None:
+        """Step of a gauge whose readings are rounded by more than its noise, N, or None."""
+        gauge = self.channels.get("tension_N")
+        if gauge is None:
+            return None
+        # Below a twentieth of a step, what is beside the rounding cannot be told from none.
+        beside = max(gauge.rms**2 - gauge.lsb**2 / 12.0, (gauge.lsb / 20.0) ** 2)
+        return gauge.lsb if gauge.lsb > CONSTANTS.coarse * math.sqrt(beside) else None
+
     def effective(self, channel: str, signal_rms: float, least_rms: float = 0.0) -> float:
         """Noise and allowance together, sigma_eff, in the channel's unit.
 

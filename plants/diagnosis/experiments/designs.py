@@ -28,8 +28,6 @@ from plants.simulation.plant import drive_of
 
 WIDEST = 4.0
 """Greatest range in suggested steps: limits may be far wider than the operating range."""
-HIGHEST = 0.45
-"""Highest line of a multisine, relative to the sampling rate."""
 
 
 class Experiment(NamedTuple):
@@ -189,7 +187,7 @@ def _multisine(periods: int, lines: Lines) -> Make:
 
     def make(rig: RigScale, at: float, size: float) -> AnyProfile:
         start, span = rig.start_s, rig.seconds(2.0)
-        last_Hz = min(6.0 / rig.rig.settling_time_s, HIGHEST * rig.sampling_Hz)
+        last_Hz = min(6.0 / rig.rig.settling_time_s, 0.45 * rig.sampling_Hz)
         if rig.open_only:
             last_Hz = min(0.1 * rig.sampling_Hz, 60.0 / rig.unit_s)
         band = max(1, round(0.5 / rig.unit_s * span)), _line(last_Hz, span)
@@ -202,7 +200,7 @@ def _multisine(periods: int, lines: Lines) -> Make:
 def _high_multisine(rig: RigScale, at: float, size: float) -> AnyProfile:
     """Up to nearly half the sampling rate."""
     start, span, first_Hz = rig.start_s, rig.seconds(1.0), 0.1 * rig.sampling_Hz
-    band = _line(first_Hz, span), _line(HIGHEST * rig.sampling_Hz, span)
+    band = _line(first_Hz, span), _line(0.45 * rig.sampling_Hz, span)
     end, shape = start + 4 * span, (1.0, first_Hz)
     return MultisineProfile(at, size, span, *band, end, start, "all", *shape, loop="open")
 

@@ -9,6 +9,7 @@ from estune.core.gains import GAIN_NAMES, Gains
 from estune.run.results.result import TuneResult
 from estune.support.notebook_card import card
 from estune.trial import RigDescription
+from plants.diagnosis.interval import QUANTILE
 from plants.diagnosis.report.diagnosis import Diagnosis
 from plants.diagnosis.report.json_form import finite_json
 from plants.diagnosis.report.summary import TextTable
@@ -16,8 +17,6 @@ from plants.diagnosis.report.summary import TextTable
 COLUMNS = ("gains", "model as given", "improved model", "measured")
 OWN, REACHED, TUNED = "the rig's own", "reached with the model", "tuned on the rig"
 """Which gains a cost is of."""
-CERTAIN = 2.0
-"""Standard errors of a measured cost by which another is beyond doubt."""
 
 
 class ImprovementRound(NamedTuple):
@@ -116,7 +115,7 @@ class Improvement:
         tuned = by_label.get(TUNED)
         if reached is own:
             said = "no gains of the model could be reached from the rig's own"
-        elif reached.measured + CERTAIN * math.hypot(own.error, reached.error) < own.measured:
+        elif reached.measured + QUANTILE * math.hypot(own.error, reached.error) < own.measured:
             said = f"the model's gains cut the measured cost by {_cut(own, reached)}"
         else:
             said = "the model's gains do not cut the measured cost beyond its error"

@@ -29,9 +29,6 @@ from plants.models.linear_plant import LinearPlant, linear_plant
 from plants.models.linear_with_effects import LinearEffectStructure
 from plants.models.pole_zero_form import transfer_function
 
-MEAN_LEAD_samples = 0.5
-"""Mean lead of an input with first-order hold over one with zero-order hold."""
-
 
 class DiagnosedLinear(DiagnosedPlant):
     """A `LinearPlant`, or a continuous system of python-control."""
@@ -114,7 +111,8 @@ class DiagnosedLinear(DiagnosedPlant):
         # The states are the reading and its derivatives without input.
         rows = np.array([output @ np.linalg.matrix_power(A, k) for k in range(n)])
         u = self.command_N(measurement) / p["torque_unit"]
-        lead_s = MEAN_LEAD_samples * self._slope / measurement.sampling_Hz
+        # First-order hold leads zero-order hold by half a sample.
+        lead_s = 0.5 * self._slope / measurement.sampling_Hz
         dead_time_s = p["dead_time_s"] - lead_s
         return Local(A, B, output, u, dead_time_s, rows)
 
@@ -147,7 +145,7 @@ class DiagnosedLinear(DiagnosedPlant):
         """The plant with these values; a `Calibration` holds the offset."""
         known = {**self.values, **values}
         # A controller holds its command: a lead is less dead time there.
-        lead_s = MEAN_LEAD_samples * known.get("input_slope", self._slope)
+        lead_s = 0.5 * known.get("input_slope", self._slope)
         lead_s /= self.measurements[0].sampling_Hz
         model = linear_model(
             transfer_function(self.kinds, {k: known[k] for k in self.kinds.own}),

@@ -211,7 +211,7 @@ def _with_rounding(steps: tuple[SearchStep, ...], step_N: float) -> tuple[Search
 
 def _waves(fitted: BaseFit, held_out: Sequence[MeasuredRecord]) -> TorqueWaves | None:
     """The waves over the angle in the torque, where they explain enough of it."""
-    plant, noise = fitted.plant, fitted.noise.floor.channels.get("current_A")
+    plant, noise = fitted.plant, fitted.noise.channels.get("current_A")
     numbers = [BaseNumbers.of(plant.model, m) for m in plant.measurements]
     if noise is None:
         return None

@@ -8,9 +8,9 @@ has another phase in each record, so that no effect stands for it.
 from dataclasses import dataclass
 
 from plants.diagnosis.data.measured_record import MeasuredRecord
+from plants.diagnosis.data.noise_floor import NoiseFloor
 from plants.diagnosis.models.base import BaseNumbers
 from plants.diagnosis.models.diagnosed_model import DiagnosedModel
-from plants.diagnosis.pipeline.noise import SensorNoise
 from plants.diagnosis.residual.localisation import ResidualLocation, localise
 from plants.diagnosis.search.effect_choices import EffectChoices
 from plants.diagnosis.search.fitted_models import FittedModels
@@ -37,7 +37,7 @@ class BaseFit:
     """
 
     plant: DiagnosedModel
-    noise: SensorNoise
+    noise: NoiseFloor
     choices: EffectChoices
     fitter: ModelFitter
     models: FittedModels
@@ -46,7 +46,7 @@ class BaseFit:
     line: MainsLine | None
 
 
-def fit(plant: DiagnosedModel, noise: SensorNoise, choices: EffectChoices) -> BaseFit:
+def fit(plant: DiagnosedModel, noise: NoiseFloor, choices: EffectChoices) -> BaseFit:
     """The base fit to the records that are searched.
 
     Args:
@@ -72,7 +72,7 @@ def fit(plant: DiagnosedModel, noise: SensorNoise, choices: EffectChoices) -> Ba
         fitter, base = _base_fit(plant, line.measurements, noise)
     model = fitter.model.calibrated(base.values)
     numbers = [BaseNumbers.of(model, m) for m in fitter.measurements]
-    where = localise(fitter.measurements, numbers, noise.floor)
+    where = localise(fitter.measurements, numbers, noise)
     return BaseFit(
         plant=plant,
         noise=noise,
@@ -86,10 +86,10 @@ def fit(plant: DiagnosedModel, noise: SensorNoise, choices: EffectChoices) -> Ba
 
 
 def _base_fit(
-    plant: DiagnosedModel, measurements: tuple[MeasuredRecord, ...], noise: SensorNoise
+    plant: DiagnosedModel, measurements: tuple[MeasuredRecord, ...], noise: NoiseFloor
 ) -> tuple[ModelFitter, CandidateFit]:
     """The model fitted to some records."""
     if measurements != plant.measurements:
         plant = plant.for_records(measurements)
-    fitter = ModelFitter(plant, measurements, noise.floor)
+    fitter = ModelFitter(plant, measurements, noise)
     return fitter, fitter.base_fit()

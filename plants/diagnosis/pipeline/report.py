@@ -82,7 +82,7 @@ def report(
         before=_errors(steps[0], before),
         after=_errors(steps[-1], after),
         floor=steps[0].floor,
-        noise=fitted.noise.floor,
+        noise=fitted.noise,
         where=located_in_own_units(fitted.where, scale),
         calibrations=_calibrations(before.fit, stated, scale),
         not_excited={**not_excited(compared.screening), **choices.unavailable},
@@ -95,7 +95,7 @@ def report(
         base_model=plant.calibrated(compared.start.values),
         augmented=plant.calibrated(values, compared.effects),
         values=values,
-        declared=declared_effects(plant, fitted.noise.floor, compared.start, stated.base),
+        declared=declared_effects(plant, fitted.noise, compared.start, stated.base),
         hold_out=None if held_out is None else hold_out(held_out, before.fit, after.fit),
         limitations=limits,
         models=compared.conclusion.models,
@@ -144,7 +144,7 @@ def _next(compared: EffectComparison, rig: RigDescription | None) -> NextExperim
         if fit is not None
     }
     measurements = compared.fitter.measurements
-    evidence = Evidence(measurements, fitted.noise.floor, fitted.where, compared.steps[-1].ratio)
+    evidence = Evidence(measurements, fitted.noise, fitted.where, compared.steps[-1].ratio)
     base = plant.calibrated(compared.start.values)
     return next_experiment(compared.verdict, base, rivals, evidence, rig)
 

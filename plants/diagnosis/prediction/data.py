@@ -19,8 +19,6 @@ from plants.diagnosis.prediction.window_projection import WindowProjection
 
 DEVIATIONS = 4.0
 """Standard deviations within which a reading agrees with the expected one."""
-LAG_TOLERANCE = 1.05
-"""Sum of squares, relative to the least of all lags, up to which a lag fits as well."""
 
 
 class Index(NamedTuple):
@@ -326,14 +324,15 @@ def _without_lag(m: MeasuredRecord, newtons_per_ampere: float) -> FloatArray | N
     # A slow command leaves the lag open: then the least that fits as well. A lag too short by a
     # sample fits as well through the previous command, which is then the larger share.
     squares = np.array([square for _, square in fits])
-    well = squares <= LAG_TOLERANCE * squares.min()
+    tolerance = 1.05
+    well = squares <= tolerance * squares.min()
     near = np.array([2.0 * abs(previous) <= abs(gain) for (gain, previous, *_), _ in fits])
     lag = int(np.argmax(well & near)) if (well & near).any() else int(np.argmax(well))
     moved = np.full(current.size, np.nan)
     moved[: current.size - lag] = current[lag:]
     # The fraction of a sample in the lag shows as a share of the previous command.
     _, whole = _shares(columns[:kept, [0, 2]], current[lag : lag + kept])
-    if whole > LAG_TOLERANCE * squares[lag]:
+    if whole > tolerance * squares[lag]:
         moved -= fits[lag][0][1] * columns[:, 1]
     return moved
 

@@ -179,7 +179,7 @@ def error_density(traces: Iterable[Trace], which: str) -> tuple[FloatArray, Floa
     rate = _rate_Hz(traces[0].time_s)
     same = [t for t in traces if math.isclose(_rate_Hz(t.time_s), rate, rel_tol=1e-3)]
     errors = [t.measured - getattr(t, which) for t in same]
-    frequency, power = spectrum([error - np.nanmean(error) for error in errors], rate)
+    frequency, power = spectrum([error - np.nanmean(error) for error in errors], rate, 1024)
     return frequency, np.sqrt(np.maximum(power, 1e-300))
 
 

@@ -16,9 +16,6 @@ from numpy.typing import NDArray
 from estune.core.quantities import FloatArray
 from plants.diagnosis.residual.angle_periods import ResidualOverAngle, per_turn
 
-BINS = 8
-LEVELS = 3
-"""Bins of a variable, and of one that is crossed with the sign of the velocity."""
 SIMPLER: Mapping[str, tuple[str, ...]] = {
     "velocity sign and tension": ("velocity sign", "tension"),
     "velocity": ("velocity sign",),
@@ -109,7 +106,7 @@ class Fit:
         chance = min(max(of_noise, freedom / max(self.independent - 1.0, 1.0)), 1.0 - 1e-9)
         return max(0.0, float((share - chance) / (1.0 - chance))), inverse @ pull[0]
 
-    def binned(self, variable: Variable, bins: int = BINS) -> ResidualDependence:
+    def binned(self, variable: Variable, bins: int = 8) -> ResidualDependence:
         """Share explained by a mean for each bin of a variable."""
         name, unit, of, label = variable
         label = quantiles(of, bins) if label is None else label
@@ -140,7 +137,7 @@ class Fit:
         wave = self.spread(np.column_stack([np.cos(phase), np.sin(phase)]))
         # Mean of the maximum of so many exponential draws, two degrees of freedom each.
         share, _ = self.explained(wave[self.chosen], 2.0 * (math.log(0.25 * cells) + 0.577))
-        sine = self.binned(Variable("position period", angle.unit, from_start % period), 2 * BINS)
+        sine = self.binned(Variable("position period", angle.unit, from_start % period), 16)
         return replace(sine, share=share, detail=f"{period:.3g} {angle.unit}")
 
     def by_length(self, length: Variable, slope: FloatArray) -> ResidualDependence:

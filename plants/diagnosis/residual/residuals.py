@@ -14,7 +14,7 @@ from plants.diagnosis.data.noise_floor import NoiseFloor
 from plants.diagnosis.data.smoothing import Smoother, least_width
 from plants.diagnosis.models.base import BaseNumbers
 from plants.diagnosis.residual.balance import Equation, Record
-from plants.diagnosis.residual.dependence import LEVELS, Variable, quantiles
+from plants.diagnosis.residual.dependence import Variable, quantiles
 
 
 def prepared(
@@ -117,7 +117,8 @@ def variables(records: Sequence[Record]) -> list[Variable]:
     ]
     if has_tension:
         T = np.concatenate([smoother.sampled(r.signals["tension_N"], 1.0) for r in records])
-        crossed = np.where((way < 0) | ~np.isfinite(T), -1, way * LEVELS + quantiles(T, LEVELS))
+        levels = 3
+        crossed = np.where((way < 0) | ~np.isfinite(T), -1, way * levels + quantiles(T, levels))
         listed.append(Variable("tension", "N", T))
         listed.append(Variable("velocity sign and tension", "N", T, crossed))
     if has_angle and (first.numbers.linear is None or not has_tension):
@@ -138,12 +139,14 @@ def _angle_from_slack(record: Record, smoother: Smoother) -> FloatArray:
     return angle - float(np.nanmean(angle)) + tension / record.numbers.tension_per_angle_N_rad
 
 
-def spectrum(parts: Sequence[FloatArray], sampling_Hz: float) -> tuple[FloatArray, FloatArray]:
+def spectrum(
+    parts: Sequence[FloatArray], sampling_Hz: float, longest: int = 512
+) -> tuple[FloatArray, FloatArray]:
     """Frequencies, Hz, and power spectral density of a signal over some records (Welch 1967)."""
     from scipy.signal import welch  # noqa: PLC0415  slow to import
 
     finite = [signal for signal in map(inner, parts) if signal.size >= FEWEST]
-    segment = min([512, *(signal.size for signal in finite)]) // 2 * 2
+    segment = min([longest, *(signal.size for signal in finite)]) // 2 * 2
     powers = [welch(signal, sampling_Hz, nperseg=segment, detrend=False)[1] for signal in finite]
     frequency: FloatArray = np.linspace(0.0, sampling_Hz / 2.0, segment // 2 + 1)
     if not finite:

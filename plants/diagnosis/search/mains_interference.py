@@ -1,7 +1,4 @@
-"""Mains interference and coarse readings, found in the noise of the records.
-
-Rounding cannot be predicted, only seen; mains interference has another phase in each record.
-"""
+"""Mains interference, found in the noise of the records; it has another phase in each."""
 
 import math
 from collections.abc import Sequence
@@ -12,7 +9,6 @@ import numpy as np
 from estune.core.quantities import FloatArray
 from plants.diagnosis.constants import CONSTANTS
 from plants.diagnosis.data.measured_record import MeasuredRecord
-from plants.diagnosis.data.noise_floor import Noise
 from plants.diagnosis.interval import Interval
 from plants.diagnosis.search.model_fitter import CandidateFit, ModelFitter
 
@@ -35,14 +31,6 @@ class MainsLine:
     frequency_Hz: Interval
     phase_rad: Interval
     measurements: tuple[MeasuredRecord, ...]
-
-
-def coarse_step_N(noise: Noise) -> float | None:
-    """The step of a gauge that is read in coarse steps, N, or None."""
-    beside = noise.rms**2 - noise.lsb**2 / 12.0
-    # Below a twentieth of a step, what is beside the rounding cannot be told from none.
-    unrounded = math.sqrt(max(beside, (noise.lsb / 20.0) ** 2))
-    return noise.lsb if noise.lsb > CONSTANTS.coarse * unrounded else None
 
 
 def line_in_residual(

@@ -19,12 +19,6 @@ from plants.diagnosis.prediction.prediction import Prediction, Predictor
 from plants.diagnosis.search.least_squares import WhitenedFit, fit
 from plants.effects import Effect, Port, RecordScale, Role
 
-SHIFTS = np.array([0.0, *(sign * 3.0**n for n in range(6) for sign in (-1, 1))])
-"""Shifts of a record's own value, in floors of change, among which the best is begun with."""
-BASE_ROUNDS = 40
-"""Most rounds of the fit without effects."""
-
-
 Effects = tuple[type[Effect], ...]
 Numbers = NDArray[np.int64]
 
@@ -126,12 +120,12 @@ class ModelFitter:
         The second begins with the fit in which what is known of the numbers does not count: a
         number that is given far wrong is then left for good where that takes the error off.
         """
-        near = self.fit((), self.base.start, BASE_ROUNDS)
+        near = self.fit((), self.base.start, 40)
         if CONSTANTS.floor >= near.J or all(f.prior is None for f in self.base.free):
             return near
         moves = self.moves(self.base)
         begun = fit(self.base, near.fitted.values, moves, self.entries, informed=False)
-        far = self.fit((), begun.values, BASE_ROUNDS)
+        far = self.fit((), begun.values, 40)
         return min((near, far), key=lambda fit_: fit_.fitted.penalised)
 
     def moves(self, predictor: Predictor, owners: frozenset[str] | None = None) -> Numbers:
@@ -231,7 +225,7 @@ class ModelFitter:
             predictor: The model.
             rows: Values, shape (rows, free).
             values: Numbers of the values by record.
-            by: Shifts of each row, shape (rows, shifts); None is `SHIFTS`, in noise floors.
+            by: Shifts of each row, shape (rows, shifts); None is some, in noise floors.
         """
         records, places = np.array(list(values)), np.array(list(values.values()))
         entries = self.entries[np.isin(predictor.index.measurement[self.entries], records)]
@@ -242,7 +236,8 @@ class ModelFitter:
             steepness = np.sqrt(np.einsum("ij,ij->j", slope, slope) / entries.size)
             if not steepness.all():
                 return rows
-            by, unit = np.tile(SHIFTS, (len(rows), 1)), 1.0 / steepness
+            powers = np.array([0.0, *(sign * 3.0**n for n in range(6) for sign in (-1, 1))])
+            by, unit = np.tile(powers, (len(rows), 1)), 1.0 / steepness
         many = by.shape[1]
         shifted = np.repeat(rows, many, axis=0)
         shifted[:, places] += by.reshape(-1, 1) * unit

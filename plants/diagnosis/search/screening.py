@@ -22,9 +22,6 @@ from plants.effects import Effect, RecordScale, Role
 DECADES = np.arange(-3.0, 4.0)
 """Sizes tried, in powers of ten of the usual one, between which one is found that moves the
 residual: less than the first moves it in proportion, and is not seen better."""
-MOVED = (0.5, 3.0)
-"""Changes of the residual by the sizes chosen, in its own size: a law that is bent points another
-direction when it acts strongly."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -216,7 +213,8 @@ class _Directions:
         moved = self.context.products(self._changes(rows)).rms.reshape(-1, DECADES.size)
         # A greater size than that which changes the most holds the drum.
         rising = [np.log(np.maximum.accumulate(m[: m.argmax() + 1]) + 1e-12) for m in moved]
-        levels = MOVED[:1] if self.effect.named(Role.FREQUENCY) else MOVED
+        # A law that is bent points another direction when it acts strongly.
+        levels = (0.5,) if self.effect.named(Role.FREQUENCY) else (0.5, 3.0)
         sizes: list[dict[str, float]] = []
         for share in levels:
             wanted = math.log(max(0.3, share * self.context.size))
