@@ -47,10 +47,10 @@ def _declared(
     fitted: Mapping[str, Interval],
     plant: DiagnosedModel,
 ) -> DeclaredEffect:
-    ratio_without, ratio_with = math.sqrt(without), math.sqrt(with_it)
-    explained = explained_share(ratio_without, ratio_with)
+    explained = explained_share(without, with_it)
     supported = without > CONSTANTS.floor and explained >= CONSTANTS.one_more
-    ratios = f"{ratio_without:.3g} times the noise floor without it, {ratio_with:.3g} with"
+    floors = math.sqrt(without), math.sqrt(with_it)
+    ratios = "{:.3g} times the noise floor without it, {:.3g} with".format(*floors)
     verdict = "is supported by" if supported else "is not supported by"
     parameters = {
         name: in_own_units(effect, name, fitted[f"{effect.name}.{name}"], plant.model)

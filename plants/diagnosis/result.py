@@ -35,11 +35,11 @@ def explained_share(before: float, after: float) -> float:
     """Share of the error power above the noise floor that is explained.
 
     Args:
-        before: Error without what explains it, in times the noise floor.
-        after: Error with it.
+        before: Mean square error without what explains it, in noise floors.
+        after: That with it.
     """
-    above = max(before**2, 1.0) - 1.0
-    return (max(before**2, 1.0) - max(after**2, 1.0)) / above if above > 0.0 else 0.0
+    above = max(before, 1.0) - 1.0
+    return (max(before, 1.0) - max(after, 1.0)) / above if above > 0.0 else 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -368,7 +368,7 @@ class DiagnosisResult:
     @property
     def closure(self) -> float:
         """Explained fraction of the error power above the noise floor; nan without effects."""
-        share = explained_share(self.before.ratio, self.after.ratio)
+        share = explained_share(self.before.ratio**2, self.after.ratio**2)
         return share if self.effects else math.nan
 
     def remedies(self, gains: Gains | None = None) -> tuple[Offer, ...]:

@@ -151,7 +151,7 @@ def _cross_validated(
     if not last.fit.effects:
         return conclusion, stages
     n = next(n for n, each in enumerate(stages) if each.fitter is last.fitter)
-    share = explained_share(stages[n].step.ratio, last.step.ratio)
+    share = explained_share(stages[n].step.ratio ** 2, last.step.ratio**2)
     if share >= CONSTANTS.named_share or last.step.ratio**2 <= CONSTANTS.floor:
         return conclusion, stages
     titles = " and ".join(effect.title for effect in last.fit.effects)
@@ -205,7 +205,7 @@ def _with_rounding(steps: tuple[SearchStep, ...], step_N: float) -> tuple[Search
     last = unrounded[-1]
     gap = math.sqrt(max(last.gap**2 - power, last.floor**2))
     rounded = SearchStep(Quantisation.name, gap, last.floor, gap / last.floor)
-    explains = explained_share(last.ratio, rounded.ratio) >= CONSTANTS.one_more
+    explains = explained_share(last.ratio**2, rounded.ratio**2) >= CONSTANTS.one_more
     return (*unrounded, rounded) if last.ratio**2 > CONSTANTS.floor and explains else steps
 
 

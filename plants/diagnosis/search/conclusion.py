@@ -12,12 +12,12 @@ from plants.diagnosis.result import (
     SearchStep,
     Slugs,
     Verdict,
+    explained_share,
 )
 from plants.diagnosis.search.decide import (
     Decision,
     decide,
     effect_probabilities,
-    explained,
     family_probabilities,
     probabilities,
 )
@@ -71,7 +71,7 @@ def conclude(fitter: ModelFitter, models: FittedModels) -> Conclusion:
     p = probabilities(base, others)
     families, effects = family_probabilities(others, p), effect_probabilities(others, p)
     # Where no name is believed, the best of the declared effects seldom is there.
-    shares = (explained(base, m) for m in others if m.named)
+    shares = (explained_share(base.J, m.J) for m in others if m.named)
     scale = 1.0 if decision.best else (1.0 - CONSTANTS.named_share) * max(shares, default=0.0)
     fitted = {e.name: e for fit in models.with_effects.values() for e in fit.effects}
     conclusion = Conclusion(
@@ -103,7 +103,8 @@ def _reason(
         return ""
     leading = next(m for m in others if m.names == decision.leading)
     titles = " and ".join(_title(models, name) for name in sorted(decision.leading))
-    share = f"The best of them, {titles}, explains {_percent(explained(base, leading))} of it"
+    explained = _percent(explained_share(base.J, leading.J))
+    share = f"The best of them, {titles}, explains {explained} of it"
     return f"{share}." if leading.eligible else f"{share}, but at a bound, or too small to matter."
 
 
@@ -133,7 +134,6 @@ def candidates(
     screening: Screening, models: FittedModels, conclusion: Conclusion
 ) -> tuple[Candidate, ...]:
     """All effects screened as the first one, best first, each with why it was taken or not."""
-    before = ModelSummary(frozenset(), frozenset(), 0, models.base.J, 0)
     fitted = {fit.effects[0].name: fit for fit in models.singles if is_named(fit)}
     believed = [e.name for e in conclusion.best.effects]
     listed = []
@@ -145,7 +145,7 @@ def candidates(
                 f"explains {_percent(screened.screening_R2)} of the residual"
             )
         else:
-            share, ratio = explained(before, before._replace(J=fit.J)), math.sqrt(fit.J)
+            share, ratio = explained_share(models.base.J, fit.J), math.sqrt(fit.J)
             why = _why(fit, share, conclusion)
         family, effect = (
             p.get(name, 0.0) for p in (conclusion.probability, conclusion.own_probability)

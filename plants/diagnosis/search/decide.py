@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 from plants.diagnosis.constants import CONSTANTS, Constants
 from plants.diagnosis.result import ModelSummary as Model
-from plants.diagnosis.result import Slugs, Verdict
+from plants.diagnosis.result import Slugs, Verdict, explained_share
 
 
 class Decision(NamedTuple):
@@ -37,11 +37,6 @@ def beats(
     )
 
 
-def explained(base: Model, model: Model) -> float:
-    """Share of the power above the floor that a model takes off."""
-    return (base.power - model.power) / (base.power - 1.0) if base.power > 1.0 else 0.0
-
-
 def decide(base: Model, models: Sequence[Model], c: Constants = CONSTANTS) -> Decision:
     """The verdict on the fits of a search."""
     if base.power <= c.nothing:
@@ -52,13 +47,14 @@ def decide(base: Model, models: Sequence[Model], c: Constants = CONSTANTS) -> De
     best = _supported(best_of(models, c), models, p, c)
     nameless = [m for m in models if not m.named and len(m.names) == 1]
     if best is None:
-        like = [m for m in nameless if explained(base, m) >= c.named_share]
+        like = [m for m in nameless if explained_share(base.J, m.J) >= c.named_share]
         names = [next(iter(m.names)) for m in sorted(like, key=lambda m: m.power)]
         leading = min((m for m in models if m.named), key=lambda m: m.power, default=base)
         return Decision("unknown", frozenset(), like=(*names, "")[0], leading=leading.names)
     likelier = sorted((m for m in named if _is_likelier(m, best)), key=lambda m: m.power)
     for other in likelier:
-        if not beats(best, other, c.one_more, c) and explained(base, other) >= c.named_share:
+        explained = explained_share(base.J, other.J)
+        if not beats(best, other, c.one_more, c) and explained >= c.named_share:
             best = other
             break
     for law in sorted(nameless, key=lambda m: m.power):
@@ -66,7 +62,7 @@ def decide(base: Model, models: Sequence[Model], c: Constants = CONSTANTS) -> De
         as_few = law.values <= best.values and beats(law, best, c.one_more, c)
         if fewer or as_few or beats(law, best, c.named_share, c):
             return Decision("unknown", frozenset(), like=next(iter(law.names)), leading=best.names)
-    if explained(base, best) < c.named_share and best.power > c.floor:
+    if explained_share(base.J, best.J) < c.named_share and best.power > c.floor:
         return Decision("unknown", frozenset(), leading=best.names)
     tied = _tied(best, named, p, c)
     verdict: Verdict = "incomplete" if best.power > c.incomplete else "named"

@@ -51,8 +51,7 @@ class WhitenedFit:
     @property
     def penalised(self) -> float:
         """T: the mean square with what the moves of known values cost."""
-        prior = Prior.of(self.predictor, self.moved)
-        cost = prior.cost(self.values[self.moved])
+        cost = Coordinates.of(self.predictor, self.moved).cost(self.values)
         return self.mean_square + prior_weight(self.mean_square) * cost
 
 
@@ -61,31 +60,37 @@ def prior_weight(mean_square: float) -> float:
     return max(mean_square - 1.0, 0.0) + mean_square / CONSTANTS.effective
 
 
-class Prior(NamedTuple):
-    """What is known of the values that move, in the coordinates of the search.
+class Coordinates(NamedTuple):
+    """The values that move as a search sees them, and what is known of them beforehand.
 
     Attributes:
-        centre: Their logarithms or values in the model as given, shape (moves,).
-        precision: Inverse standard deviations, 0 where nothing is known.
+        moves: Their numbers.
         log: Which of them move by their logarithm.
+        low: Their least values, shape (moves,).
+        high: Their greatest values.
+        centre: Their logarithms or values in the model as given.
+        precision: Inverse standard deviations, 0 where nothing is known.
     """
 
+    moves: Numbers
+    log: NDArray[np.bool_]
+    low: FloatArray
+    high: FloatArray
     centre: FloatArray
     precision: FloatArray
-    log: NDArray[np.bool_]
 
     @classmethod
-    def of(cls, predictor: Predictor, moves: Numbers) -> "Prior":
-        """The priors of some values of a predictor."""
+    def of(cls, predictor: Predictor, moves: Numbers) -> "Coordinates":
+        """The coordinates of some values of a predictor."""
         free = [predictor.free[n] for n in moves]
         log = np.array([f.scale == "log" for f in free], bool)
-        start = np.array([f.start for f in free])
+        low, high, start = np.array([(f.low, f.high, f.start) for f in free]).reshape(-1, 3).T
         precision = np.array([0.0 if f.prior is None else 1.0 / f.prior for f in free])
-        return cls(_coordinate(start, log), precision, log)
+        return cls(moves, log, low, high, _coordinate(start, log), precision)
 
     def distances(self, values: FloatArray) -> FloatArray:
-        """Distances z of the values that move, shape (moves,)."""
-        z: FloatArray = (_coordinate(values, self.log) - self.centre) * self.precision
+        """Distances z from what is known, shape (moves,), of values of shape (free,)."""
+        z: FloatArray = (_coordinate(values[self.moves], self.log) - self.centre) * self.precision
         return z
 
     def cost(self, values: FloatArray) -> float:
@@ -97,6 +102,35 @@ class Prior(NamedTuple):
         z = self.distances(values)
         rows: FloatArray = np.sqrt(weight / (1.0 + z**2)) * np.array([self.precision, z])
         return rows
+
+    def inner(self, values: FloatArray) -> FloatArray:
+        """Derivative of the values by what is searched, dx/dz."""
+        return np.where(self.log, values[self.moves], 1.0)
+
+    def bounded(self, values: FloatArray) -> FloatArray:
+        """The values, those that move no further than their bounds."""
+        bounded = values.copy()
+        bounded[self.moves] = np.clip(values[self.moves], self.low, self.high)
+        return bounded
+
+    def unbounded(self, x: FloatArray, delta: FloatArray) -> FloatArray:
+        """The values that move, after a change of the searched coordinates."""
+        # A logarithm may not move further than e^3 at once.
+        grown = x * np.exp(np.where(self.log, np.clip(delta, -3.0, 3.0), 0.0))
+        after: FloatArray = np.where(self.log, grown, x + delta)
+        return after
+
+    def apart(self, x: FloatArray, after: FloatArray) -> FloatArray:
+        """The change of the searched coordinates from some values that move to others."""
+        ratio = np.maximum(after, 1e-300) / np.maximum(x, 1e-300)
+        return np.where(self.log, np.log(ratio), after - x)
+
+    def beyond(self, begun: FloatArray, values: FloatArray, strides: float) -> FloatArray:
+        """Extrapolation of the values beyond the last step by a factor."""
+        x = values[self.moves]
+        further = values.copy()
+        further[self.moves] = self.unbounded(x, strides * self.apart(begun[self.moves], x))
+        return self.bounded(further)
 
 
 def _coordinate(values: FloatArray, log: NDArray[np.bool_]) -> FloatArray:
@@ -127,11 +161,11 @@ def fit(
         tolerance: Share of the sum of squares that the last round lowers it by at most.
         informed: Whether what is known of values counts.
     """
-    scale, prior = _Scale.of(predictor, moves), Prior.of(predictor, moves)
-    at, converged, weight = _Point(np.clip(start, scale.low, scale.high), None), False, 0.0
+    scale = Coordinates.of(predictor, moves)
+    at, converged, weight = _Point(scale.bounded(start), None), False, 0.0
 
     def cost(point: _Point) -> float:
-        return point.cost + weight * prior.cost(point.values[moves])
+        return point.cost + weight * scale.cost(point.values)
 
     def lowest(trials: Sequence[FloatArray], otherwise: _Point) -> _Point:
         residuals = predictor.residuals(np.array(trials), entries)
@@ -143,7 +177,7 @@ def fit(
         begun = _Point(at.values, residuals)
         mean_square = begun.cost / max(residuals.size, 1)
         weight = residuals.size * prior_weight(mean_square) if informed else 0.0
-        known = prior.equations(at.values[moves], weight)
+        known = scale.equations(at.values, weight)
         columns = jacobian.T * scale.inner(at.values)[:, None]
         slope = _Slope.of(columns, residuals, scale, known)
         # As many as are predicted side by side; the fine ones are for narrow valleys.
@@ -182,60 +216,6 @@ def _cost(residuals: FloatArray) -> float:
     return float(residuals @ residuals)
 
 
-@dataclass(frozen=True, slots=True)
-class _Scale:
-    """The values that move, as the search sees them.
-
-    Attributes:
-        moves: Their numbers.
-        log: Which of them move by their logarithm.
-        low: Least values of all, shape (free,).
-        high: Greatest values of all.
-    """
-
-    moves: Numbers
-    log: NDArray[np.bool_]
-    low: FloatArray
-    high: FloatArray
-
-    @classmethod
-    def of(cls, predictor: Predictor, moves: Numbers) -> "_Scale":
-        free = predictor.free
-        return cls(
-            moves,
-            np.array([free[n].scale == "log" for n in moves], bool),
-            np.array([f.low for f in free]),
-            np.array([f.high for f in free]),
-        )
-
-    def inner(self, values: FloatArray) -> FloatArray:
-        """Derivative of the values by what is searched, dx/dz."""
-        return np.where(self.log, values[self.moves], 1.0)
-
-    def unbounded(self, x: FloatArray, delta: FloatArray) -> FloatArray:
-        """The values that move, after a change of the searched coordinates."""
-        # A logarithm may not move further than e^3 at once.
-        grown = x * np.exp(np.where(self.log, np.clip(delta, -3.0, 3.0), 0.0))
-        after: FloatArray = np.where(self.log, grown, x + delta)
-        return after
-
-    def beyond(self, begun: FloatArray, values: FloatArray, strides: float) -> FloatArray:
-        """Extrapolation of the values beyond the last step by a factor."""
-        before, x = begun[self.moves], values[self.moves]
-        ratio = np.maximum(x, 1e-300) / np.maximum(before, 1e-300)
-        further = values.copy()
-        further[self.moves] = self.moved(
-            values, strides * np.where(self.log, np.log(ratio), x - before)
-        )
-        return further
-
-    def moved(self, values: FloatArray, delta: FloatArray) -> FloatArray:
-        """The values that move, after such a change, no further than the bounds."""
-        after = self.unbounded(values[self.moves], delta)
-        bounded: FloatArray = np.clip(after, self.low[self.moves], self.high[self.moves])
-        return bounded
-
-
 class _Slope(NamedTuple):
     """Normal equations of some residuals by what is searched, columns scaled to one length.
 
@@ -248,7 +228,7 @@ class _Slope(NamedTuple):
         directions: Its eigenvectors.
     """
 
-    scale: _Scale
+    scale: Coordinates
     size: FloatArray
     normal: FloatArray
     pull: FloatArray
@@ -257,7 +237,7 @@ class _Slope(NamedTuple):
 
     @classmethod
     def of(
-        cls, columns: FloatArray, residuals: FloatArray, scale: _Scale, known: FloatArray
+        cls, columns: FloatArray, residuals: FloatArray, scale: Coordinates, known: FloatArray
     ) -> "_Slope":
         """The equations, with a residual of each value's own that is known, and its derivative.
 
@@ -296,13 +276,12 @@ class _Slope(NamedTuple):
             delta = fixed_steps.copy()
             delta[open_] = _solution(curvature, directions, pull, damping) / self.size[open_]
             wanted = scale.unbounded(x, delta)
-            after = np.clip(wanted, scale.low[scale.moves], scale.high[scale.moves])
+            after = np.clip(wanted, scale.low, scale.high)
             out = open_ & (wanted != after)
             if not out.any():
                 break
             fixed |= out
-            ratio = np.maximum(after, 1e-300) / np.maximum(x, 1e-300)
-            fixed_steps = np.where(fixed, np.where(scale.log, np.log(ratio), after - x), 0.0)
+            fixed_steps = np.where(fixed, scale.apart(x, after), 0.0)
         moved = values.copy()
         moved[scale.moves] = after
         return moved

@@ -6,7 +6,7 @@ import numpy as np
 from scipy.optimize import nnls
 
 from estune.core.quantities import FloatArray
-from plants.diagnosis.search.least_squares import Prior, prior_weight
+from plants.diagnosis.search.least_squares import Coordinates, prior_weight
 from plants.diagnosis.search.model_fitter import CandidateFit, ModelFitter, Numbers
 from plants.effects import RecordScale
 
@@ -43,10 +43,10 @@ class ScoreContext(NamedTuple):
         moves = fitter.moves(fitted.predictor)
         slope = fitted.predictor.linearise(fitted.values, moves, entries, residual)[1].T
         # What is known of base parameters is a residual of its own, which no effect changes.
-        values, prior = fitted.values[moves], Prior.of(fitted.predictor, moves)
-        known, apart = prior.equations(values, residual.size * prior_weight(model.J))
-        inner = np.where(prior.log, values, 1.0)
-        basis = _orthonormal(np.hstack([slope, np.diag(known / inner)]))
+        scale = Coordinates.of(fitted.predictor, moves)
+        weight = residual.size * prior_weight(model.J)
+        known, apart = scale.equations(fitted.values, weight)
+        basis = _orthonormal(np.hstack([slope, np.diag(known / scale.inner(fitted.values))]))
         whole = np.concatenate([residual, apart])
         undone = whole - (basis @ whole) @ basis
         return cls(

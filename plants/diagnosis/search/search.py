@@ -8,6 +8,7 @@ from collections.abc import Iterable, Mapping, Sequence
 
 from plants.diagnosis.constants import CONSTANTS
 from plants.diagnosis.progress import Progress, portion, silent
+from plants.diagnosis.result import explained_share
 from plants.diagnosis.search.decide import best_of, relative
 from plants.diagnosis.search.fitted_models import FittedModels, is_named, summarise
 from plants.diagnosis.search.model_fitter import (
@@ -21,11 +22,6 @@ from plants.diagnosis.search.score_context import ScoreContext
 from plants.diagnosis.search.screening import Screening, ScreeningResult, screen_effect
 from plants.diagnosis.search.starts import coarse_fit, fit_added, may_be_nonlinear
 from plants.effects import Effect, RecordScale, Role
-
-
-def power(fit: CandidateFit) -> float:
-    """P: mean square of the whitened residuals, no less than the noise floor's."""
-    return max(fit.J, 1.0)
 
 
 def search(
@@ -44,19 +40,18 @@ def search(
         scale: What the records show of the machine.
         progress: Called as each part begins.
     """
-    above = power(models.base) - 1.0
     if CONSTANTS.nothing >= models.base.J:
         return models
     fits = fit_promising(fitter, models.base, screening, portion(progress, 0.2, 0.6))
     models = models.adding(fits)
     single = leading_single(fitter, models)
-    if single is None or power(single) > 1.0 + (1.0 - CONSTANTS.named_share) * above:
+    if single is None or explained_share(models.base.J, single.J) < CONSTANTS.named_share:
         models = models.adding(fit_undirected(fitter, models, screening))
         single = leading_single(fitter, models)
     # A second effect is looked for beside one that explains something, and leaves something.
-    if single is None or power(single) > 1.0 + CONSTANTS.named_share * above:
+    if single is None or CONSTANTS.nothing >= single.J:
         return models
-    if CONSTANTS.nothing >= single.J:
+    if explained_share(models.base.J, single.J) < 1.0 - CONSTANTS.named_share:
         return models
     progress("screening second effects", 0.6)
     beside = screen_beside(fitter, screening, single, scale)
