@@ -14,9 +14,6 @@ import numpy as np
 
 from estune.core.quantities import FloatArray
 
-PEAKS = 3
-"""Peaks taken."""
-
 
 class ResidualOverAngle(NamedTuple):
     """A residual over angles that count from one zero; both of shape (samples,), rad."""
@@ -28,7 +25,7 @@ class ResidualOverAngle(NamedTuple):
 def per_turn(
     turnings: Sequence[ResidualOverAngle], read_rad: float, fewest: float = 1.0
 ) -> list[float]:
-    """Periods in a turn that explain the most of residuals, the best first; often none.
+    """Up to three numbers of periods in a turn that explain the most, the best first.
 
     Args:
         turnings: Residuals, each with a wave of its own phase.
@@ -47,7 +44,7 @@ def per_turn(
     inner = inner[inner < orders.size - 1]
     top = (explained[inner] > explained[inner - 1]) & (explained[inner] > explained[inner + 1])
     peaks = inner[top]
-    best = peaks[np.argsort(-explained[peaks])][:PEAKS]
+    best = peaks[np.argsort(-explained[peaks])][:3]
     return [float(orders[n]) for n in best]
 
 

@@ -39,8 +39,6 @@ from plants.diagnosis.residual.residuals import (
 
 __all__ = ["Block", "ResidualDependence", "ResidualLocation", "localise"]
 
-RATIO_MIN = 1.2
-"""Least ratio to its noise, known to about 10 %, of a block that is reported."""
 READING = "gauge's reading"
 
 
@@ -83,6 +81,11 @@ class Block:
     def ratio(self) -> float:
         """Residual relative to that of noise and allowance alone."""
         return self.rms / self.noise_rms
+
+    @property
+    def is_above_noise(self) -> bool:
+        """Whether it is to be reported: its noise is known to about 10 %."""
+        return self.ratio > 1.2
 
     @property
     def regime(self) -> ResidualDependence | None:
@@ -232,12 +235,15 @@ def _responsible(blocks: Sequence[Block], sampling_Hz: float) -> list[Block]:
     ordered = sorted(blocks, key=lambda block: -block.ratio)
     by_name = {block.name: block for block in blocks}
     force, gauge, eyelet = (by_name.get(name) for name in ("force", "gauge", "eyelet"))
-    if gauge is None or not ordered[0].ratio > RATIO_MIN:
+    if gauge is None or not ordered[0].is_above_noise:
         return ordered
-    shown = eyelet is not None and eyelet.ratio > RATIO_MIN
-    if eyelet is not None and shown and _signed_R2(gauge, eyelet, sampling_Hz) > 0.4:
+    if (
+        eyelet is not None
+        and eyelet.is_above_noise
+        and _signed_R2(gauge, eyelet, sampling_Hz) > 0.4
+    ):
         return [eyelet, *(block for block in ordered if block is not eyelet)]
-    if force is not None and force.ratio > RATIO_MIN:
+    if force is not None and force.is_above_noise:
         if _signed_R2(force, gauge, sampling_Hz) < -0.4:
             others = [block for block in ordered if block not in (force, gauge)]
             return [replace(gauge, title=READING), *others, force]
@@ -281,7 +287,7 @@ def _of_blocks(blocks: Sequence[Block]) -> str:
     if not blocks:
         return "The model's equations cannot be balanced against these channels."
     first = blocks[0]
-    if first.ratio < RATIO_MIN:
+    if not first.is_above_noise:
         return (
             "Nothing that the model leaves unexplained is above the noise; the most is in the "
             f"{first.title}, {first.ratio:.2g} times the noise."
@@ -300,5 +306,5 @@ def _of_blocks(blocks: Sequence[Block]) -> str:
     # The other block with the same cause is not reported again.
     shown = {READING: "force", "eyelet": "gauge"}.get(first.title)
     separate = [b for b in blocks[1:] if b.name != shown]
-    others = [f"the {b.title} at {b.ratio:.2g} times" for b in separate if b.ratio >= RATIO_MIN]
+    others = [f"the {b.title} at {b.ratio:.2g} times" for b in separate if b.is_above_noise]
     return sentence + (f" Above the noise, too: {', '.join(others)}." if others else "")

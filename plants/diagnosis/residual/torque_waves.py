@@ -28,9 +28,6 @@ from plants.effects.cogging import WAVES
 
 WIDTH_s = 0.005
 """Smoothing of motion and current alike."""
-WHOLE = 0.9
-"""Share of what the best order takes off from which on, over a turn or more, the next whole number
-is meant."""
 
 
 class TorqueMotion(NamedTuple):
@@ -208,13 +205,14 @@ def _orders(motions: Sequence[TorqueMotion]) -> tuple[float, ...]:
         if not found:
             break
         tried = {(*orders, found[0]): left((*orders, found[0]))}
-        if extent >= WHOLE * 2.0 * math.pi:
+        # Over a turn, the next whole number is meant that takes off nearly as much.
+        if extent >= 0.9 * 2.0 * math.pi:
             whole = (*orders, float(round(found[0])))
             tried[whole] = left(whole)
         gained = {added: _power(residual) - _power(rest) for added, rest in tried.items()}
         # The last tried is the whole number.
         most, (last, gain) = max(gained.values()), list(gained.items())[-1]
-        added = last if gain >= WHOLE * most else next(iter(tried))
+        added = last if gain >= 0.9 * most else next(iter(tried))
         # Each further wave takes off a tenth of the power left at least.
         if gained[added] < 0.1 * _power(residual) or added[-1] in orders:
             break

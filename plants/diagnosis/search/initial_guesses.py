@@ -8,7 +8,7 @@ import numpy as np
 
 from plants.diagnosis.data.measured_record import MeasuredRecord
 from plants.diagnosis.data.noise import step_of
-from plants.diagnosis.residual.angle_periods import PEAKS, ResidualOverAngle, per_turn
+from plants.diagnosis.residual.angle_periods import ResidualOverAngle, per_turn
 from plants.diagnosis.residual.localisation import Block, ResidualLocation
 from plants.diagnosis.search.model_fitter import ModelFitter
 from plants.effects import RecordScale
@@ -36,7 +36,7 @@ def record_scale(
 
 
 def _spectral_peaks(block: Block) -> list[float]:
-    """Frequencies at which a block's residual stands highest above its surroundings."""
+    """The three frequencies at which a block's residual stands highest above its surroundings."""
     from scipy.ndimage import median_filter  # noqa: PLC0415  slow to import
     from scipy.signal import find_peaks  # noqa: PLC0415  slow to import
 
@@ -46,7 +46,7 @@ def _spectral_peaks(block: Block) -> list[float]:
     around = median_filter(power, 17, mode="nearest")
     height = power / (around + 0.01 * power.max())
     peaks = [n for n in find_peaks(power)[0] if n > 1 and height[n] > 2.0]
-    return [float(block.frequency_Hz[n]) for n in sorted(peaks, key=lambda n: -height[n])[:PEAKS]]
+    return [float(block.frequency_Hz[n]) for n in sorted(peaks, key=lambda n: -height[n])[:3]]
 
 
 def _per_turn(
