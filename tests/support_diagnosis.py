@@ -18,7 +18,6 @@ from plants.diagnosis.residual.localisation import (
 from plants.diagnosis.result import (
     BaseParameter,
     Candidate,
-    DataSegment,
     Interval,
     ModelErrors,
     NamedEffect,
@@ -169,12 +168,6 @@ def diagnosis(**changes) -> Diagnosis:
             trace("triangle-3", "tension_N", 6.0, scale=1.0, left=0.05),
             trace("triangle-3", "angle_rad", 6.0, scale=0.05, left=0.04),
             trace("step-9", "tension_N", 1.0, scale=0.5, left=0.05),
-        ),
-        splits=(
-            DataSegment("multisine-2", 0.0, 6.0, "report", 0),
-            DataSegment("triangle-1", 0.0, 6.0, "report", 1),
-            DataSegment("triangle-3", 0.0, 6.0, "report", 2),
-            DataSegment("step-9", 0.0, 1.0, "report", 0),
         ),
         model=REEL,
         base_model=REEL,

@@ -49,7 +49,7 @@ def test_effect_found_on_some_records_is_fitted_to_all_of_them(monkeypatch):
     found = plants.explain(given, measured)
     names = [effect.name for effect in found.effects]
     assert (found.verdict, names) == (whole.verdict, [e.name for e in whole.effects])
-    assert {one.record for one in found.splits} == {m.name for m in measured}
+    assert {one.name for one in found.traces} == {m.name for m in measured}
     assert math.isclose(found.after.ratio, whole.after.ratio, rel_tol=0.02)
     one, other = (e.effects[0].parameters["torque_Nm"].value for e in (found, whole))
     assert one == pytest.approx(other, rel=1e-3)

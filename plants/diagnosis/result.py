@@ -28,8 +28,6 @@ have faults to be corrected first."""
 
 Slugs = frozenset[str]
 
-Split = Literal["fit", "rank", "report"]
-
 
 def explained_share(before: float, after: float) -> float:
     """Share of the error power above the noise floor that is explained.
@@ -240,25 +238,6 @@ class Limitation:
 
 
 @dataclass(frozen=True, slots=True)
-class DataSegment:
-    """A stretch of a record, and what it was used for.
-
-    Attributes:
-        record: Name of the record.
-        start_s: Its first moment in the record, s.
-        end_s: Its last.
-        split: `report`: all data are fitted, and left out in turn for the errors reported.
-        third: Which third of the data it is left out with, from 0.
-    """
-
-    record: str
-    start_s: float
-    end_s: float
-    split: Split
-    third: int = 0
-
-
-@dataclass(frozen=True, slots=True)
 class NextExperiment:
     """A trial worth running next.
 
@@ -318,7 +297,6 @@ class DiagnosisResult:
         findings: Issues of the data.
         steps: Prediction error on data left out, step by step.
         traces: The records in free run, before and after.
-        splits: Which third of the data each stretch is left out with.
         model: The model as given.
         base_model: The model with its own numbers fitted.
         augmented: `base_model` with the effects, fitted together.
@@ -348,7 +326,6 @@ class DiagnosisResult:
     findings: tuple[DataIssue, ...]
     steps: tuple[SearchStep, ...]
     traces: tuple[Trace, ...]
-    splits: tuple[DataSegment, ...]
     model: Any
     base_model: Any
     augmented: Any

@@ -32,7 +32,6 @@ from plants.diagnosis.search.validation import (
     free_run_rms,
     held_errors,
     hold_out,
-    segments,
 )
 from plants.effects import Effect
 from plants.effects.plant_scale import PlantScale, written_unit
@@ -90,7 +89,6 @@ def report(
         findings=usable.findings,
         steps=steps,
         traces=_traces(before, after),
-        splits=segments(after.fitter),
         model=model,
         base_model=plant.calibrated(compared.start.values),
         augmented=plant.calibrated(values, compared.effects),

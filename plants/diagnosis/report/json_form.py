@@ -50,7 +50,6 @@ def to_json(d: DiagnosisResult) -> dict[str, Any]:
         "exit_code": d.exit_code,
         "limitations": d.limitations,
         "findings": d.findings,
-        "splits": d.splits,
         "remedies": remedies_to_json(d.remedies()),
     }
     return {name: finite_json(value) for name, value in values.items()}

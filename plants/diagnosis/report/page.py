@@ -165,7 +165,7 @@ def _next_experiment(d: DiagnosisResult) -> list[Block]:
 
 
 def _data(d: DiagnosisResult) -> list[Block]:
-    records = len({segment.record for segment in d.splits})
+    records = len({trace.name for trace in d.traces})
     blocks: list[Block] = [
         Paragraph(
             f"{records} records. Models are fitted to all data and compared there. Prediction "

@@ -13,7 +13,7 @@ from plants.diagnosis.data.measured_record import OUTPUTS, MeasuredRecord
 from plants.diagnosis.data.noise_floor import noise_floor
 from plants.diagnosis.models.diagnosed_model import DiagnosedModel
 from plants.diagnosis.prediction.prediction import CHANNELS
-from plants.diagnosis.result import DataSegment, HoldOut, ModelErrors, SearchStep
+from plants.diagnosis.result import HoldOut, ModelErrors, SearchStep
 from plants.diagnosis.search.least_squares import fit
 from plants.diagnosis.search.model_fitter import CandidateFit, ModelFitter, Numbers
 from plants.diagnosis.search.more_records import settle
@@ -80,19 +80,6 @@ def thirds(fitter: ModelFitter) -> Numbers:
         windows, place = np.unique(index.window[of_record], return_inverse=True)
         third[of_record] = (n + place * 3 // max(windows.size, 1)) % 3
     return third
-
-
-def segments(fitter: ModelFitter) -> tuple[DataSegment, ...]:
-    """Stretches of each record, each of which is predicted by a fit to the others."""
-    index, third_of = fitter.base.index, thirds(fitter)
-    stretches = []
-    for n, m in enumerate(fitter.measurements):
-        for third in range(3):
-            times = index.time_s[(index.measurement == n) & (third_of == third)]
-            if times.size:
-                ends = float(times.min()), float(times.max())
-                stretches.append(DataSegment(m.name, *ends, "report", third))
-    return tuple(sorted(stretches, key=lambda s: (s.record, s.start_s)))
 
 
 def hold_out(model: DiagnosedModel, base: CandidateFit, last: CandidateFit) -> HoldOut:
