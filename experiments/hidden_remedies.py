@@ -1,8 +1,9 @@
 """What does a remedy bring on machines whose friction is not the model's, by diagnosed numbers?
 
 Command: `python -m experiments.hidden_remedies`.
-Target: the error on a slow triangle at most 0.8 of that without in the median and nowhere above
-1.02; predicted within 0.05 on 95 % of the machines.
+Target: the error on a slow triangle at most 0.8 of that without in the median; neither it nor the
+cost of a step anywhere above 1.02, and the rest nowhere above 1.2; on the machines of verdict
+`named` the error predicted within 0.05 on 95 % and the cost within 5 % on 90 %.
 
 Each machine is one of `experiments.hidden_machines`, which share no code with the models. Its
 records are explained; the remedy that the diagnosis offers, with the diagnosis' numbers, is fed in
@@ -12,32 +13,50 @@ Seeds are entered in `experiments/hidden_machines/seeds.md`.
 """
 
 import sys
+from collections.abc import Mapping
+from dataclasses import replace
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
 
 import plants
 from estune.core import pidf
+from estune.core.cost import default_cost
 from estune.core.filtering import lfilter
 from estune.core.gains import Gains
 from estune.core.quantities import FloatArray
 from estune.hardware.compensation.plan import KnownMotion
-from estune.trial.tracking import tracking_of, tracking_profile
+from estune.trial.tracking import rest_of, resting_profile, tracking_of, tracking_profile
 from experiments import hidden_machines
 from experiments.hidden_scores import measurement, model
 from experiments.results import at_least, at_most, command_line, print_results
+from plants.diagnosis.interval import Interval
 from plants.remedies import Offer, offers_for
 from plants.simulation.compensation import compensation_of
 
+SIZES = "torque_Nm", "coulomb_Nm", "load_share"
+"""Parameters that size a friction."""
 FRICTIONS = "coulomb_friction", "stribeck_friction", "dahl_hysteresis", "load_friction"
+SHARES = "offered", "lower end", "offered, told too much", "lower end, told too much"
+"""What is fed of the friction: the share that is offered, or all up to the lower end of the
+interval; and the same shares of a number that is told as the interval's upper end."""
+
+
+class Ratios(NamedTuple):
+    """Ratios of with to without."""
+
+    tracking: float
+    cost: float
+    rest: float
 
 
 class Remedied(NamedTuple):
-    """What one machine showed."""
+    """What one machine showed: what was predicted, and what each of `SHARES` achieved."""
 
     verdict: str
-    predicted: float
-    achieved: float
+    predicted: Ratios | None = None
+    achieved: Mapping[str, Ratios] = MappingProxyType({})
 
 
 def fed_forward(offer: Offer, augmented: Any, gains: Gains, setpoint_N: FloatArray) -> FloatArray:
@@ -56,26 +75,56 @@ def fed_forward(offer: Offer, augmented: Any, gains: Gains, setpoint_N: FloatArr
 
 
 def remedied(seed: int, effect: str) -> Remedied:
-    """The remedy of one machine: predicted and achieved ratio of tracking; NaN without one."""
+    """The remedy of one machine."""
     case, _ = hidden_machines.draw(seed, "plain", effect)
     found = plants.explain(model(case), [measurement(one) for one in case.records])
     closed = next(one for one in case.records if one.metadata["loop"] == "closed")
     gains, length_m = Gains(**closed.metadata["gains"]), closed.metadata["cable_length_m"]
     offers = [one for one in offers_for(found, gains) if "friction" in one.tables and one.worth]
     if not offers:
-        return Remedied(found.verdict, np.nan, np.nan)
-    about = found.augmented.describe("model", gains)
-    profile = tracking_profile(about.step, about.settling_time_s)
-    rate = about.controller.sampling_Hz
-    setpoint = profile.setpoint(rate)
-    fed = fed_forward(offers[0], found.augmented, gains, setpoint)
-    errors = []
-    for force in (fed, None):
-        plan = hidden_machines.RecordPlan("triangle", "closed", setpoint, fed=force)
-        tension = hidden_machines.further_record(seed, effect, length_m, plan).columns["tension_N"]
-        tracked = tracking_of(profile, about.settling_time_s, rate, setpoint - tension)
-        errors.append(tracked.rms_N)
-    return Remedied(found.verdict, offers[0].ratios["tracking"].value, errors[0] / errors[1])
+        return Remedied(found.verdict)
+    offer, machine = offers[0], (seed, effect, length_m)
+    off = measured(machine, found.augmented, gains, None)
+    told = next(one for one in found.effects if one.name == offer.effect).parameters
+    size = next(told[name] for name in SIZES if name in told)
+    achieved = {}
+    for name, share in zip(SHARES, shares(offer, size), strict=True):
+        friction = {**offer.tables["friction"], "fraction": share}
+        fed = replace(offer, tables={"friction": friction})
+        on = measured(machine, found.augmented, gains, fed)
+        achieved[name] = Ratios(*(on / off).tolist())
+    predicted = Ratios(*(offer.ratios[name].value for name in Ratios._fields))
+    return Remedied(found.verdict, predicted, achieved)
+
+
+def shares(offer: Offer, size: Interval) -> tuple[float, ...]:
+    """`SHARES` of an offer's friction."""
+    offered, lower = offer.tables["friction"]["fraction"], max(size.low, 0.0) / size.value
+    return offered, lower, offered * size.high / size.value, lower * size.high / size.value
+
+
+def measured(
+    machine: tuple[int, str, float | None], augmented: Any, gains: Gains, offer: Offer | None
+) -> FloatArray:
+    """Tracking, cost and rest of a machine with what an offer feeds forward, or without, (3,)."""
+    about = augmented.describe("model", gains)
+    settling_s, rate = about.settling_time_s, about.controller.sampling_Hz
+    triangle, step = tracking_profile(about.step, settling_s), about.step
+    found = []
+    for profile in (triangle, resting_profile(step, settling_s)):
+        setpoint = profile.setpoint(rate)
+        fed = np.zeros_like(setpoint)
+        if offer is not None:
+            fed = fed_forward(offer, augmented, gains, setpoint)
+        plan = hidden_machines.RecordPlan(profile.kind, "closed", setpoint, fed=fed)
+        columns = hidden_machines.further_record(*machine, plan).columns
+        effort = columns["current_A"] * about.newtons_per_ampere + fed
+        found.append((setpoint, columns["tension_N"], effort))
+    (asked, followed, _), rested = found
+    tracked = tracking_of(triangle, settling_s, rate, asked - followed)
+    stepped = (column[: step.samples(rate)] for column in rested)
+    cost = default_cost(settling_s).evaluate(rate, step.shape(rate), *stepped)
+    return np.array([tracked.rms_N, float(cost), rest_of(settling_s, rate, rested[1])])
 
 
 def main() -> int:
@@ -90,23 +139,38 @@ def main() -> int:
         f"{options.first + n} {name}": remedied(options.first + n, name)
         for n, name in enumerate(names)
     }
-    judged = [one for one in found.values() if np.isfinite(one.achieved)]
-    named = [one for one in judged if one.verdict == "named"]
-    achieved = [one.achieved for one in judged] or [np.nan]
-    off = [abs(one.predicted - one.achieved) for one in named] or [np.nan]
+    judged = [one for one in found.values() if one.predicted is not None]
+    if not judged:
+        raise SystemExit("no machine has an offer: give more of them, --cases")
+    achieved = {name: np.array([one.achieved[name] for one in judged]) for name in SHARES}
+    named = np.array([one.verdict == "named" for one in judged])
+    predicted = np.array([one.predicted for one in judged])
+    off = (
+        np.abs(predicted - achieved["offered"])[named] if named.any() else np.full((1, 3), np.nan)
+    )
     figures = {
-        "tracking": {
-            name: {"predicted": one.predicted, "achieved": one.achieved}
-            for name, one in found.items()
+        "machines": {
+            name: {"predicted": one.predicted, **one.achieved} for name, one in found.items()
         },
-        "machines": len(found),
+        "worst": {
+            name: {
+                "tracking_median": float(np.median(ratios[:, 0])),
+                **{
+                    f"{one}_max": float(ratios[:, k].max()) for k, one in enumerate(Ratios._fields)
+                },
+            }
+            for name, ratios in achieved.items()
+        },
         "with_an_offer": len(judged),
-        "of_verdict_named": len(named),
+        "of_verdict_named": int(named.sum()),
     }
+    offered = achieved["offered"]
     targets = {
-        "achieved_median": at_most(float(np.median(achieved)), 0.8),
-        "achieved_worst": at_most(max(achieved), 1.02),
-        "named_within_0.05": at_least(float(np.mean(np.array(off) <= 0.05)), 0.95),
+        "achieved_median": at_most(float(np.median(offered[:, 0])), 0.8),
+        "achieved_worst": at_most(float(offered[:, :2].max()), 1.02),
+        "rest_worst": at_most(float(offered[:, 2].max()), 1.2),
+        "named_within_0.05": at_least(float(np.mean(off[:, 0] <= 0.05)), 0.95),
+        "named_cost_within_5_percent": at_least(float(np.mean(off[:, 1] <= 0.05)), 0.9),
     }
     return print_results(figures, targets, as_json=options.json, tables=True)
 

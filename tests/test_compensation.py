@@ -38,7 +38,7 @@ FRICTION = {
     "tension_per_rad_N": 190.0,
 }
 ALL = {
-    "friction": FRICTION,
+    "friction": FRICTION | {"spread": 3.0},
     "inertia": {"inertia_kgm2": 0.002},
     "known_motion": {"inertia_kgm2": 0.001, "viscous_Nms_rad": 0.01},
     "gravity": {"weight_N_m": 0.5, "rise_m": 0.4, "length_min_m": 0.5, "length_max_m": 1.4},

@@ -71,6 +71,7 @@ def test_prediction_is_what_the_loop_then_measures(name):
     (offer,) = offers_for(found(EFFECTS[hidden["name"]](**numbers)), GAINS)
     assert offer.place is Place.LOOP
     assert offer.worth
+    compensation["friction"] = dict(offer.tables["friction"])
     off, on = (measured_tracking(hidden, c) for c in (None, compensation))
     assert offer.ratios["tracking"].value == pytest.approx(on.rms_N / off.rms_N, abs=0.05)
     assert offer.ratios["tracking"].low <= offer.ratios["tracking"].value

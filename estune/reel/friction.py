@@ -101,15 +101,15 @@ class FrictionFeedForward:
         dz = (sgn(ds) - z) |ds| / d
 
     so that the torque changes over the same distance as the friction of a drum that presses its
-    contacts forward before it slides, at whatever velocity.
-
-    See `slid`.
+    contacts forward before it slides, at whatever velocity; see `slid`. Where a half of the
+    contacts gives way sooner, z is the mean of two, over d and over d/s.
 
     Attributes:
         friction: The identified dry friction.
         memory_rad: Presliding distance d, rad; far below any motion where the friction has none.
         load_share: Friction per tension c, without unit: adds c T R to the torque.
         fraction: Share of the friction that is fed forward, from 0 to `FRACTION_MAX`.
+        spread: Factor s, one or above.
 
     Raises:
         InvalidInput: a value is out of its range.
@@ -119,6 +119,7 @@ class FrictionFeedForward:
     memory_rad: float
     load_share: float = 0.0
     fraction: float = 0.8
+    spread: float = 1.0
 
     def __post_init__(self) -> None:
         check_positive("presliding distance", self.memory_rad, "rad")

@@ -70,6 +70,7 @@ class DahlHysteresis(Effect):
                 "coulomb_Nm": p.torque_Nm,
                 "static_Nm": p.torque_Nm,
                 "memory_rad": p.presliding_rad,
+                "spread": p.spread,
             },
         )
 

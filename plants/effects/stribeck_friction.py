@@ -89,6 +89,7 @@ class StribeckFriction(Effect):
                 "static_Nm": p.coulomb_Nm + p.excess_Nm,
                 "stribeck_rad_s": p.stribeck_rad_s,
                 "memory_rad": p.presliding_rad,
+                "spread": p.spread,
             },
         )
 

@@ -34,7 +34,7 @@ typedef struct {
   double far_end, far_acceleration;              /* of the far end, m/s and m/s2 */
   long unchanged, interval;                      /* samples since it changed, and before that */
   int closed;                                    /* whether the next is a setpoint */
-  double setpoint, sliding, passing;             /* of the last sample; N, directions -1 to 1 */
+  double setpoint, sliding[2], passing;          /* of the last sample; N, directions -1 to 1 */
   int filtering;                                 /* whether the notches have begun */
   double in[ESTUNE_NOTCHES][2], out[ESTUNE_NOTCHES][2]; /* of the notches, newest first; N */
 } estune_compensation;
@@ -130,9 +130,10 @@ static double estune_slid(double direction, double moved, double memory) {
 
 static double estune_friction(estune_compensation *c, double setpoint, double moved) {
   double ratio = moved / ESTUNE_PERIOD / ESTUNE_STRIBECK, size;
-  c->sliding = estune_slid(c->sliding, moved, ESTUNE_MEMORY);
+  c->sliding[0] = estune_slid(c->sliding[0], moved, ESTUNE_MEMORY);
+  c->sliding[1] = estune_slid(c->sliding[1], moved, ESTUNE_MEMORY / ESTUNE_SPREAD);
   size = ESTUNE_COULOMB + (ESTUNE_STATIC - ESTUNE_COULOMB) * exp(-(ratio * ratio));
-  return ESTUNE_FRACTION * c->sliding *
+  return ESTUNE_FRACTION * 0.5 * (c->sliding[0] + c->sliding[1]) *
          (size / ESTUNE_DRUM_RADIUS + ESTUNE_LOAD_SHARE * fmax(setpoint, 0.0));
 }
 

@@ -61,7 +61,8 @@ class PlainCompensation:
     def __init__(self, plan: CompensationPlan) -> None:
         self._plan = plan
         self._state = MotionState()
-        self._setpoint_N, self._direction, self._passing = math.nan, 0.0, 0.0
+        self._setpoint_N, self._passing = math.nan, 0.0
+        self._sliding = 0.0, 0.0
         self._far_end = self._far_acceleration = 0.0
         self._unchanged = self._interval = 0
         self._rung: list[list[float]] = []  # the last two of each notch, in and out
@@ -125,11 +126,13 @@ class PlainCompensation:
         plan = self._plan
         if plan.friction is None:
             return 0.0
-        self._direction = slid(self._direction, moved_rad, plan.friction.memory_rad)
-        velocity = moved_rad / plan.period_s
-        return plan.friction.force_N(
-            self._direction, velocity, known.setpoint_N, plan.drum_radius_m
-        )
+        longer, sooner = self._sliding
+        memory_rad = plan.friction.memory_rad
+        longer = slid(longer, moved_rad, memory_rad)
+        sooner = slid(sooner, moved_rad, memory_rad / plan.friction.spread)
+        self._sliding = longer, sooner
+        velocity, direction = moved_rad / plan.period_s, 0.5 * (longer + sooner)
+        return plan.friction.force_N(direction, velocity, known.setpoint_N, plan.drum_radius_m)
 
     def _eyelet_N(self, known: KnownMotion, moved_rad: float) -> float:
         """What the gauge reads more than there is outside the eyelet; see the C text."""

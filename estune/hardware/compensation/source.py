@@ -42,6 +42,7 @@ def compensation_source(
         "LOAD_SHARE": friction.load_share if friction else 0.0,
         "FRACTION": friction.fraction if friction else 0.0,
         "MEMORY": friction.memory_rad if friction else 1.0,
+        "SPREAD": friction.spread if friction else 1.0,
         "TENSION_PER_RAD": plan.tension_per_rad_N,
         "INERTIA": plan.inertia_kgm2,
         "KNOWN_INERTIA": plan.known_inertia_kgm2,

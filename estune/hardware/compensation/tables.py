@@ -58,6 +58,7 @@ class FrictionTable(FileOrNumbers):
     stribeck_rad_s: Positive | None = None
     tension_per_rad_N: Positive
     memory_rad: NotNegative = 0.0
+    spread: Annotated[float, Field(ge=1.0)] = 1.0
     load_share: NotNegative = 0.0
     fraction: Annotated[float, Field(ge=0.0, le=FRACTION_MAX)] = 0.8
 
@@ -336,7 +337,9 @@ class CompensationTable(TomlTable):
         if table is None:
             return None
         memory = table.memory_rad or MEMORY_COUNTS * count_rad
-        forward = FrictionFeedForward(table.friction, memory, table.load_share, table.fraction)
+        forward = FrictionFeedForward(
+            table.friction, memory, table.load_share, table.fraction, table.spread
+        )
         largest_N = forward.fraction * forward.friction.static_Nm / drum_radius_m
         if largest_N > limit_N:
             raise InvalidInput(
