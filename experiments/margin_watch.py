@@ -7,8 +7,8 @@ Loops of known plants are watched as the daemon watches them: its multisine, a r
 settling times a minute, and others at once after one that looks like another plant. Loads are 0.5
 to 2 % of the step, noise is 0.4 %. After some quiet records the plant's inertia, cable length or
 gain becomes 30 % larger, directly after a record, so that the first one of the changed plant ends
-after a minute. The CPU time of a record is that of its identification and its margins, without
-the rig's.
+after a minute or more; of several such changes the longest time to the alarm is printed. The CPU
+time of a record is that of its identification and its margins, without the rig's.
 """
 
 import argparse
@@ -45,6 +45,9 @@ LOOPS = {
     "dead time": Gains(0.0621, 6.34, 0.0037, 0.0128),
 }
 """Gains half-way, in logarithms, between a weak start and the constrained optimum."""
+
+SEEDS_APART = 50
+"""Seeds from one change to the next: more than records within three times the limit."""
 
 WARM = 6
 """Quiet records by which a loop is known before anything is counted."""
@@ -98,7 +101,7 @@ def case_of(name: str) -> WatchedCase:
     return WatchedCase(plant, trial, LOOPS[name])
 
 
-def watched(name: str, quiet: int, seed0: int) -> dict[str, Any]:
+def watched(name: str, quiet: int, repeats: int, seed0: int) -> dict[str, Any]:
     """What watching one loop shows: quiet records, then each change from the same state."""
     case = case_of(name)
     settings, settling_s = case.trial.controller, case.trial.cost.settling_time_s
@@ -112,6 +115,17 @@ def watched(name: str, quiet: int, seed0: int) -> dict[str, Any]:
         cpu_s.append(time.process_time() - begun)
         further += bool(known.suspects)
         changed += is_changed
+    seed = seed0 + WARM + quiet
+    while known.suspects:  # records follow each other at once until they are taken
+        record = case.record(seed)
+        known, is_changed = observe(known, record, settings.sampling_Hz, settling_s)
+        seed, changed = seed + 1, changed + is_changed
+    begun = range(seed0 + 1000, seed0 + 1000 + SEEDS_APART * repeats, SEEDS_APART)
+    times = {
+        f"{change}, s": [noticed_s(case, known, record_of, seed) for seed in begun]
+        for change, record_of in case.changes()
+    }
+    every = [time_s for found in times.values() for time_s in found]
     Ms = shown.margins.sensitivity
     return {
         "loop": name,
@@ -124,10 +138,9 @@ def watched(name: str, quiet: int, seed0: int) -> dict[str, Any]:
         "further": further,
         "false_alarms": changed,
         "cpu_s": float(np.median(cpu_s)),
-    } | {
-        f"{change}, s": noticed_s(case, known, record_of, seed0 + 1000)
-        for change, record_of in case.changes()
-    }
+        "changes": len(every),
+        "noticed": float(np.mean([time_s <= LIMIT_S for time_s in every])),
+    } | {change: max(found) for change, found in times.items()}
 
 
 def noticed_s(
@@ -136,14 +149,15 @@ def noticed_s(
     """Time from a change to its alarm, infinite beyond three times the limit."""
     settings, settling_s = case.trial.controller, case.trial.cost.settling_time_s
     table = MarginsTable()
-    now_s, seed = table.every_s, seed0
+    now_s, seed = 0.0, seed0
     while now_s <= 3.0 * LIMIT_S:
         record = record_of(seed)
+        took_s = record.samples / settings.sampling_Hz
+        every_s = max(table.every_s, took_s / table.dither_time)
+        now_s += took_s if known.suspects else every_s
         known, is_changed = observe(known, record, settings.sampling_Hz, settling_s)
         if is_changed:
             return now_s
-        took_s = record.samples / settings.sampling_Hz
-        now_s += took_s if known.suspects else max(table.every_s, took_s / table.dither_time)
         seed += 1
     return math.inf
 
@@ -154,12 +168,14 @@ def main() -> int:
         __doc__, quick="two loops, five quiet records of each"
     )
     parser.add_argument("--quiet", type=int, default=60, help="quiet records of each loop")
+    parser.add_argument("--repeats", type=int, default=5, help="times that each change is tried")
     parser.add_argument("--seed0", type=int, default=1, help="first seed")
     options = parser.parse_args()
     names = list(LOOPS)[1:3] if options.quick else list(LOOPS)
-    quiet = 5 if options.quick else options.quiet
-    rows = [watched(name, quiet, options.seed0) for name in names]
-    seen = [value for row in rows for key, value in row.items() if key.endswith(", s")]
+    quiet, repeats = (5, 2) if options.quick else (options.quiet, options.repeats)
+    rows = [watched(name, quiet, repeats, options.seed0) for name in names]
+    changes = sum(row["changes"] for row in rows)
+    noticed = sum(row["noticed"] * row["changes"] for row in rows) / changes
     cpu_s = float(np.mean([row["cpu_s"] for row in rows]))
     figures = {
         "rows": rows,
@@ -167,7 +183,7 @@ def main() -> int:
         "cores_100_rigs": 100.0 * cpu_s / 60.0,
     }
     targets = {
-        "noticed": at_least(float(np.mean([t <= LIMIT_S for t in seen])), 1.0),
+        "noticed": at_least(noticed, 1.0),
         "false_alarms": at_most(sum(row["false_alarms"] for row in rows), 0.0),
     }
     return print_results(figures, targets, as_json=options.json, tables=True)

@@ -4,7 +4,6 @@ A check fails by chance with a probability of 0.001 where the claimed rate is ju
 the number of cases; so it serves the short form of an experiment and its validation size.
 """
 
-import math
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -72,11 +71,15 @@ def check_loop_claims(figures: Figures, _targets: Figures) -> None:
 
 
 def check_margin_watch(figures: Figures, targets: Figures) -> None:
-    """No quiet loop is taken for a changed one, and each change of 30 % is noticed."""
+    """Nine of ten changes are noticed in time, and no quiet loop is taken for a changed one.
+
+    The target is each change: of a loop with dead time some records show little.
+    """
     assert targets["false_alarms"]["met"]
-    noticed = [row[key] for row in figures["rows"] for key in row if key.endswith(", s")]
-    assert noticed
-    assert all(value is not None and value < math.inf for value in noticed)
+    rows = figures["rows"]
+    changes = sum(row["changes"] for row in rows)
+    noticed = sum(row["noticed"] * row["changes"] for row in rows)
+    assert round(noticed) >= least_hits(changes, 0.9)
 
 
 CHECKS: dict[str, Callable[[Figures, Figures], None]] = {

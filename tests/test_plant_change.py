@@ -48,3 +48,10 @@ def test_one_disturbed_record_is_no_change(known):
     assert not any(changes)
     assert not any(record is knock for record in loop.records)
     assert loop.fit is not known.fit  # the others are taken
+
+
+def test_a_record_set_apart_before_a_change_does_not_hide_it(known):
+    loop, _ = observed(known, [CASE.record(45, gain=0.8)])
+    assert loop.suspects
+    _, changes = observed(loop, [CASE.record(seed, gain=CHANGE) for seed in range(41, 45)])
+    assert changes.count(True) == 1

@@ -86,6 +86,7 @@ def observe(
     shown: tuple[PlantEvidence, ...] = ()
     if known.reference is not None:
         suspects = (*known.suspects, (record, evidence(known.reference, record)))
+        known, suspects = _parted(known, suspects)
         if is_another(known, [one for _, one in suspects]):
             changed = tuple(one for one, _ in suspects)
             return _begun(changed, fit_loop(changed, sampling_Hz, settling_time_s)), True
@@ -105,6 +106,21 @@ def observe(
 def _begun(records: tuple[LoopRecord, ...], fit: LoopFit) -> WatchedLoop:
     """A loop of few records: what they show is known anew with each fit."""
     return WatchedLoop(records, fit, fit, tuple(evidence(fit, one) for one in records))
+
+
+def _parted(known: WatchedLoop, suspects: Suspects) -> tuple[WatchedLoop, Suspects]:
+    """A loop that takes those suspects from before a change, and the suspects after it.
+
+    A change may have begun with any of them, most likely where those from there on are least
+    likely without one. A quiet record that is set apart by chance would hide a change after it.
+    """
+    assert known.reference is not None  # noqa: S101  it has records
+    shown = [one for _, one in suspects]
+    likely = [chance(known.reference, known.known, shown[i:]) for i in range(len(shown))]
+    begun = likely.index(min(likely))
+    records = (*known.records, *(record for record, _ in suspects[:begun]))[-KEPT:]
+    remembered = (*known.known, *shown[:begun])[-REMEMBERED:]
+    return known._replace(records=records, known=remembered), suspects[begun:]
 
 
 def is_another(known: WatchedLoop, shown: Sequence[PlantEvidence]) -> bool:
