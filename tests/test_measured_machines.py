@@ -10,7 +10,7 @@ import pytest
 
 import plants
 from estune.hardware.compensation.tables import AngleMapTable
-from experiments import emps, silverbox
+from experiments import emps, oven, silverbox
 from experiments.measured_data import folder
 
 DATA = folder(None)
@@ -97,3 +97,14 @@ def test_cubic_spring_of_a_measured_oscillator_is_identified():
 @pytest.mark.xfail(strict=True, reason="0.0243 of the standard deviation; 0.024 is asked")
 def test_oscillator_with_its_cubic_spring_predicts_other_data():
     assert oscillator()["silverbox_nrmse_after"].met
+
+
+@pytest.mark.parametrize("number", range(2, 13))
+def test_effort_of_a_measured_chamber_is_replayed_or_the_gains_that_ran_are_found(number):
+    (file,) = measured("oven/README.md").glob(f"run{number:02}_*.csv")
+    run = oven.read_run(file)
+    assert run.replayed <= oven.REPLAYED
+    assert sum(part.stretch.samples for part in run.parts) > 600
+    stated, ran = run.log.gains.P, run.gains.P
+    assert ran == pytest.approx(3.0 if number in {6, 7} else stated, rel=1e-3)
+    assert ("not what ran" in run.sentence) == (number in {6, 7})  # their names state a P of 4

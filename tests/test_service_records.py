@@ -3,9 +3,7 @@
 import csv
 import json
 import math
-import re
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -19,7 +17,7 @@ from estune.core.gains import Gains
 from estune.core.pidf import ControllerSettings
 from estune.errors import InvalidInput
 from estune.loop_model.optimum import RobustnessLimits
-from estune.recordings.loop_log import LoopLog, read_loop_log
+from estune.recordings.loop_log import LoopLog
 from estune.service_records.replay import replay
 from estune.service_records.sources import Logs
 from estune.service_records.stretches import Stretch, find_stretches
@@ -27,7 +25,6 @@ from experiments.loop_claims.truth import TrueLoop, true_sensitivity
 from experiments.sample_efficiency.problems import PROBLEMS
 from experiments.service_records.service import Service, serve
 
-OVEN = Path(__file__).parents[2] / "shared" / "data" / "oven"
 REEL = PROBLEMS["reel 1.4 m"]
 
 
@@ -223,34 +220,6 @@ def test_unknown_gains_are_refused_where_no_effort_shows_them(busy):
     without = {name: values for name, values in part.items() if name != "effort"}
     with pytest.raises(InvalidInput, match="gains that ran"):
         suggest(busy._replace(parts=(without,), gains=None))
-
-
-@pytest.mark.skipif(not OVEN.is_dir(), reason="the measured logs lie beside the project")
-@pytest.mark.parametrize("path", sorted(OVEN.glob("*.csv")), ids=lambda path: path.stem)
-def test_gains_of_measured_logs_are_confirmed_or_found(path):
-    # The gains act on the converter's reading; per row the sum grows by 0.1 ki e, and kd/0.1
-    # times the difference is taken off: see the README of the data.
-    def reading(celsius):
-        ohm = 11800 * np.exp(3977 * (1 / (celsius + 273.15) - 1 / 294.15))
-        return 1023 * ohm / (9853 + ohm)
-
-    log = read_loop_log(path)
-    converted = {"setpoint": -1.0, "measurement": -1.0}
-    parts = tuple(
-        {n: converted[n] * reading(v) if n in converted else v for n, v in part.items()}
-        for part in log.parts
-    )
-    kp, ki, kd = map(float, re.findall(r"k[pid]([\d.]+?)(?=_|\.csv)", path.name))
-    stated = Gains(kp, 0.4 * ki, 2.5 * kd, 0.0)
-    settings = ControllerSettings(4.0, 0.0, 0.0, 255.0, ControllerForm(integral="backward"))
-    stretches, _ = find_stretches(log._replace(parts=parts), kp)
-    found = replay(stretches, settings, stated)
-    if path.stem[:5] in {"run06", "run07"}:  # their names state a P of 4
-        assert not found.agrees
-        assert pytest.approx(3.0, rel=1e-3) == found.ran.P
-    else:
-        assert found.agrees
-    assert found.ran_error * found.range / 255.0 < 0.0005
 
 
 def test_a_tuning_from_logs_starts_within_its_limits_near_the_optimum(busy, tmp_path):

@@ -111,6 +111,18 @@ def fit_with_excitations(
     return (alone, ()) if _power(spoilt) > chance * _power(own) else (fit, tuple(excitations))
 
 
+def likely_settling_time(
+    records: Sequence[LoopRecord], sampling_Hz: float, settling_times_s: Sequence[float]
+) -> float:
+    """The settling time whose search begins with the least prediction error, s."""
+
+    def left(settling_time_s: float) -> float:
+        signals, starts = _cold_starts(records, settling_time_s * sampling_Hz)
+        return starts[0].cost / signals.samples
+
+    return min(settling_times_s, key=left) if len(settling_times_s) > 1 else settling_times_s[0]
+
+
 def _standing_out(fit: LoopFit) -> list[int]:
     """The records of the largest residuals by far, beyond what chance gives.
 
@@ -236,10 +248,17 @@ def _starts(records: Sequence[LoopRecord], settling: float, last: LoopFit | None
     if last is not None:
         poles = at_least_two(np.array(last.model.coordinates))
         return [PoleFit(0.0, poles, last.model.dead_samples, last.noise)]
+    return _cold_starts(records, settling)[1]
+
+
+def _cold_starts(
+    records: Sequence[LoopRecord], settling: float
+) -> tuple[FitSignals, list[PoleFit]]:
     samples = max(SAMPLES_STARTED_BY, round(SETTLING_TIMES_STARTED_BY * settling))
     few = [_shortened(r, samples) for r in records[:STARTED_BY]]
     signals = signals_of(few, settling, round(settling))
-    return cold_starts(signals, START_NOISES[: 1 if all(r.at_rest for r in records) else None])
+    noises = START_NOISES[: 1 if all(r.at_rest for r in records) else None]
+    return signals, cold_starts(signals, noises)
 
 
 def _shortened(record: LoopRecord, samples: int) -> LoopRecord:

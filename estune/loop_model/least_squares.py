@@ -204,10 +204,25 @@ class Solution(NamedTuple):
         columns = []
         start = search_vector(self.coordinates, self.noise)
         for axis in np.eye(start.size):
-            x, noise = split_vector(start + NOISE_STEP * axis, self)
-            moved = Solution.at(signals, x, self.dead, noise, self.numerator)
-            columns.append((moved.residual - self.residual) / NOISE_STEP)
+            moved = self._residual_at(signals, *split_vector(start + NOISE_STEP * axis, self))
+            columns.append((moved - self.residual) / NOISE_STEP)
         return np.stack(columns, axis=1)
+
+    def _residual_at(
+        self, signals: FitSignals, coordinates: FloatArray, noise: NoiseModel
+    ) -> FloatArray:
+        """Residual at other poles and noise with the numerator held, shape (residuals of all,)."""
+        H, parts = shaping(coordinates, noise, signals.settling_samples), []
+        for group in signals.groups:
+            late = delayed(group.effort, self.dead + 1)
+            driven = self.numerator[-1] * late
+            for term in self.numerator[-2::-1]:
+                driven = _moving(driven, 1.0) + term * late
+            driven = _moving(driven, -float(H.slow[1]))
+            left = whiten(group.measurement, H.zeros, H.poles) - whiten(driven, H.zeros, ())
+            Q = _nuisance(group, coordinates, noise, signals)
+            parts.append(without(left[:, group.history :], Q).ravel())
+        return np.concatenate(parts)
 
     def slopes(self, signals: FitSignals) -> FloatArray:
         """Slopes of the residual along coordinates, numerator and noise, (residuals, all)."""

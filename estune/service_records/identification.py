@@ -10,7 +10,7 @@ from estune.core.controller_equation import unlimited_effort
 from estune.core.gains import Gains
 from estune.core.pidf import ControllerSettings
 from estune.core.quantities import FloatArray
-from estune.loop_model.fitting import fit_loop
+from estune.loop_model.fitting import fit_loop, likely_settling_time
 from estune.loop_model.loop_fit import LoopFit
 from estune.loop_model.model import close_loop
 from estune.loop_model.plant_error import PlantErrorBound, plant_error
@@ -68,10 +68,9 @@ def identify(
     """
     records = tuple(loop_record(part, settings) for part in parts)
     rate = settings.sampling_Hz
-    scales = [settling_time_s] if settling_time_s is not None else _scales(records, rate)
-    fits = [fit_loop(records, rate, scale) for scale in scales]
-    best = min(fits, key=lambda fit: fit.residual_N)
-    return ServiceLoop(best, records, settings, plant_error(best, records))
+    scale = settling_time_s or likely_settling_time(records, rate, _scales(records, rate))
+    fit = fit_loop(records, rate, scale)
+    return ServiceLoop(fit, records, settings, plant_error(fit, records))
 
 
 def _scales(records: Sequence[LoopRecord], rate: float) -> list[float]:

@@ -1,0 +1,261 @@
+"""Are measured logs of a heated chamber replayed, used, judged and predicted?
+
+Command: `python -m experiments.oven --data FOLDER`.
+Target: effort replayed to 0.05 % of the output's range or other gains named, the run left out
+predicted to 0.8 % of its range and 25 mK about steps, Ms of single runs within 15 % of the pooled
+one or not stated, 3 s of CPU time a record of 10 000 samples and 10 s for all.
+
+Eleven runs of a small chamber under an Arduino PID (`oven` of cellularmitosis/logs, 2018), whose
+names state the gains. The controller sees the reading of a thermistor, which falls with the
+temperature; its output goes from 0 to 255, without its fraction. A model of all runs but one
+predicts the one left out in closed loop, from its first seconds and its setpoint alone. The data
+are not part of this project: `--data` or the environment variable ESTUNE_DATA is the folder with
+oven/run02_kp2.0_ki1.0_kd0.5.csv and further runs.
+"""
+
+import math
+import re
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from estune.core.controller_form import ControllerForm
+from estune.core.filtering import lfilter
+from estune.core.gains import Gains
+from estune.core.pidf import ControllerSettings
+from estune.core.quantities import FloatArray
+from estune.loop_model.fitting import fit_loop
+from estune.loop_model.loop_fit import LoopFit
+from estune.loop_model.model import LoopModel, exchanged, robustness
+from estune.loop_model.poles import polynomial
+from estune.recordings.loop_log import LoopLog
+from estune.service_records.identification import ServicePart, loop_record
+from estune.service_records.replay import replay
+from estune.service_records.sources import Logs
+from estune.service_records.stretches import find_stretches
+from estune.service_records.suggestion import suggest
+from experiments.measured_data import folder
+from experiments.results import Target, at_least, at_most, command_line, print_results
+
+SAMPLING_Hz, OUTPUT_MAX, LIBRARY_s = 4.0, 255.0, 0.1
+"""Rate of the rows, largest output, and the sample time by which the library scales I and D."""
+
+SETTINGS = ControllerSettings(
+    SAMPLING_Hz, 0.0, -math.inf, math.inf, ControllerForm(integral="backward")
+)
+
+BEGUN_s, STEP_s = 5.0, 20.0
+"""Beginning of a run that its prediction may use, and time after a step that is judged alone."""
+
+REPLAYED, PREDICTED, ABOUT_STEPS_K, POOLED = 0.0005, 0.008, 0.025, 0.15
+RECORD_s, RECORD_SAMPLES, FOLDER_s = 3.0, 10_000, 10.0
+
+
+class Run(NamedTuple):
+    """A run of the chamber.
+
+    Attributes:
+        log: Its signals as the controller sees them, with the gains of its name.
+        parts: Its usable stretches, with the gains that the effort shows.
+        sentence: What the replay of the effort says.
+        replayed: What those gains leave of the effort, over the output's range.
+    """
+
+    log: LoopLog
+    parts: tuple[ServicePart, ...]
+    sentence: str
+    replayed: float
+
+    @property
+    def gains(self) -> Gains:
+        """The gains that ran."""
+        return self.parts[0].gains
+
+    @property
+    def samples(self) -> int:
+        """Number of samples, those at a limit among them."""
+        return self.log.parts[0]["time"].size
+
+
+def reading(temperature_degC: FloatArray) -> FloatArray:
+    """Reading of the converter, negated so that it rises with the temperature."""
+    inverse = 1.0 / (temperature_degC + 273.15) - 1.0 / 294.15
+    ohms = 11800.0 * np.exp(3977.0 * inverse)
+    return np.asarray(-1023.0 * ohms / (9853.0 + ohms))
+
+
+def temperature_degC(reading: FloatArray) -> FloatArray:
+    """Temperature of a negated reading."""
+    ohms = -9853.0 * reading / (1023.0 + reading)
+    return np.asarray(1.0 / (np.log(ohms / 11800.0) / 3977.0 + 1.0 / 294.15) - 273.15)
+
+
+def read_run(file: Path) -> Run:
+    """A run, its effort replayed."""
+    time_s, setpoint, measured, effort = np.loadtxt(file, delimiter=",", skiprows=1, unpack=True)
+    stated = re.findall(r"k[pid]([\d.]+\d)", file.stem)
+    kp, ki, kd = (float(number) for number in stated)
+    rows = LIBRARY_s * SAMPLING_Hz
+    gains = Gains(kp, rows * ki, kd / rows, 0.0)
+    columns = {
+        "time": time_s,
+        "setpoint": reading(setpoint),
+        "measurement": reading(measured),
+        "effort": effort,
+    }
+    log = LoopLog(file.stem, SAMPLING_Hz, (columns,), gains, {}, {}, ())
+    stretches = find_stretches(log, gains.P)[0]
+    found = replay(stretches, SETTINGS, gains)
+    ran = gains if found.agrees or found.ran is None else found.ran
+    error = min(found.stated_error, found.ran_error) * found.range / OUTPUT_MAX
+    parts = tuple(ServicePart(stretch, ran) for stretch in stretches)
+    return Run(log, parts, found.sentence(), error)
+
+
+def begun_by(
+    model: LoopModel, run: Run, samples: int, level: float | None
+) -> tuple[float, FloatArray]:
+    """Level and response of a model over the first samples of a run.
+
+    Args:
+        model: Of the plant, from output to reading.
+        run: The run; its output acts without its fraction.
+        samples: Number of samples.
+        level: Reading without any output; None finds the one that fits.
+
+    Returns:
+        The level, and the reading less the level, shape (samples,).
+    """
+    columns, (A, B) = run.log.parts[0], polynomials(model)
+    driven = lfilter(B, A, np.floor(columns["effort"][:samples]))
+    free = [lfilter([1.0], A, pulse) for pulse in np.eye(A.size - 1, samples)]
+    wanted = columns["measurement"][:samples] - (level or 0.0) - driven
+    basis = np.array(free if level is not None else [*free, np.ones(samples)]).T
+    found = np.linalg.lstsq(basis, wanted, rcond=None)[0]
+    start = found[: len(free)]
+    return (float(found[-1]) if level is None else level), driven + start @ np.array(free)
+
+
+def polynomials(model: LoopModel) -> tuple[FloatArray, FloatArray]:
+    """A and q^-(d+1) B in powers of q^-1."""
+    zeros = exchanged(np.array(model.numerator))
+    return polynomial(model.coordinates), np.pad(zeros, (model.dead_samples + 1, 0))
+
+
+def predicted_degC(model: LoopModel, run: Run, level: float) -> FloatArray:
+    """Temperature of a run by a model, in closed loop from its first seconds on, (samples,).
+
+    Args:
+        model: Of the plant, from output to reading.
+        run: The run.
+        level: Reading without any output.
+    """
+    columns, gains, h = run.log.parts[0], run.gains, 1.0 / SAMPLING_Hz
+    setpoint, begun = columns["setpoint"], round(BEGUN_s * SAMPLING_Hz)
+    A, B = polynomials(model)
+    effort, y = np.floor(columns["effort"]), np.zeros(setpoint.size)
+    y[:begun] = level + begun_by(model, run, begun, level)[1]
+    y_1, y_2 = columns["measurement"][begun - 1], columns["measurement"][begun - 2]
+    sums = columns["effort"][begun - 1] - gains.P * (setpoint[begun - 1] - y_1)
+    sums += gains.D / h * (y_1 - y_2)
+    for k in range(begun, setpoint.size):
+        moved = B[1:] @ effort[k - 1 : k - B.size : -1]
+        y[k] = level + moved - A[1:] @ (y[k - 1 : k - A.size : -1] - level)
+        error = setpoint[k] - y[k]
+        sums = min(max(sums + gains.I * h * error, 0.0), OUTPUT_MAX)
+        asked = gains.P * error + sums - gains.D / h * (y[k] - y[k - 1])
+        effort[k] = math.floor(min(max(asked, 0.0), OUTPUT_MAX))
+    return temperature_degC(y)
+
+
+def left_out(runs: Sequence[Run], number: int, pooled: LoopFit) -> dict[str, float]:
+    """Errors of the closed-loop prediction of a run by a model of all others.
+
+    The search begins at the model of all runs and keeps its number of poles.
+    """
+    others, run = [r for i, r in enumerate(runs) if i != number], runs[number]
+    records = [loop_record(part, SETTINGS) for r in others for part in r.parts]
+    settling_s = pooled.settling_samples / SAMPLING_Hz
+    model = fit_loop(records, SAMPLING_Hz, settling_s, pooled).model
+    level = np.median([begun_by(model, r, r.samples, None)[0] for r in others])
+    columns = run.log.parts[0]
+    measured = temperature_degC(columns["measurement"])
+    error = predicted_degC(model, run, float(level)) - measured
+    steps = np.flatnonzero(np.diff(columns["setpoint"]) > 0.0) + 1
+    after = [error[k : k + round(STEP_s * SAMPLING_Hz)] for k in steps]
+    return {
+        "poles": model.order,
+        "predicted": _rms(error) / float(np.ptp(measured)),
+        "about_steps_K": max(_rms(one) for one in after),
+    }
+
+
+def alone(run: Run, pooled: LoopModel) -> dict[str, Any]:
+    """What a run by itself shows, beside the model of all runs."""
+    begun = time.process_time()
+    found = suggest(Logs((run.log,), (), SETTINGS))
+    cpu_s = time.process_time() - begun
+    Ms = found.margins.sensitivity if found.margins else None
+    return {
+        "says": found.heading().partition(":")[0],
+        "replay": run.sentence,
+        "replayed": run.replayed,
+        "stretches": len(run.parts),
+        "samples": sum(part.stretch.samples for part in run.parts),
+        "Ms": Ms and Ms.value,
+        "low": Ms and Ms.low,
+        "high": Ms and Ms.high,
+        "pooled_Ms": robustness(pooled, run.gains, SETTINGS).sensitivity,
+        "cpu_s": cpu_s,
+    }
+
+
+def _rms(values: FloatArray) -> float:
+    return float(np.sqrt(np.mean(values**2)))
+
+
+def targets_of(rows: Sequence[dict[str, Any]], folder_s: float) -> dict[str, Target]:
+    """The targets, of the worst run each."""
+    apart = [abs(r["Ms"] / r["pooled_Ms"] - 1.0) for r in rows if r["Ms"]]
+    return {
+        "replayed": at_most(max(r["replayed"] for r in rows), REPLAYED),
+        "with_stretches": at_least(min(r["stretches"] for r in rows), 1.0),
+        "predicted": at_most(max(r["predicted"] for r in rows), PREDICTED),
+        "about_steps_K": at_most(max(r["about_steps_K"] for r in rows), ABOUT_STEPS_K),
+        "apart_from_pooled": at_most(max(apart, default=0.0), POOLED),
+        "record_cpu_s": at_most(max(r["cpu_s"] for r in rows), RECORD_s),
+        "folder_cpu_s": at_most(folder_s, FOLDER_s),
+    }
+
+
+def main() -> int:
+    """Prints a line for each run, or with --json one object; returns 1 where a target is missed.
+
+    Without the data it says so, and returns 0.
+    """
+    parser = command_line(__doc__, quick="two runs, by a model of those and one more")
+    parser.add_argument("--data", type=Path, help="folder that holds oven/")
+    options = parser.parse_args()
+    data = folder(options.data) / "oven"
+    files = sorted(data.glob("run*.csv"))
+    if not files:
+        reason = f"skipped: {data} has no runs; name the folder above it with --data"
+        return print_results({"oven": reason}, {}, as_json=options.json)
+    runs = [read_run(file) for file in (files[5:8] if options.quick else files)]
+    begun = time.process_time()
+    pooled = suggest(Logs(tuple(run.log for run in runs), (), SETTINGS)).fit
+    folder_s = time.process_time() - begun
+    rows = {
+        run.log.name: alone(run, pooled.model) | left_out(runs, i, pooled)
+        for i, run in enumerate(runs[: 2 if options.quick else None])
+    }
+    figures = {"runs": rows, "pooled_poles": pooled.order, "folder_cpu_s": folder_s}
+    targets = targets_of([*rows.values()], folder_s)
+    return print_results(figures, targets, as_json=options.json, tables=True)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
