@@ -158,6 +158,8 @@ def _show(found: "Suggestion", report: Path | None, trial: Path | None) -> None:
         facts["report"] = report
     if trial is not None:
         facts["next trial"] = command_line("run-experiment", trial, "RIG")
+    elif found.experiment is not None:
+        facts["next trial"] = "--next FOLDER writes it for estune run-experiment"
     output.show_next(facts)
     for issue in found.issues:
         color = "red" if issue.level == "refused" else "yellow"

@@ -79,7 +79,7 @@ class JudgedRecords:
         Ms = self.margins.sensitivity
         now = f"Ms {Ms.value:.2f} ({Ms.low:.2f} to {Ms.high:.2f})"
         if self.recommendation is None:
-            return f"KEEP: no gains are predicted to be better within the limits; {now} in use."
+            return f"KEEP: the records show no other gains that keep the limits; {now} in use."
         cost = self.recommendation.margins.cost.value / self.margins.cost.value - 1.0
         if self.verdict == "keep":
             return f"KEEP: the best gains within the limits change the cost by {cost:+.0%}; {now}."
@@ -126,7 +126,9 @@ class JudgedRecords:
                 f"{self.recommendation.price:.0%}: with more data less cautious gains keep the "
                 "limits."
             )
-        return remarks if self.judgement.can_tell else [*remarks, advice(self.experiment)]
+        if self.recommendation is None:
+            remarks.append(advice(self.experiment))
+        return remarks
 
     def to_json(self) -> dict[str, Any]:
         """All numbers as JSON values."""

@@ -90,6 +90,11 @@ def judge(
     Ms = margins.sensitivity
     if not reason and not math.isfinite(Ms.value):
         reason = "the identified loop is unstable with the gains that ran"
+    if not reason and not math.isfinite(Ms.high):
+        why = (
+            unexplained(loop.fit.misfit) if margin.excited else "they are too few for their noise"
+        )
+        reason = f"the records allow loops that are unstable with the gains that ran: {why}"
     if not reason and not Ms.high <= Ms.low * math.exp(2.0 * HALF_WIDTH_MAX):
         reason = f"all that is known of Ms is that it lies from {Ms.low:.2f} to {Ms.high:.2f}"
     if not reason and band and margin.excited:

@@ -110,7 +110,7 @@ def suggest(
         verdict = "other gains ran"
     elif judgement.can_tell:
         verdict = "change" if better and _worthwhile(margins, better, limits) else "keep"
-    advised = None if judgement.can_tell else advise(loop, trial, in_use)
+    advised = None if better else advise(loop, trial, in_use)
     return Suggestion(
         verdict=verdict,
         in_use=in_use,
