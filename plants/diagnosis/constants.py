@@ -89,9 +89,6 @@ class Constants(NamedTuple):
     travel: float = 30.0
     """Travel of a plant that nothing holds, within a prediction, due to a tenth of the command's
     rms, in times the noise of its output."""
-    distorted: float = 16.0
-    """Power of the base model's error from which on directions are worked out from the model as
-    given, too: its numbers may have moved far to make up for what is missing."""
     aimed: float = 0.5
     """A law is fitted whose direction explains this share of what the best's does: on 22
     development seeds that of the effect hidden explained 0.76 or more."""

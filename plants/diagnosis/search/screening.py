@@ -8,8 +8,8 @@ share of the residual that the effect would explain if it acted in proportion to
 
 import itertools
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -31,8 +31,7 @@ class ScreeningResult:
     Attributes:
         effect: The effect.
         predictor: The model with it.
-        starts: Rows of values to begin fits with, the most promising first, shape (some, free),
-            for each model that directions were worked out from.
+        starts: Rows of values to begin fits with, the most promising first, shape (some, free).
         grids: Values to try of its shapes.
         screening_R2: Share of the residual that the best start's direction explains.
         usual_change: Root mean square change of the residuals at the usual size of the effect,
@@ -41,18 +40,10 @@ class ScreeningResult:
 
     effect: type[Effect]
     predictor: Predictor
-    starts: tuple[FloatArray, ...]
+    starts: FloatArray
     grids: Mapping[str, list[float]]
     screening_R2: float
     usual_change: float
-
-    def merged(self, second: "ScreeningResult") -> "ScreeningResult":
-        """The screening, and that from another place."""
-        return replace(
-            self,
-            screening_R2=max(self.screening_R2, second.screening_R2),
-            starts=self.starts + second.starts,
-        )
 
 
 class Screening(NamedTuple):
@@ -68,13 +59,10 @@ class Screening(NamedTuple):
 
 
 def screen_effect(
-    effect: type[Effect], predictor: Predictor, contexts: Sequence[ScoreContext]
+    effect: type[Effect], predictor: Predictor, context: ScoreContext
 ) -> ScreeningResult:
-    """Screening of an effect, the last of the predictor's, from one or more models without it."""
-    first, *others = (_Directions(effect, predictor, context).screened() for context in contexts)
-    for result in others:
-        first = first.merged(result)
-    return first
+    """Screening of an effect, the last of the predictor's, from a model without it."""
+    return _Directions(effect, predictor, context).screened()
 
 
 class _Direction(NamedTuple):
@@ -120,7 +108,7 @@ class _Directions:
         starts = np.array([direction.start for direction in self._apart(directions)[:most]])
         grids = self._grids()
         return ScreeningResult(
-            self.effect, self.predictor, (starts,), grids, directions[0].share, usual_change
+            self.effect, self.predictor, starts, grids, directions[0].share, usual_change
         )
 
     def _apart(self, directions: list[_Direction]) -> list[_Direction]:

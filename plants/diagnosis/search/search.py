@@ -157,7 +157,7 @@ def screen_beside(
     family = family_of(current.effects[0])
     declared = [s.effect for s in screening.declared.values() if family_of(s.effect) != family]
     nameless = [e for e in NAMELESS if fitter.model.unavailable(e) is None]
-    context = (ScoreContext.of(fitter, current, scale),)
+    context = ScoreContext.of(fitter, current, scale)
 
     def beside(effect: type[Effect]) -> ScreeningResult:
         return screen_effect(effect, fitter.predictor((*current.effects, effect)), context)

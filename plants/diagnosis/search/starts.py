@@ -51,9 +51,7 @@ def fit_added(
     effects = fitter.ordered((*current.effects, screened.effect))
     predictor = fitter.predictor(effects)
     # What leaves less to begin with may lead nowhere: each place has starts of its own.
-    pools = [
-        [predictor.row(v) for v in _suggested(current, screened, rows)] for rows in screened.starts
-    ]
+    pools = [[predictor.row(v) for v in _suggested(current, screened)]]
     if simpler is not None:
         pools.append([predictor.row(v) for v in _beside(fitter, screened, simpler, current)])
     shapes = [f"{screened.effect.name}.{n}" for n in screened.effect.named(*SHAPES)]
@@ -85,12 +83,10 @@ def halved(
     return fitter.fit(effects, rows[0], 3)
 
 
-def _suggested(
-    current: CandidateFit, screened: ScreeningResult, starts: FloatArray
-) -> list[dict[str, float]]:
-    """Values of some starts that the screening found."""
+def _suggested(current: CandidateFit, screened: ScreeningResult) -> list[dict[str, float]]:
+    """Values of the starts that the screening found."""
     suggestions = []
-    for row in starts:
+    for row in screened.starts:
         values = screened.predictor.values(row)
         if current.effects:  # its screening was at the base model
             prefix = f"{screened.effect.name}."
