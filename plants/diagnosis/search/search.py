@@ -20,7 +20,7 @@ from plants.diagnosis.search.model_fitter import (
 from plants.diagnosis.search.nameless_laws import NAMELESS
 from plants.diagnosis.search.score_context import ScoreContext
 from plants.diagnosis.search.screening import Screening, ScreeningResult, screen_effect
-from plants.diagnosis.search.starts import coarse_fit, fit_added, may_be_nonlinear
+from plants.diagnosis.search.starts import fit_added
 from plants.effects import Effect, RecordScale, Role
 
 
@@ -45,9 +45,6 @@ def search(
     fits = fit_promising(fitter, models.base, screening, portion(progress, 0.2, 0.6))
     models = models.adding(fits)
     single = leading_single(fitter, models)
-    if single is None or explained_share(models.base.J, single.J) < CONSTANTS.named_share:
-        models = models.adding(fit_undirected(fitter, models, screening))
-        single = leading_single(fitter, models)
     # A second effect is looked for beside one that explains something, and leaves something.
     if single is None or CONSTANTS.nothing >= single.J:
         return models
@@ -112,18 +109,6 @@ def fit_promising(
         fits.append(fit)
         least = min(least, _least(fitter, [fit]))
     return _finished(fitter, fits)
-
-
-def fit_undirected(
-    fitter: ModelFitter, models: FittedModels, screening: Screening
-) -> list[CandidateFit]:
-    """Fits of effects that may act so unlike small ones that no direction shows them."""
-    fits = [
-        coarse_fit(fitter, candidate.effect)
-        for name, candidate in screening.declared.items()
-        if frozenset({name}) not in models.with_effects and may_be_nonlinear(candidate)
-    ]
-    return _finished(fitter, fits, _least(fitter, models.singles))
 
 
 def fit_exchanged(

@@ -16,20 +16,9 @@ from estune.core.quantities import FloatArray
 from plants.diagnosis.constants import CONSTANTS
 from plants.diagnosis.search.model_fitter import CandidateFit, ModelFitter, simpler_of
 from plants.diagnosis.search.screening import ScreeningResult
-from plants.effects import Effect, Port, Role
+from plants.effects import Effect, Role
 
-ROUGH = np.array([0.1, 0.3, 1.0, 2.0, 3.5, 6.0, 12.0])
-"""Sizes tried of an effect that no direction shows, relative to the usual one."""
 SHAPES = (Role.SHAPE, Role.FREQUENCY, Role.PERIODS)
-
-
-def may_be_nonlinear(screened: ScreeningResult) -> bool:
-    """Whether an effect may act so unlike a small one that no direction shows it."""
-    effect = screened.effect
-    bends = bool({Port.CABLE, Port.EYELET} & set(effect.ports()))
-    sticks = effect.resists and effect.states > 0
-    limits = bool(effect.named(Role.LIMIT))
-    return (bends or sticks or limits) and screened.usual_change >= CONSTANTS.shown
 
 
 def fit_added(
@@ -93,22 +82,6 @@ def _suggested(current: CandidateFit, screened: ScreeningResult) -> list[dict[st
             values = current.values | {n: v for n, v in values.items() if n.startswith(prefix)}
         suggestions.append(values)
     return suggestions
-
-
-def coarse_fit(fitter: ModelFitter, effect: type[Effect]) -> CandidateFit:
-    """The model as given with an effect of several sizes, each record's zero put right."""
-    predictor = fitter.predictor((effect,))
-    rows = np.repeat(predictor.start[None, :], ROUGH.size, axis=0)
-    for n, f in enumerate(predictor.free):
-        if f.owner != effect.name or f.neutral is None:
-            continue
-        sizes = f.neutral + ROUGH * (f.start - f.neutral)
-        if effect.named(Role.LIMIT):
-            sizes = f.start * np.linspace(1.2, 0.5, ROUGH.size)
-        rows[:, n] = np.clip(sizes, f.low, f.high)
-    for most in (4, 3):  # some only find their zeros from near
-        rows = fitter.best_starts(predictor, fitter.placed((effect,), rows), most)
-    return fitter.fit((effect,), rows[0], 3)
 
 
 def _beside(
