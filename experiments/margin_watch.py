@@ -120,9 +120,9 @@ def watched(name: str, quiet: int, repeats: int, seed0: int) -> dict[str, Any]:
         record = case.record(seed)
         known, is_changed = observe(known, record, settings.sampling_Hz, settling_s)
         seed, changed = seed + 1, changed + is_changed
-    begun = range(seed0 + 1000, seed0 + 1000 + SEEDS_APART * repeats, SEEDS_APART)
+    firsts = range(seed0 + 1000, seed0 + 1000 + SEEDS_APART * repeats, SEEDS_APART)
     times = {
-        f"{change}, s": [noticed_s(case, known, record_of, seed) for seed in begun]
+        f"{change}, s": [noticed_s(case, known, record_of, seed) for seed in firsts]
         for change, record_of in case.changes()
     }
     every = [time_s for found in times.values() for time_s in found]
@@ -135,6 +135,7 @@ def watched(name: str, quiet: int, repeats: int, seed0: int) -> dict[str, Any]:
         "high": Ms.high,
         "told": shown.judgement.can_tell,
         "quiet": quiet,
+        "hours": quiet * _every_s(record, settings.sampling_Hz) / 3600.0,
         "further": further,
         "false_alarms": changed,
         "cpu_s": float(np.median(cpu_s)),
@@ -148,18 +149,22 @@ def noticed_s(
 ) -> float:
     """Time from a change to its alarm, infinite beyond three times the limit."""
     settings, settling_s = case.trial.controller, case.trial.cost.settling_time_s
-    table = MarginsTable()
     now_s, seed = 0.0, seed0
     while now_s <= 3.0 * LIMIT_S:
         record = record_of(seed)
         took_s = record.samples / settings.sampling_Hz
-        every_s = max(table.every_s, took_s / table.dither_time)
-        now_s += took_s if known.suspects else every_s
+        now_s += took_s if known.suspects else _every_s(record, settings.sampling_Hz)
         known, is_changed = observe(known, record, settings.sampling_Hz, settling_s)
         if is_changed:
             return now_s
         seed += 1
     return math.inf
+
+
+def _every_s(record: LoopRecord, sampling_Hz: float) -> float:
+    """Time from one record to the next, s, that the daemon's budget of dither allows."""
+    table = MarginsTable()
+    return max(table.every_s, record.samples / sampling_Hz / table.dither_time)
 
 
 def main() -> int:
@@ -179,6 +184,7 @@ def main() -> int:
     cpu_s = float(np.mean([row["cpu_s"] for row in rows]))
     figures = {
         "rows": rows,
+        "hours": math.fsum(row["hours"] for row in rows),
         "cores_25_rigs": 25.0 * cpu_s / 60.0,
         "cores_100_rigs": 100.0 * cpu_s / 60.0,
     }

@@ -22,9 +22,8 @@ BAND = (0.2, 6.0)
 """Their band, in periods per settling time: it holds the crossover of any loop that settles so."""
 
 SLOPE = -0.5
-"""Exponent of their amplitudes over frequency: as much power in each octave. Equal amplitudes lie
-mostly above the crossover, and show half as much of a gain on a loop of 8 Hz; half widths of ln Ms
-are 0.19 there and 0.07 on the reel with them, 0.16 and 0.07 with this, 0.21 and 0.10 with -1."""
+"""Exponent of their amplitudes over frequency: as much power in each octave. Of the crossover only
+the band is known that holds it; this alone shows as much wherever in the band it is."""
 
 PERIOD = 20.0
 """Their period, settling times."""

@@ -29,12 +29,12 @@ REMEMBERED = 60
 5 % alone, which halves what six more show of a change."""
 
 SUSPECT = 0.2
-"""Probability up to which records are set apart. Of single records with 30 % more gain 0.96 are on
-an 8 Hz loop, 1.00 on one of 20 Hz, 0.79 on one with dead time; with 0.1 0.88, 1.00, 0.67."""
+"""Probability up to which records are set apart: a quiet one costs another record, a changed one
+that is not set apart the time to the next. `experiments.margin_watch` counts both."""
 
 FALSE_ALARM = 1e-6
 """Probability, without a change, of what records that are set apart show together, from which they
-are of another plant."""
+are of another plant: ten rigs with a record a minute make 14 400 tests a day."""
 
 DISTURBED = 1e-3
 """The same of those that are left when any one of them is taken out as disturbed."""
@@ -84,15 +84,16 @@ def observe(
     """A loop with one record more, and whether its plant has changed."""
     newest: tuple[LoopRecord, ...] = (record,)
     shown: tuple[PlantEvidence, ...] = ()
-    if known.reference is not None:
-        suspects = (*known.suspects, (record, evidence(known.reference, record)))
+    reference = known.reference
+    if reference is not None:
+        suspects = (*known.suspects, (record, evidence(reference, record)))
         known, suspects = _parted(known, suspects)
         if is_another(known, [one for _, one in suspects]):
             changed = tuple(one for one, _ in suspects)
             return _begun(changed, fit_loop(changed, sampling_Hz, settling_time_s)), True
         suspects = _less_disturbed(known, suspects)
         newest, shown = tuple(r for r, _ in suspects), tuple(one for _, one in suspects)
-        likely = chance(known.reference, known.known, shown)
+        likely = chance(reference, known.known, shown)
         if likely < SUSPECT and len(suspects) < UNDECIDED:
             return known._replace(suspects=suspects), False
     records = (*known.records, *newest)

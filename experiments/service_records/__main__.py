@@ -74,7 +74,7 @@ class Judged(NamedTuple):
     """What one record showed.
 
     Attributes:
-        told: Whether margins were stated.
+        reason: Why no margins were stated; empty where they were.
         sensitivity: Stated Ms with its interval; NaN where nothing was stated.
         true: True Ms.
         cost_ratio: Cost of the recommended gains over that of the optimum; NaN without any.
@@ -82,12 +82,17 @@ class Judged(NamedTuple):
         cpu_s: CPU time.
     """
 
-    told: bool
+    reason: str
     sensitivity: Interval
     true: float
     cost_ratio: float
     recommended: tuple[float, float]
     cpu_s: float
+
+    @property
+    def told(self) -> bool:
+        """Whether margins were stated."""
+        return not self.reason
 
     @property
     def inside(self) -> bool:
@@ -156,7 +161,7 @@ def judge(loop: KnownLoop, service: Service, seed: int) -> Judged:
         Ms = true_sensitivity(loop.plant, better.gains)
         recommended = Ms, at.overshoot
     return Judged(
-        margins is not None,
+        found.judgement.reason,
         margins.sensitivity if margins else Interval(math.nan, math.nan, math.nan),
         loop.sensitivity,
         ratio,
@@ -176,6 +181,7 @@ def row(kind: str, length: float, loops: str, judged: Sequence[Judged]) -> dict[
         "settling_times": length,
         "records": len(judged),
         "told": len(told) / len(judged),
+        "refused_by_motion": _share(["with its motion" in one.reason for one in judged]),
         "inside": _share([one.inside for one in told]),
         "error_median": float(np.median(errors)) if errors else math.nan,
         "error_worst": max(errors, default=math.nan),
