@@ -15,12 +15,12 @@ from pathlib import Path
 from typing import Any
 
 from PIL import Image
-from playwright.sync_api import Page, sync_playwright
+from playwright.sync_api import Page
 
 import plants
 from estune import load, tune
 from estune.run.results.result import TuneResult
-from experiments.live_page.browser import CHROMIUM, QUIET, WITHIN_MS
+from experiments.live_page.browser import new_page
 from experiments.live_page.commands import command, printed
 from experiments.results import Target, at_most, command_line, print_results
 
@@ -89,11 +89,8 @@ def film(folder: Path, path: Path) -> dict[str, Any]:
         endpoint = printed(rig, "rig reel at ")
         with (
             command("watch", endpoint, "--port", 0, "--folder", folder) as watch,
-            sync_playwright() as playwright,
-            playwright.chromium.launch(executable_path=CHROMIUM, args=QUIET) as browser,
+            new_page(viewport={"width": WIDTH, "height": HEIGHT}) as page,
         ):
-            page = browser.new_page(viewport={"width": WIDTH, "height": HEIGHT})
-            page.set_default_timeout(WITHIN_MS)
             page.goto(printed(watch, "page at "))
             with command("tune", endpoint, "--run", "first", "--folder", folder, "--quiet"):
                 page.locator("#trial").wait_for(state="visible")

@@ -159,20 +159,17 @@ def growth_exponents(
     }
 
 
-def print_table(rows: Sequence[Mapping[str, float]]) -> None:
-    """A row for each size, and the growth exponents of the last two."""
-    names = list(rows[0])
-    print("  ".join(f"{name:>15}" for name in names))
-    for row in rows:
-        print("  ".join(f"{row[name]:>15.5g}" for name in names))
-    exponents = growth_exponents([row[names[0]] for row in rows], rows)
-    print("  ".join(f"{exponents.get(name, math.nan):>15.2f}" for name in names), " exponent")
+def print_table(name: str, rows: Sequence[Mapping[str, float]]) -> None:
+    """A row for each size, which is its first figure, and the growth exponents of the last two."""
+    sizes = [next(iter(row.values())) for row in rows]
+    table = {f"{size:g}": row for size, row in zip(sizes, rows, strict=True)}
+    print_figures({name: table | {"exponent": growth_exponents(sizes, rows)}})
 
 
 def journal_table(sizes: Sequence[int], folder: Path) -> list[dict[str, float]]:
     """Costs of a journal at each length."""
     rows = [dict(measure_journal(trials, folder)._asdict()) for trials in sizes]
-    print_table(rows)
+    print_table("journals", rows)
     return rows
 
 
@@ -210,7 +207,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             targets |= {f"journal_{name}": at_most(journal[-1][name], m) for name, m in limits}
         if cells:
             sweep = [dict(measure_sweep(n, Path(temporary))._asdict()) for n in cells]
-            print_table(sweep)
+            print_table("sweeps", sweep)
             targets["sweep_peak_MB"] = at_most(sweep[-1]["peak_MB"], SWEEP_MB_MAX)
     figures = {"fleet": fleet, "journal": journal, "sweep": sweep}
     return print_results(figures, targets, as_json=options.json)

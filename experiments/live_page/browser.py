@@ -3,13 +3,14 @@
 import shutil
 import statistics
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from functools import partial
 from importlib.resources import files
-from typing import NamedTuple
+from typing import Any, NamedTuple
 from urllib.parse import urlsplit
 
-from playwright.sync_api import Browser, Page, Response, sync_playwright
+from playwright.sync_api import Page, Response, sync_playwright
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("chrome")
 QUIET = ("--no-sandbox", "--disable-gpu", "--disable-background-networking", "--disable-sync")
@@ -53,20 +54,25 @@ class SeenPage(NamedTuple):
     elsewhere: list[str]
 
 
-def look_at(address: str, watch_s: float, kill_rig: Callable[[], None]) -> SeenPage:
-    """Opens the page of a running tuning, watches it for a while, then ends the rig's process."""
+@contextmanager
+def new_page(**options: Any) -> Iterator[Page]:
+    """A page of a new headless Chromium."""
     with (
         sync_playwright() as playwright,
         playwright.chromium.launch(executable_path=CHROMIUM, args=QUIET) as browser,
     ):
-        return _look_at(browser, address, watch_s, kill_rig)
+        page = browser.new_page(**options)
+        page.set_default_timeout(WITHIN_MS)
+        yield page
 
 
-def _look_at(
-    browser: Browser, address: str, watch_s: float, kill_rig: Callable[[], None]
-) -> SeenPage:
-    page = browser.new_page()
-    page.set_default_timeout(WITHIN_MS)
+def look_at(address: str, watch_s: float, kill_rig: Callable[[], None]) -> SeenPage:
+    """Opens the page of a running tuning, watches it for a while, then ends the rig's process."""
+    with new_page() as page:
+        return _look_at(page, address, watch_s, kill_rig)
+
+
+def _look_at(page: Page, address: str, watch_s: float, kill_rig: Callable[[], None]) -> SeenPage:
     complaints: list[str] = []
     answers: list[Response] = []
     page.on("console", lambda message: complaints.append(message.text))

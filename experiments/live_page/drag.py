@@ -2,13 +2,13 @@
 
 from pathlib import Path
 
-from playwright.sync_api import Page, sync_playwright
+from playwright.sync_api import Page
 
 import plants
 from estune import tune
 from estune.web.server import PageServer
 from estune.web.views import run_view
-from experiments.live_page.browser import CHROMIUM, QUIET, SIZES, WITHIN_MS
+from experiments.live_page.browser import SIZES, new_page
 
 SLIDERS = ("Ms", "P", "setpoint_filter_s")
 """A limit, which moves all gains, and two gains."""
@@ -27,20 +27,14 @@ def redraws_ms(folder: Path, moves: int) -> dict[int, list[float]]:
     view = run_view(folder / "dragged")
     server = PageServer(lambda: [view])
     try:
-        with (
-            sync_playwright() as playwright,
-            playwright.chromium.launch(executable_path=CHROMIUM, args=QUIET) as browser,
-        ):
-            found = {}
-            for width, height in SIZES:
-                page = browser.new_page(viewport={"width": width, "height": height})
-                page.set_default_timeout(WITHIN_MS)
+        found = {}
+        for width, height in SIZES:
+            with new_page(viewport={"width": width, "height": height}) as page:
                 page.goto(f"{server.address}?tune")
                 for name in SLIDERS:
                     _drag(page, name, moves)
                 found[width] = page.evaluate("document.getElementById('tuner').tuner.times")
-                page.close()
-            return found
+        return found
     finally:
         server.close()
 

@@ -14,13 +14,11 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import NamedTuple
 
-from playwright.sync_api import sync_playwright
-
 import plants
 from estune import tune
 from estune.support.child_process import child_process
 from estune.web.reader import LINGER_S
-from experiments.live_page.browser import CHROMIUM, QUIET, WITHIN_MS
+from experiments.live_page.browser import new_page
 from experiments.live_page.commands import WITHIN_S, command, printed, stream
 
 RUNS = 1000
@@ -74,12 +72,7 @@ def measure(folder: Path, runs: int, rounds: int, each_s: float) -> ManyRuns:
 
 def _opened_s(address: str) -> float:
     """Time from the request of the page to its table, in a new browser."""
-    with (
-        sync_playwright() as playwright,
-        playwright.chromium.launch(executable_path=CHROMIUM, args=QUIET) as browser,
-    ):
-        page = browser.new_page()
-        page.set_default_timeout(WITHIN_MS)
+    with new_page() as page:
         begun_s = time.perf_counter()
         page.goto(address)
         page.wait_for_function("() => document.querySelector('#views tbody').rows.length > 1")

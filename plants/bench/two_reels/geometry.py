@@ -27,9 +27,6 @@ from estune.core.quantities import (
 )
 from estune.errors import InvalidInput
 
-_STRAIGHT_rad = 1e-7
-"""Minimum angle of two vectors that span a plane, for rounding."""
-
 
 def direction_outside(theta_1_rad: ArrayLike, phi_1_rad: ArrayLike) -> FloatArray:
     """Unit vector of the cable outside the eyelet.
