@@ -14,7 +14,7 @@ from prometheus_client import generate_latest
 
 import estune
 from estune.daemon.config import HookTable
-from estune.daemon.events import Event, EventKind
+from estune.daemon.events import EventKind
 from estune.daemon.faults import FaultCode
 from estune.daemon.metrics import (
     DaemonHealth,
@@ -26,6 +26,7 @@ from estune.daemon.metrics import (
 from estune.daemon.notifications import QUEUE_MAX, Hooks
 from estune.daemon.rig_counts import RigCounts
 from estune.remote.messages.daemon import (
+    DaemonEvent,
     DaemonStatus,
 )
 from estune.support.log_lines import JsonLines, PlainLines
@@ -173,8 +174,10 @@ def test_metrics_are_in_the_file_and_on_loopback(tmp_path):
             time.sleep(0.01)
 
 
-def event(kind=EventKind.DRIFTED, number=1) -> Event:
-    return Event("drum", number, "2009-05-04T12:00:00+02:00", kind, "the cost", {"cost": 1.5})
+def event(kind=EventKind.DRIFTED, number=1) -> DaemonEvent:
+    return DaemonEvent(
+        "drum", number, "2009-05-04T12:00:00+02:00", kind, "the cost", {"cost": 1.5}
+    )
 
 
 def test_hooks_get_their_kinds_of_events_as_json(tmp_path):

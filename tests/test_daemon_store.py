@@ -68,7 +68,7 @@ def test_store_of_version_0_1_0_opens_with_all_it_holds(tmp_path):
     kinds = (
         "started found backed_up tuning confirming better command gains paused stopping stopped"
     )
-    assert [event.kind.value for event in store.events(0, 100)] == kinds.split()
+    assert [event.kind for event in store.events(0, 100)] == kinds.split()
     assert [command["verb"] for command in store.commands(9)] == ["accept", "pause"]
     store.close()
 

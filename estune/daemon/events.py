@@ -1,9 +1,6 @@
-"""Events of a daemon: in its log and history, on the link, and to hooks."""
+"""Kinds of a daemon's events: in its log and history, on the link, and to hooks."""
 
-from dataclasses import dataclass
 from enum import StrEnum
-
-from estune.remote.messages.daemon import EventMessage
 
 
 class EventKind(StrEnum):
@@ -34,29 +31,3 @@ class EventKind(StrEnum):
     RESUMED = "resumed"
     STOPPING = "stopping"
     STOPPED = "stopped"
-
-
-@dataclass(frozen=True, slots=True)
-class Event:
-    """One event.
-
-    Attributes:
-        rig: Name of the rig.
-        number: Number among the rig's events, from 1; 0 if it could not be stored.
-        at: Time of day, ISO 8601 with offset.
-        kind: Its kind.
-        sentence: Description for the operator.
-        facts: Numbers and names that belong to it, as JSON values.
-    """
-
-    rig: str
-    number: int
-    at: str
-    kind: EventKind
-    sentence: str
-    facts: dict[str, object]
-
-    def as_message(self) -> EventMessage:
-        """The event as it is sent over the link."""
-        kind = self.kind.value
-        return EventMessage(self.rig, self.number, self.at, kind, self.sentence, self.facts)

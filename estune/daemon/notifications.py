@@ -12,13 +12,14 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 
 from estune.daemon.config import HookTable
-from estune.daemon.events import Event, EventKind
+from estune.daemon.events import EventKind
+from estune.remote.messages.daemon import DaemonEvent
 
 QUEUE_MAX = 100
 """Greatest number of events that wait for a hook; further ones are dropped, and that is logged."""
 
 _ERROR_OUTPUT_MAX = 500
-_LEVELS = {
+_LEVELS: dict[str, int] = {
     EventKind.LOST: logging.WARNING,
     EventKind.FAILED: logging.ERROR,
     EventKind.DISK: logging.WARNING,
@@ -34,13 +35,13 @@ _LEVELS = {
 _log = logging.getLogger("estune.daemon")
 
 
-def log_event(event: Event) -> None:
+def log_event(event: DaemonEvent) -> None:
     """Logs an event at the level of its kind; the rig and the facts stand beside the sentence."""
     _log.log(
         _LEVELS.get(event.kind, logging.INFO),
         "%s",
         event.sentence,
-        extra={"rig": event.rig, "event": event.kind.value, "facts": event.facts or None},
+        extra={"rig": event.rig, "event": event.kind, "facts": event.facts or None},
     )
 
 
@@ -56,11 +57,11 @@ class Hooks:
     def __init__(self, hooks: Sequence[HookTable]) -> None:
         self._hooks = tuple(hooks)
         self.failures = 0
-        self._waiting: queue.Queue[tuple[HookTable, Event] | None] = queue.Queue(QUEUE_MAX)
+        self._waiting: queue.Queue[tuple[HookTable, DaemonEvent] | None] = queue.Queue(QUEUE_MAX)
         self._thread = threading.Thread(target=self._run, name="hooks", daemon=True)
         self._thread.start()
 
-    def submit(self, event: Event) -> None:
+    def submit(self, event: DaemonEvent) -> None:
         """Queues the commands for such an event; returns at once."""
         for hook in self._hooks:
             if not hook.events or event.kind in hook.events:
@@ -89,7 +90,7 @@ class Hooks:
                 _log.exception("hook failed")
 
 
-def _has_run(hook: HookTable, event: Event) -> bool:
+def _has_run(hook: HookTable, event: DaemonEvent) -> bool:
     """Runs a command at an event; whether it ended as it should."""
     name, data = hook.command[0], json.dumps(asdict(event)).encode()
     try:

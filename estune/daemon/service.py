@@ -11,7 +11,6 @@ from dataclasses import replace
 
 from estune.daemon.admission import Admission
 from estune.daemon.config import DaemonConfig, ServiceTable
-from estune.daemon.events import Event
 from estune.daemon.live_page import serve_page
 from estune.daemon.metrics import (
     DaemonHealth,
@@ -27,7 +26,7 @@ from estune.daemon.store import DaemonStore
 from estune.daemon.supervised_rig import SupervisedRig
 from estune.daemon.supervisor import RigSupervisor
 from estune.errors import EstuneError, RigError
-from estune.remote.messages.daemon import DaemonStatus
+from estune.remote.messages.daemon import DaemonEvent, DaemonStatus
 from estune.remote.security import OPEN, Security, read_security
 from estune.remote.zenoh.daemon_service import DaemonServer
 from estune.remote.zenoh.listening_session import ListeningSession
@@ -197,11 +196,11 @@ class DaemonService:
         if faults:
             raise RigError("; ".join(faults))
 
-    def _publish(self, event: Event) -> None:
+    def _publish(self, event: DaemonEvent) -> None:
         log_event(event)
         self._hooks.submit(event)
         try:
-            self._server.show(event.as_message())
+            self._server.show(event)
         except EstuneError as error:
             _log.debug("event not published: %s", error)
 

@@ -14,9 +14,10 @@ from typing import Any, NamedTuple, Self
 
 from estune.core.control_chart import ChartSignal
 from estune.core.gains import Gains
-from estune.daemon.events import Event, EventKind
+from estune.daemon.events import EventKind
 from estune.daemon.supervisor_state import GainSet, Goal, RigLink, Shutdown, SupervisorState
 from estune.errors import JournalError, RigError
+from estune.remote.messages.daemon import DaemonEvent
 from estune.support.sqlite import FileKind, SqliteFile, has_writer
 from estune.trial import TrialRecord, TrialRequest, record_frame
 
@@ -211,7 +212,7 @@ class DaemonStore:
         names = ("at", "name", "P", "I", "D", "setpoint_filter_s", "why")
         return self._newest("gain_set", names, limit)
 
-    def add_event(self, kind: EventKind, sentence: str, facts: dict[str, object]) -> Event:
+    def add_event(self, kind: EventKind, sentence: str, facts: dict[str, object]) -> DaemonEvent:
         """Stores an event."""
         at = now()
         number = self._file.write(
@@ -219,9 +220,9 @@ class DaemonStore:
             *(at, kind.value, sentence, json.dumps(facts)),
         )
         self._file.write("DELETE FROM event WHERE number <= ?", number - ROWS_KEPT)
-        return Event(self.rig, number, at, kind, sentence, facts)
+        return DaemonEvent(self.rig, number, at, kind, sentence, facts)
 
-    def events(self, after: int, limit: int) -> list[Event]:
+    def events(self, after: int, limit: int) -> list[DaemonEvent]:
         """Events after a number, oldest first; the newest ones if the number is negative."""
         columns = "SELECT number, at, kind, sentence, facts FROM event"
         if after < 0:
@@ -230,7 +231,7 @@ class DaemonStore:
             where = f"{columns} WHERE number > ? ORDER BY number LIMIT ?"
             rows = self._file.rows(where, after, limit)
         return [
-            Event(self.rig, number, at, EventKind(kind), sentence, json.loads(facts))
+            DaemonEvent(self.rig, number, at, kind, sentence, json.loads(facts))
             for number, at, kind, sentence, facts in rows
         ]
 

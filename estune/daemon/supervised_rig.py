@@ -16,7 +16,7 @@ from estune.core.gains import Gains
 from estune.daemon.behaviour_checks import BehaviourChecks
 from estune.daemon.check_trials import CheckTrials
 from estune.daemon.config import RigTable
-from estune.daemon.events import Event, EventKind
+from estune.daemon.events import EventKind
 from estune.daemon.faults import FAULT, FaultCode
 from estune.daemon.margin_watch import MarginReport, MarginWatch
 from estune.daemon.rig_counts import RigCounts
@@ -33,6 +33,7 @@ from estune.errors import EstuneError, InvalidInput, JournalError
 from estune.remote.messages.daemon import (
     Command,
     CommandAnswer,
+    DaemonEvent,
     DaemonStatus,
     DaemonVerb,
     Events,
@@ -41,7 +42,7 @@ from estune.remote.messages.daemon import (
 )
 from estune.run.session import Session
 
-EventListener = Callable[[Event], None]
+EventListener = Callable[[DaemonEvent], None]
 """Callback after each committed event; must return at once."""
 
 _EVENT_OF_COMMAND = {
@@ -197,7 +198,7 @@ class SupervisedRig:
     def events(self, request: Request) -> Events:
         """Stored events."""
         events = self.store.events(request.after, request.limit)
-        return Events([event.as_message() for event in events])
+        return Events(list(events))
 
     def mark_ready(self, live: GainSet | None) -> None:
         """Reports that the rig runs the nominal gains, unless those have changed meanwhile.
@@ -255,7 +256,7 @@ class SupervisedRig:
                 event = self._unwritten(error, kind, sentence, facts)
         self._tell(event)
 
-    def _tell(self, event: Event) -> None:
+    def _tell(self, event: DaemonEvent) -> None:
         if fault := event.facts.get(FAULT):
             self.counts.faults[str(fault)] += 1
         self._listener(event)
@@ -395,6 +396,6 @@ class SupervisedRig:
 
     def _unwritten(
         self, error: JournalError, kind: EventKind, sentence: str, facts: dict[str, object]
-    ) -> Event:
+    ) -> DaemonEvent:
         _log.error("not written: %s", error, extra={"rig": self.name})
-        return Event(self.name, 0, now(), kind, sentence, dict(facts))
+        return DaemonEvent(self.name, 0, now(), kind, sentence, dict(facts))

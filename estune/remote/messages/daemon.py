@@ -186,8 +186,17 @@ class DaemonStatus(Report):
 
 
 @dataclass(frozen=True, slots=True)
-class EventMessage(Report):
-    """One event; see `estune.daemon.events`."""
+class DaemonEvent(Report):
+    """One event.
+
+    Attributes:
+        rig: Name of the rig.
+        number: Number among the rig's events, from 1; 0 if it could not be stored.
+        at: Time of day, ISO 8601 with offset.
+        kind: Its kind, one of `estune.daemon.events.EventKind`.
+        sentence: Description for the operator.
+        facts: Numbers and names that belong to it, as JSON values.
+    """
 
     rig: str
     number: int
@@ -201,7 +210,7 @@ class EventMessage(Report):
 class Events(Report):
     """Past events, oldest first."""
 
-    events: list[EventMessage]
+    events: list[DaemonEvent]
 
 
 @dataclass(frozen=True, slots=True)

@@ -19,10 +19,10 @@ from estune.remote.messages.daemon import (
     DAEMON_VERBS,
     Command,
     CommandAnswer,
+    DaemonEvent,
     DaemonKeys,
     DaemonStatus,
     DaemonVerb,
-    EventMessage,
     Events,
     History,
     Request,
@@ -114,7 +114,7 @@ class DaemonServer:
         """Announces that it has the rig no longer."""
         self._session.withdraw(DaemonKeys(rig).alive(self._session.instance))
 
-    def show(self, message: DaemonStatus | EventMessage) -> None:
+    def show(self, message: DaemonStatus | DaemonEvent) -> None:
         """Publishes; a subscriber that is too slow misses it."""
         topic: Literal["status", "events"] = (
             "status" if isinstance(message, DaemonStatus) else "events"
@@ -200,7 +200,7 @@ class DaemonClient(ClosingSession):
         """Past gain sets, commands and check trials of a rig."""
         return self._about(History, rig, "history", encode(Request(limit=limit)))
 
-    def events(self, rig: str, after: int = -1, limit: int = 50) -> list[EventMessage]:
+    def events(self, rig: str, after: int = -1, limit: int = 50) -> list[DaemonEvent]:
         """Past events of a rig."""
         return self._about(Events, rig, "events", encode(Request(after, limit))).events
 
