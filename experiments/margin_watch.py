@@ -94,11 +94,7 @@ class WatchedCase(NamedTuple):
 def case_of(name: str) -> WatchedCase:
     """A loop of `LOOPS`."""
     problem = PROBLEMS[name]
-    plant = problem.build()
-    step, rate = plant.profile, plant.controller.sampling_Hz
-    shape, samples = step.shape(rate), step.samples(rate)
-    trial = StepTrial(plant.controller, problem.cost, step.preload_N, shape, samples)
-    return WatchedCase(plant, trial, LOOPS[name])
+    return WatchedCase(problem.plant, problem.trial, LOOPS[name])
 
 
 def watched(name: str, quiet: int, repeats: int, seed0: int) -> dict[str, Any]:

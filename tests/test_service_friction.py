@@ -1,31 +1,21 @@
 """Dry friction and dead time in records of service, where a load explains either."""
 
-import numpy as np
 import pytest
 
 import estune
 import plants
 from estune.core.gains import Gains
-from estune.loop_model.prediction import StepTrial
-from estune.recordings.loop_log import LoopLog
 from estune.service_records.sources import Logs
 from experiments.loop_claims.truth import true_sensitivity
-from experiments.sample_efficiency.problems import PROBLEMS
+from experiments.sample_efficiency.problems import PROBLEMS, step_trial
 from experiments.service_records.service import Service, serve
 from plants.effects import CoulombFriction, EyeletFriction
 
 
 def suggested(plant, cost, gains, kind, length=80.0):
-    step, rate = plant.profile, plant.controller.sampling_Hz
-    trial = StepTrial(plant.controller, cost, step.preload_N, step.shape(rate), step.samples(rate))
+    rate, trial = plant.controller.sampling_Hz, step_trial(plant, cost)
     r = serve(plant, trial, gains, Service(kind, length), seed=1)
-    part = {
-        "time": np.arange(r.setpoint.size) / rate,
-        "setpoint": r.setpoint,
-        "measurement": r.measurement,
-        "effort": r.effort,
-    }
-    logs = Logs((LoopLog(kind, rate, (part,), gains, {}, {}, ()),), (), plant.controller)
+    logs = Logs((r.log(rate, gains),), (), plant.controller)
     return estune.suggest(logs, settling_time_s=cost.settling_time_s, step=trial.step.size_N)
 
 

@@ -36,15 +36,7 @@ def busy():
 
 def log_of(kind, seed=3):
     r = serve(REEL.plant, REEL.trial, REEL.start, Service(kind), seed)
-    time = np.arange(r.setpoint.size) / REEL.trial.controller.sampling_Hz
-    part = {
-        "time": time,
-        "setpoint": r.setpoint,
-        "measurement": r.measurement,
-        "effort": r.effort,
-    }
-    rate = REEL.trial.controller.sampling_Hz
-    return LoopLog(kind, rate, (part,), REEL.start, {}, {}, ())
+    return r.log(REEL.trial.controller.sampling_Hz, REEL.start, kind)
 
 
 def suggest(log, **options):

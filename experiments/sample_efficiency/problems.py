@@ -33,6 +33,14 @@ GAUGE_DRAWS = 64
 GAUGE_SEED = 777_000  # of those draws; no search has this seed
 
 
+def step_trial(plant: Plant, cost: StepCost) -> StepTrial:
+    """The step trial of a plant."""
+    step, controller = plant.profile, plant.controller
+    rate = controller.sampling_Hz
+    samples = step.samples(rate)
+    return StepTrial(controller, cost, step.preload_N, step.shape(rate), samples)
+
+
 @dataclass(frozen=True)
 class Problem:
     """A tuning problem.
@@ -98,10 +106,7 @@ class Problem:
     @property
     def trial(self) -> StepTrial:
         """The step trial."""
-        step, controller = self.plant.profile, self.plant.controller
-        rate = controller.sampling_Hz
-        samples = step.samples(rate)
-        return StepTrial(controller, self.cost, step.preload_N, step.shape(rate), samples)
+        return step_trial(self.plant, self.cost)
 
     def without_noise(self) -> "Problem":
         """The problem without gauge noise."""

@@ -21,16 +21,15 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from estune.core.gains import Gains
-from estune.core.quantities import FloatArray
 from estune.loop_model.intervals import Interval
 from estune.loop_model.optimum import RobustnessLimits
 from estune.loop_model.prediction import StepTrial
-from estune.recordings.loop_log import LoopLog
 from estune.service_records.sources import Logs
 from estune.service_records.suggestion import Suggestion, suggest
 from experiments.loop_claims.cases import LoopCase, families, outside, random_loops
 from experiments.loop_claims.truth import TrueLoop, constrained_optimum, true_sensitivity
 from experiments.results import Target, at_least, at_most, command_line, print_results
+from experiments.sample_efficiency.problems import step_trial
 from experiments.service_records.service import SETPOINTS, Service, serve
 from plants.simulation.plant import Plant
 
@@ -121,9 +120,7 @@ def loops(cases: Sequence[LoopCase], evaluations: int) -> Iterator[KnownLoop]:
         best, at = constrained_optimum(true, [start], limit, overshoot, evaluations)
         half_way = start + HALF_WAY * (np.log(best.as_tuple()) - start)
         in_use = Gains(*np.exp(half_way).tolist())
-        step, rate = case.plant.profile, case.plant.controller.sampling_Hz
-        shape, samples = step.shape(rate), step.samples(rate)
-        trial = StepTrial(case.plant.controller, case.cost, step.preload_N, shape, samples)
+        trial = step_trial(case.plant, case.cost)
         Ms = true_sensitivity(case.plant, in_use)
         yield KnownLoop(case.name, case.plant, trial, in_use, Ms, at.cost, true)
 
@@ -133,14 +130,7 @@ def read(loop: KnownLoop, service: Service, seed: int) -> tuple[Suggestion, floa
     import time  # noqa: PLC0415  the one place
 
     r = serve(loop.plant, loop.trial, loop.in_use, service, seed)
-    rate = loop.trial.controller.sampling_Hz
-    columns: dict[str, FloatArray] = {
-        "time": np.arange(r.setpoint.size) / rate,
-        "setpoint": r.setpoint,
-        "measurement": r.measurement,
-        "effort": r.effort,
-    }
-    log = LoopLog("record", rate, (columns,), loop.in_use, {}, {}, ())
+    log = r.log(loop.trial.controller.sampling_Hz, loop.in_use)
     begun = time.process_time()
     found = suggest(
         Logs((log,), (), loop.trial.controller),

@@ -10,6 +10,7 @@ from estune.core.filtering import lfilter
 from estune.core.gains import Gains
 from estune.core.quantities import FloatArray
 from estune.loop_model.prediction import StepTrial
+from estune.recordings.loop_log import LoopLog
 from estune.service_records.advice import PERIOD, multisine
 from plants.simulation.batch import simulate_drive
 from plants.simulation.plant import Plant, TrialSetpoint
@@ -47,6 +48,11 @@ class ServiceRecord(NamedTuple):
     setpoint: FloatArray
     measurement: FloatArray
     effort: FloatArray
+
+    def log(self, sampling_Hz: float, gains: Gains, name: str = "record") -> LoopLog:
+        """The record as a log of a loop with these gains."""
+        time_s = np.arange(self.setpoint.size) / sampling_Hz
+        return LoopLog(name, sampling_Hz, ({"time": time_s, **self._asdict()},), gains, {}, {}, ())
 
 
 def still(_random: Random, samples: int, _T: float) -> FloatArray:
