@@ -13,35 +13,49 @@ import estune
 from estune.cli import run
 from tests.support_runs import ArithmeticRig
 
-WORKERS = 3
-"""One more than the two cores CI has, as many tests wait for other processes."""
+WORKERS = 4
+"""Two more than the two cores CI has: tests of pages, daemons and links wait half of the time."""
 
-INDEPENDENT = ("test_experiments", "test_explain_friction", "test_explain_plants")
+INDEPENDENT = (
+    "test_experiments",
+    "test_improve",
+    "test_scaled_units",
+    "test_notebooks",
+    "test_journal",
+    "test_explain_plants",
+    "test_explain_friction",
+)
 """Files of long tests without shared fixtures, which may run in different processes."""
 
 LONGEST = (
     "test_docs",
-    *INDEPENDENT,
-    "test_improve",
     "test_daemon_faults",
-    "test_daemon",
-    "test_cli",
-    "test_explain",
-    "test_bus",
-    "test_notebooks",
+    "test_live_page",
+    "test_model_based",
     "test_hidden_block",
+    "test_daemon_remedies",
+    "test_sweep_durability",
+    "test_cli",
+    "test_bus",
+    "test_run_list",
+    "examples",
+    "test_explain",
+    "test_page_path",
+    "test_tuning_page",
+    "test_daemon_margins",
+    "test_hardware",
+    *INDEPENDENT,
+    "test_rig_link",
+    "test_trial_board",
+    "test_robustness",
+    "test_sweep",
+    "test_friction",
+    "test_security",
+    "test_prediction",
+    "test_explain_page",
     "test_explain_report",
     "test_paper",
-    "test_friction",
-    "README",
-    "test_hardware",
-    "test_drivers",
-    "test_model_based",
-    "test_behaviour",
-    "test_daemon_margins",
-    "test_explain_cli",
-    "test_force_bench",
-    "test_journal",
+    "test_setpoints",
 )
 """Files that start first, so that no process is left with a long one at the end."""
 

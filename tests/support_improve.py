@@ -11,7 +11,7 @@ from plants.diagnosis.improvement.tuning import ImprovementOptions
 
 REEL = plants.reference_reel()
 GAINS = REEL.describe("rig", None).gains
-SHORT = ImprovementOptions(model_trials=40, rig_trials=6, watch=None)
+SHORT = ImprovementOptions(model_trials=10, rig_trials=2, watch=None)
 FEW = ("coulomb_friction", "eyelet_friction", "dead_time")
 RIGS = {
     "reel": REEL,

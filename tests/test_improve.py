@@ -138,9 +138,8 @@ def test_gains_tried_on_the_rig_stop_before_the_model_fails(tmp_path):
 
 
 def test_rig_known_by_its_linear_model_keeps_its_effort_per_ampere(tmp_path):
-    short = SHORT._replace(model_trials=10, rig_trials=2)
     found = plants.improve(
-        PLANT_20_N_A.rig(seed=3), folder=tmp_path / "x", effects=FEW, tuning=short
+        PLANT_20_N_A.rig(seed=3), folder=tmp_path / "x", effects=FEW, tuning=SHORT
     )
     assert found.diagnosis.verdict == "none"
     assert found.model.newtons_per_ampere == 20.0

@@ -60,7 +60,7 @@ def begin(folder: Path, tuner: str, rig: ArithmeticRig) -> loop.TuningRun:
         bounds=None,
         step=None,
         cost=None,
-        trials=11,
+        trials=6,
         repeats=2,
     )
     facts = {"plan": plan_to_json(plan), "rig": description_to_json(rig.describe())}

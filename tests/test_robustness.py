@@ -162,10 +162,9 @@ def test_plant_that_changes_between_trials_is_not_claimed():
         def run(self, request):
             return self._rigs[request.number % 2].run(request)
 
-    result = tune(Changing(), trials=3)
+    result = tune(Changing(), trials=8, tuner="otis")
     assert result.claim.margins is None
-    said = ("no margins are claimed: ", "NOT ROBUST", "NO SIG")
-    assert any(words in result.heading() for words in said)
+    assert result.heading().startswith("TUNED, LIMITS NOT SHOWN")
 
 
 def test_unstable_plant_is_tuned_without_a_claim():
@@ -177,7 +176,7 @@ def test_unstable_plant_is_tuned_without_a_claim():
         profile=StepProfile(0.0, 1.0, 0.2, 3.0),
         settling_time_s=1.0,
     )
-    result = tune(unstable, trials=8)
+    result = tune(unstable, trials=8, tuner="otis")
     assert result.claim.margins is None
     assert result.claim.reason
 
