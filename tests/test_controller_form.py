@@ -205,9 +205,9 @@ class OtherForm:
 
 
 def test_rig_of_another_form_is_told_so_and_resumes(tmp_path):
-    form = ControllerForm(derivative="exponential", derivative_on="error")
+    form = ControllerForm(derivative="exponential")
     short = {"trials": 1, "watch": None, "folder": tmp_path, "run": "other"}
     result = estune.tune(OtherForm(form), **short)
     assert result.fitted_form == form == result.rig.controller.form
-    assert any("derivative on: error" in remark for remark in result.remarks())
+    assert any("derivative: exponential" in remark for remark in result.remarks())
     assert estune.load(tmp_path / "other").fitted_form == form
