@@ -4,12 +4,7 @@ End 1 is the attachment at the reel, end 3 the far end; z points up, x away from
 to 3 the horizontal tension is constant and the vertical tension grows by the weight in between.
 """
 
-from plants.cable.elastic import (
-    ElasticCatenary,
-    elastic_between,
-    elastic_catenary,
-    elastic_rise_m,
-)
+from plants.cable.elastic import elastic_rise_m
 from plants.cable.hanging import Catenary, catenary, far_tension_N
 from plants.cable.taut import (
     GRAVITY_M_S2,
@@ -25,11 +20,8 @@ __all__ = [
     "GRAVITY_M_S2",
     "NAMES",
     "Catenary",
-    "ElasticCatenary",
     "Solution",
     "catenary",
-    "elastic_between",
-    "elastic_catenary",
     "elastic_rise_m",
     "far_tension_N",
     "least_taut_tension_N",

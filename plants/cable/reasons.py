@@ -56,7 +56,7 @@ def _lengths(w: float, given: dict[str, float]) -> str:
         if s <= chord:
             return (
                 f"{name} of {s:.6g} m must exceed the distance of {chord:.6g} m that it spans; a "
-                "straight cable would need infinite tension, see elastic_between"
+                "straight cable would need infinite tension; give a longer one, or nearer ends"
             )
     if z == 0.0 and (V_1 is not None or V_3 is not None):
         return (

@@ -48,7 +48,7 @@ def loaded_density_kg_m(
 
     Implements (2).
 
-    Exact for a uniform tension; for a sagging cable `elastic_catenary` is exact.
+    Exact for a uniform tension.
     """
     mu_0 = checked_array("rest density", rest_density_kg_m, "kg/m", above=0.0)
     T_1 = checked_array("tension_1", tension_1_N, "N", least=0.0)
