@@ -51,6 +51,12 @@ INERTIA_kgm2, VISCOUS_Nms = 2.0e-3, 0.010
 WEIGHT_N_m, RISE_m = 0.5, 0.6
 """A steel cable of 3 mm, and the height of its far end above the reel."""
 
+FRICTION = {
+    "name": "stribeck_friction",
+    "coulomb_Nm": COULOMB_Nm,
+    "excess_Nm": STATIC_Nm - COULOMB_Nm,
+    "stribeck_rad_s": STRIBECK_rad_s,
+}
 _DRY = {
     "coulomb_Nm": COULOMB_Nm,
     "static_Nm": STATIC_Nm,
@@ -113,20 +119,14 @@ def rig(
     motion: Mapping[str, float] | None = None,
     *,
     announced: bool = False,
+    friction: Mapping[str, Any] = FRICTION,
 ) -> HardwareRig:
     """The emulated reel with friction, a compensation, and a motion of its far end."""
     tables = copy.deepcopy(tomllib.loads(RIG_FILE.read_text()))
     settings = tables["driver"]["settings"]
-    settings["effects"] = [
-        {
-            "name": "stribeck_friction",
-            "coulomb_Nm": COULOMB_Nm,
-            "excess_Nm": STATIC_Nm - COULOMB_Nm,
-            "stribeck_rad_s": STRIBECK_rad_s,
-        }
-    ]
+    settings["effects"] = [dict(friction)]
     settings["far_end"] = motion or {}
-    tables["motion"]["take_up_A"] = 0.5  # more than the friction at rest
+    tables["motion"]["take_up_A"] = 0.5  # enough against the friction at rest
     if compensation:
         tables["compensation"] = compensation
     config = config_from(tables, str(RIG_FILE))

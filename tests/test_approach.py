@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from estune.core.cost import default_cost
+from estune.hardware.compensation.plan import CompensationTerms
 from estune.hardware.config import config_from
 from estune.trial import TrialRequest
 from plants.diagnosis.improvement.experiment_runner import ExperimentRunner
@@ -15,7 +16,9 @@ from plants.effects import CoulombFriction
 from plants.emulator import RIG_FILE
 from plants.emulator.virtual_loop import virtual_rig
 from plants.simulation.approach import Approach, ApproachedPlant
-from plants.simulation.batch import batch_costs, simulate
+from plants.simulation.batch import batch_costs, simulate, simulate_drive
+from plants.simulation.compensation import compensation_of
+from plants.simulation.plant import drive_of
 from tests.support_improve import GAINS, REEL
 
 FRICTION_Nm = 0.03
@@ -69,3 +72,16 @@ def test_approach_leaves_a_plant_without_friction_as_it_is():
         simulate(ApproachedPlant(REEL, Approach(10.0, 2.0)), GAINS),
     )
     np.testing.assert_allclose(other.tension_N, plain.tension_N, atol=1e-3)
+
+
+@pytest.mark.parametrize("from_N", [10.0, -10.0])
+def test_friction_that_is_fed_forward_begins_with_the_direction_of_the_way(from_N):
+    size = {"coulomb_Nm": FRICTION_Nm, "static_Nm": FRICTION_Nm, "stribeck_rad_s": 1.0}
+    friction = {**size, "tension_per_rad_N": 190.0, "fraction": 1.0}
+    beside = compensation_of({"friction": friction}, STICKY.scale, STICKY.controller)
+    drive = drive_of(STICKY.profile, STICKY.sampling_Hz)._replace(compensation=beside)
+    plant = ApproachedPlant(STICKY, Approach(from_N, 0.5))
+    trial = simulate_drive(plant, GAINS, drive, None, 1e3)
+    fed_Nm = CompensationTerms(*trial.terms.T).friction_N * REEL.drum_radius_m
+    assert trial.terms.shape[0] == trial.tension_N.size
+    assert fed_Nm[0] == pytest.approx(-np.sign(from_N) * FRICTION_Nm)

@@ -103,10 +103,11 @@ def test_simulated_rig_feeds_forward_what_the_loop_does():
 
 
 def test_proof_over_the_link_by_one_command(tmp_path, capsys):
+    diagnosis, _ = written(tmp_path, found(CoulombFriction(0.08)))
     path = tmp_path / "coulomb_friction.remedy.json"
-    patch().write(path)
     with closing(REEL.rig(gains=GAINS)) as rig, zenoh.serve(rig, "tcp/127.0.0.1:0") as server:
-        assert run(["prove", str(path), server.endpoint, "--yes", "--trials", "0"]) == 0
+        for told in (diagnosis, path):
+            assert run(["prove", str(told), server.endpoint, "--yes", "--trials", "0"]) == 0
         assert rig.describe().gains == GAINS
     assert "PROVEN: " in capsys.readouterr().out
     proven = read_patch(path)

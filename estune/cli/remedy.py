@@ -66,7 +66,9 @@ def prove(
     The remedy is on during its own trials alone, and the rig's gains stay as they are.
 
     Args:
-        patch: The patch, as estune remedy writes it; the result is added to it.
+        patch: The patch, as estune remedy writes it; the result is added to it. A diagnosis is
+            also taken, JSON of estune explain --json: its remedy of most gain is proven, and
+            becomes a patch beside it.
         target: The rig: an endpoint such as tcp/127.0.0.1:7447.
         pairs: Pairs of trials with it and without; 2 show 5 % of a cost, 16 show 1 %.
         trials: Trials of the tuning with it on, where it is proven; 0 for none.
@@ -84,7 +86,8 @@ def prove(
     from estune.proof.trials import RemedyRig  # noqa: PLC0415  as above
     from estune.proof.trials import prove as run  # noqa: PLC0415  as above
 
-    told = read_patch(patch)
+    told = read_patch(patch) if patch.name.endswith(SUFFIX) else patch_of(patch)
+    patch = patch if patch.name.endswith(SUFFIX) else patch.with_name(f"{told.effect}{SUFFIX}")
     with open_target(target, rig, security_from(security)) as the_rig:
         about = the_rig.describe()
         if not yes:

@@ -72,7 +72,7 @@ class ApproachedPlant:
     ) -> Columns:
         """Runs a batch of trials; the noise before a trial is its own, mirrored."""
         lead = round(self.approach.duration_s * self.controller.sampling_Hz)
-        if drive.open_loop or lead == 0 or drive.compensation is not None:
+        if drive.open_loop or lead == 0:
             return self.plant.respond(coefficients, drive, noise_N, bound_N)
         part = np.minimum(np.arange(lead) / (0.5 * lead), 1.0)
         setpoint = drive.preload_N + self.approach.from_N * (1.0 - part)
@@ -93,4 +93,5 @@ class ApproachedPlant:
             flags=found.flags[trial],
             ended=np.maximum(found.ended - lead, 0),
             reference_N=None if found.reference_N is None else found.reference_N[trial],
+            terms=None if found.terms is None else found.terms[trial],
         )
