@@ -91,7 +91,7 @@ def draw_optima(
             gains.append(1.0)
             continue
         # What a draw violates at the centre is the model's doubt and no improvement.
-        own = replace(own, limits=own.limits.loosened_to(here), _known={})
+        own = replace(own, limits=own.limits.loosened_to(here))
         drawn = own.minimise([x], iterations=ITERATIONS)
         # A search that leaves the stable region has found nothing better.
         there = drawn.prediction.cost if math.isfinite(drawn.prediction.cost) else here.cost

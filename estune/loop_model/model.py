@@ -217,11 +217,17 @@ class ClosedLoop(NamedTuple):
         return float(measured @ measured), float(effort[0] ** 2 + moves @ moves)
 
 
+@lru_cache(maxsize=64)
+def _plant_polynomials(model: LoopModel) -> tuple[FloatArray, FloatArray]:
+    """A, and B with its dead time, in powers of q^-1."""
+    B = np.concatenate([np.zeros(model.dead_samples + 1), exchanged(np.array(model.numerator))])
+    return polynomial(model.coordinates), B
+
+
 def close_loop(model: LoopModel, gains: Gains, settings: ControllerSettings) -> ClosedLoop:
     """The closed loop of a model and a controller with these gains."""
     law = controller_law(settings, gains)
-    A = polynomial(model.coordinates)
-    B = np.concatenate([np.zeros(model.dead_samples + 1), exchanged(np.array(model.numerator))])
+    A, B = _plant_polynomials(model)
     forward, feedback = np.convolve(A, law.denominator), np.convolve(B, law.measurement)
     characteristic = np.zeros(max(forward.size, feedback.size))
     characteristic[: forward.size] += forward
