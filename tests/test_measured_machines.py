@@ -99,12 +99,33 @@ def test_oscillator_with_its_cubic_spring_predicts_other_data():
     assert oscillator()["silverbox_nrmse_after"].met
 
 
+@cache
+def chamber():
+    files = sorted(measured("oven/README.md").glob("run*.csv"))
+    return {int(file.name[3:5]): oven.read_run(file) for file in files}
+
+
 @pytest.mark.parametrize("number", range(2, 13))
 def test_effort_of_a_measured_chamber_is_replayed_or_the_gains_that_ran_are_found(number):
-    (file,) = measured("oven/README.md").glob(f"run{number:02}_*.csv")
-    run = oven.read_run(file)
+    run = chamber()[number]
     assert run.replayed <= oven.REPLAYED
     assert sum(part.stretch.samples for part in run.parts) > 600
     stated, ran = run.log.gains.P, run.gains.P
     assert ran == pytest.approx(3.0 if number in {6, 7} else stated, rel=1e-3)
     assert ("not what ran" in run.sentence) == (number in {6, 7})  # their names state a P of 4
+
+
+def left_out(number):
+    runs = [*chamber().values()]
+    return oven.left_out(runs, runs.index(chamber()[number]))
+
+
+@pytest.mark.parametrize("number", [5, 10, 11, 12])
+def test_steps_of_a_measured_chamber_are_predicted_by_its_other_runs(number):
+    assert left_out(number)["about_steps_K"] <= oven.ABOUT_STEPS_K
+
+
+@pytest.mark.xfail(strict=True, reason="2 % of the range of most; 0.8 % is asked")
+@pytest.mark.parametrize("number", [5, 10])
+def test_a_measured_chamber_is_predicted_from_its_first_seconds(number):
+    assert left_out(number)["predicted"] <= oven.PREDICTED
