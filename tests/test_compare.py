@@ -22,16 +22,16 @@ BOTH = ["model_based", "otis"]
 def made(tmp_path_factory):
     folder = tmp_path_factory.mktemp("compared")
     reel = plants.reference_reel()
-    return compare(reel, BOTH, trials=10, tolerance=0.0, repeats=2, folder=folder, watch=None)
+    return compare(reel, BOTH, trials=4, tolerance=0.0, repeats=2, folder=folder, watch=None)
 
 
 def test_compared_tuners_share_start_step_cost_and_budget(made):
     plans = [result.plan for result in made.results.values()]
     assert {(p.start, p.step, p.cost, p.trials) for p in plans} == {
-        (plans[0].start, plans[0].step, plans[0].cost, 10)
+        (plans[0].start, plans[0].step, plans[0].cost, 4)
     }
     assert [p.tuner.name for p in plans] == BOTH
-    assert [result.nit for result in made.results.values()] == [10, 10]
+    assert [result.nit for result in made.results.values()] == [4, 4]
 
 
 def test_comparison_continues_where_it_was_stopped(made):

@@ -79,31 +79,35 @@ def test_response_that_ends_farther_from_its_setpoint_than_before_is_not_robust(
     assert with_any_gains or result.ending is RunEnding.NOT_ROBUST
 
 
+@pytest.fixture(scope="module")
+def reel():
+    """The reference reel, tuned."""
+    return tune(plants.reference_reel())
+
+
 @pytest.mark.parametrize(("swing_N", "says"), [(0.0, ""), (0.25, "not settled")])
-def test_response_settles_about_the_value_it_ends_at(swing_N, says):
+def test_response_settles_about_the_value_it_ends_at(reel, swing_N, says):
     """2 % off, as with the initial gains, in noise of 1 %: no sample of it decides."""
-    result = tune(plants.reference_reel())
     noise = np.random.default_rng(1)
 
     def ending_off(record):
-        time_s, step = record.time_s, result.plan.step
-        swing = swing_N * np.sin(2.0 * np.pi * 25.0 * time_s) * (record.gains == result.gains)
+        time_s, step = record.time_s, reel.plan.step
+        swing = swing_N * np.sin(2.0 * np.pi * 25.0 * time_s) * (record.gains == reel.gains)
         ends = step.preload_N + step.step_N + 0.02 * step.step_N + swing
         before = np.arange(time_s.size) < step.step_index(record.sampling_Hz)
         exact = np.where(before, step.preload_N, ends)
         noisy = exact + 0.01 * step.step_N * noise.standard_normal(time_s.size)
         return replace(record, tension_N=noisy)
 
-    records = [ending_off(record) for record in result.recent_records]
-    why = not_robust(records, result.plan, result.claim, result.gains, result.rig)
+    records = [ending_off(record) for record in reel.recent_records]
+    why = not_robust(records, reel.plan, reel.claim, reel.gains, reel.rig)
     assert says in why
     assert bool(why) == bool(says)
 
 
-def test_price_of_limits_is_small_on_a_reel_and_names_softer_limits_where_dear(fast):
-    result = tune(plants.reference_reel())
+def test_price_of_limits_is_small_on_a_reel_and_names_softer_limits_where_dear(fast, reel):
     said = "Without the limits on Ms and overshoot the model predicts a cost lower by 2."
-    assert any(remark.startswith(said) for remark in result.remarks())
+    assert any(remark.startswith(said) for remark in reel.remarks())
     _, free = fast
     space, plan = free.plan.tuner.space, free.plan
     price = price_of(
