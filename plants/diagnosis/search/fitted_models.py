@@ -9,7 +9,7 @@ from plants.diagnosis.search.decide import beats
 from plants.diagnosis.search.intervals import intervals
 from plants.diagnosis.search.model_fitter import CandidateFit, ModelFitter, family_of
 from plants.diagnosis.search.nameless_laws import NAMELESS
-from plants.effects import Effect, RecordScale
+from plants.effects import RecordScale
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -97,10 +97,9 @@ def is_named(fit: CandidateFit) -> bool:
 def has_evidence(fitter: ModelFitter, fit: CandidateFit, base: CandidateFit) -> bool:
     """Whether intervals of each effect's sizes exclude the values at which it does nothing."""
     stated = intervals(fitter, fit, base)
-
-    def may_be_nothing(effect: type[Effect]) -> bool:
+    for effect in fit.effects:
         neutral = {n: p.neutral for n, p in effect.parameters().items() if p.neutral is not None}
-        intervals_of = {n: stated[f"{effect.name}.{n}"] for n in neutral}
-        return all(intervals_of[n].low <= at <= intervals_of[n].high for n, at in neutral.items())
-
-    return not any(map(may_be_nothing, fit.effects))
+        sizes = [(stated[f"{effect.name}.{n}"], at) for n, at in neutral.items()]
+        if all(size.low <= at <= size.high for size, at in sizes):
+            return False
+    return True

@@ -273,7 +273,8 @@ class ModelFitter:
         """Scales that sizes of effects are judged by."""
         angle_rad, tension_N = self.floor.angle_rad, self.floor.tension_N
         model = self.model.calibrated({})
-        pulls = pull_N_rad(model, self.measurements)
+        numbers = [BaseNumbers.of(model, m) for m in self.measurements]
+        pulls = [math.nan if b is None else b.tension_per_angle_N_rad for b in numbers]
         if math.isnan(angle_rad):
             # Without an encoder the gauge tells how far the drum has turned.
             angle_rad = tension_N / float(np.median(pulls))
@@ -309,12 +310,6 @@ def _squares(
         residuals = predictor.residuals(rows[chunk], entries)
         np.add.reduceat(np.square(residuals, out=residuals), first, axis=1, out=sums[chunk])
     return sums
-
-
-def pull_N_rad(model: object, measurements: Sequence[MeasuredRecord]) -> FloatArray:
-    """Tension per angle of a model's cable at each record, N/rad; nan without a cable."""
-    numbers = [BaseNumbers.of(model, m) for m in measurements]
-    return np.array([np.nan if b is None else b.tension_per_angle_N_rad for b in numbers])
 
 
 def record_of(owner: str) -> int | None:
