@@ -25,7 +25,6 @@ def inner_loop(m: MeasuredRecord, b: BaseNumbers) -> Iterator[DataIssue]:
     """The command of a free drive that is its velocity, or position, in one of `UNITS`."""
     if not b.is_free or m.angle_rad is None:
         return
-    column = "setpoint_N" if m.loop == "open" and m.setpoint_N is not None else "current_A"
     command = m.command_A(b.newtons_per_ampere)
     smoother = Smoother(5.0 / m.sampling_Hz, m.sampling_Hz)
     friction = b.viscous_friction_Nms / (b.newtons_per_ampere * b.drum_radius_m)
@@ -42,7 +41,7 @@ def inner_loop(m: MeasuredRecord, b: BaseNumbers) -> Iterator[DataIssue]:
         if unit is not None:
             said = f"it is the {title} in {unit}: the setpoint of a loop inside the drive"
             remedy = "map the torque or the current, or give a [linear_plant] whose input it is"
-            yield DataIssue("refused", f"{said}, no torque; {remedy}", column)
+            yield DataIssue("refused", f"{said}, no torque; {remedy}", m.command_column)
             return
 
 

@@ -76,8 +76,7 @@ def _reversed(
         return
     column = "tension_N" if all(backward) else "angle_rad"
     if by_effort is None or (backward[1] and not backward[0]):
-        open_loop = m.loop == "open" and m.setpoint_N is not None
-        column = "setpoint_N" if open_loop else "current_A"
+        column = m.command_column
     said = "it moves the other way than the model says: its sign seems to be reversed"
     yield DataIssue("refused", f"{said}; change the sign of {column} or of what it moves", column)
 
@@ -90,10 +89,9 @@ def _issues(
         if by_angle is None or _is_far(by_angle):
             yield _issue("tension_N", by_effort, "what the command holds", {1e-3: "kN"})
             return
-        open_loop = m.loop == "open" and m.setpoint_N is not None
-        column, unit = ("setpoint_N", "N") if open_loop else ("current_A", "A")
+        unit = m.command_column.rpartition("_")[2]
         units = {1e3: f"m{unit}", 1e-3: f"k{unit}"}
-        yield _issue(column, 1.0 / by_effort, "what the tension takes", units)
+        yield _issue(m.command_column, 1.0 / by_effort, "what the tension takes", units)
     elif by_angle is not None and _is_far(by_angle):
         units = {math.degrees(1.0): "degrees", 1e3: "thousandths, as mm or mrad"}
         yield _issue("angle_rad", 1.0 / by_angle, "what the model turns", units)
@@ -101,14 +99,13 @@ def _issues(
 
 def _issues_of_drive(m: MeasuredRecord, times: float) -> Iterator[DataIssue]:
     """Issues by the torque that the motion takes, relative to the command."""
-    command = "setpoint_N" if m.loop == "open" and m.setpoint_N is not None else "current_A"
     # A model may be off by 2 pi, too: it is said, and the record is used.
     if 1.0 / 1.3 < times * 2.0 * math.pi < 1.3:
         said = "its changes are 1/6.28 of what the model turns, which is the ratio of turns to rad"
         yield DataIssue("warning", f"{said}; check the unit and the inertia", "angle_rad")
     elif _is_far(times) and times < 1.0:
         unit = "thousandths, as mN m, mN or mA"
-        yield _issue(command, 1.0 / times, "what the motion takes", {1e3: unit})
+        yield _issue(m.command_column, 1.0 / times, "what the motion takes", {1e3: unit})
     elif _is_far(times):
         thousandths = "thousandths, as mm or mrad, or the command in kN"
         units = {math.degrees(1.0): "degrees", 1e3: thousandths}

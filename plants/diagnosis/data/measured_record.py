@@ -97,6 +97,11 @@ class MeasuredRecord:
         found: FloatArray | None = getattr(self, name)
         return found
 
+    @property
+    def command_column(self) -> str:
+        """Name of the column that commands the motor: the setpoint of an open loop, or current."""
+        return "setpoint_N" if self.loop == "open" and self.setpoint_N is not None else "current_A"
+
     def command_A(self, newtons_per_ampere: float) -> FloatArray:
         """The current commanded, A, shape (samples,).
 
