@@ -262,7 +262,7 @@ def main() -> int:
 
     Without the data it says so, and returns 0.
     """
-    parser = command_line(__doc__, quick="two runs, by a model of those and one more")
+    parser = command_line(__doc__, quick="two runs")
     parser.add_argument("--data", type=Path, help="folder that holds oven/")
     options = parser.parse_args()
     data = folder(options.data) / "oven"
@@ -270,15 +270,16 @@ def main() -> int:
     if not files:
         reason = f"skipped: {data} has no runs; name the folder above it with --data"
         return print_results({"oven": reason}, {}, as_json=options.json)
-    runs = [read_run(file) for file in (files[5:8] if options.quick else files)]
+    runs = [read_run(file) for file in files]
+    judged = runs[5:7] if options.quick else runs
     begun = time.process_time()
-    pooled = suggest(Logs(tuple(run.log for run in runs), (), SETTINGS)).fit
+    pooled = suggest(Logs(tuple(run.log for run in judged), (), SETTINGS)).fit
     folder_s = time.process_time() - begun
     rows = {
         run.log.name: alone(run, pooled.model)
-        | left_out(runs, i)
+        | left_out(runs, runs.index(run))
         | {"by_suggestion": prediction(pooled.model, runs, run)[0]}
-        for i, run in enumerate(runs[: 2 if options.quick else None])
+        for run in judged
     }
     figures = {"runs": rows, "pooled_poles": pooled.order, "folder_cpu_s": folder_s}
     targets = targets_of([*rows.values()], folder_s)
