@@ -25,7 +25,6 @@ from estune.support.toml_file import TomlTable, validate
 INTERVALS_MAX = 200
 """Longest window: 0.3 s at 632 Hz, and 10 kB of a board's memory."""
 
-
 WAVES_MAX = 16
 """Most waves of a map: a sine each in every sample, and 0.5 kB of JSON in a trial's request."""
 
@@ -158,13 +157,8 @@ class AngleMapTable(TomlTable):
     def map(self, drum_radius_m: float) -> AngleMap:
         """The map, a share of it."""
         none = [0.0] * len(self.orders)
-        rows = zip(
-            self.orders,
-            self.torque_Nm or none,
-            self.load_share or none,
-            self.phase_rad,
-            strict=True,
-        )
+        columns = self.orders, self.torque_Nm or none, self.load_share or none, self.phase_rad
+        rows = zip(*columns, strict=True)
         share = self.fraction
         waves = tuple(Wave(n, share * a / drum_radius_m, share * c, phi) for n, a, c, phi in rows)
         return AngleMap(waves, self.zero_rad, self.lead_s)
@@ -224,9 +218,7 @@ class CompensationTable(TomlTable):
     @model_validator(mode="after")
     def _one_stiffness(self) -> Self:
         if len(self._tensions_per_rad) > 1:
-            raise ValueError(
-                "friction and eyelet have different tension_per_rad_N; give the same one"
-            )
+            raise ValueError("friction and eyelet differ in tension_per_rad_N; give the same one")
         return self
 
     @property
@@ -302,16 +294,12 @@ class CompensationTable(TomlTable):
         """
         if not self.columns:
             raise InvalidInput(
-                "[compensation] switches nothing on; add [compensation.friction], .inertia, "
-                ".known_motion, .gravity, .angle_map, .hum, .mode, .eyelet or .current_limit, or "
-                "leave it out"
+                f"[compensation] switches nothing on; add one of its tables, "
+                f"{', '.join(COMPENSATIONS)}, or leave it out"
             )
-        windows = Windows(
-            self.velocity.error_counts * 2.0 * math.pi / abs(encoder_counts),
-            **self.velocity.model_dump(exclude={"error_counts"}),
-        )
-        limit = self.share_max * effort_max_N
-        count_rad = 2.0 * math.pi / abs(encoder_counts)
+        limit, count_rad = self.share_max * effort_max_N, 2.0 * math.pi / abs(encoder_counts)
+        settings = self.velocity.model_dump(exclude={"error_counts"})
+        windows = Windows(self.velocity.error_counts * count_rad, **settings)
         return CompensationPlan(
             period_s=1.0 / sampling_Hz,
             windows=windows,
@@ -337,16 +325,10 @@ class CompensationTable(TomlTable):
         if table is None:
             return None
         memory = table.memory_rad or MEMORY_COUNTS * count_rad
-        forward = FrictionFeedForward(
-            table.friction, memory, table.load_share, table.fraction, table.spread
-        )
+        shares = table.load_share, table.fraction, table.spread
+        forward = FrictionFeedForward(table.friction, memory, *shares)
         largest_N = forward.fraction * forward.friction.static_Nm / drum_radius_m
-        if largest_N > limit_N:
-            raise InvalidInput(
-                f"compensation.friction feeds {largest_N:.4g} N forward at rest, above "
-                f"compensation.share_max {self.share_max:g} of the greatest effort, {limit_N:.4g} "
-                "N; check the unit of static_Nm, then raise share_max"
-            )
+        self._check_share("friction", largest_N, limit_N, "static_Nm")
         return forward
 
     def _angle_map(self, drum_radius_m: float, limit_N: float) -> AngleMap | None:
@@ -354,13 +336,16 @@ class CompensationTable(TomlTable):
             return None
         found = self.angle_map.map(drum_radius_m)
         largest_N = sum(abs(wave.force_N) for wave in found.waves)
+        self._check_share("angle_map", largest_N, limit_N, "torque_Nm")
+        return found
+
+    def _check_share(self, name: str, largest_N: float, limit_N: float, number: str) -> None:
         if largest_N > limit_N:
             raise InvalidInput(
-                f"compensation.angle_map feeds up to {largest_N:.4g} N forward, above "
-                f"compensation.share_max {self.share_max:g} of the greatest effort, {limit_N:.4g} "
-                "N; check the unit of torque_Nm, then raise share_max"
+                f"compensation.{name} takes up to {largest_N:.4g} N, above compensation.share_max "
+                f"{self.share_max:g} of the greatest effort, {limit_N:.4g} N; check the unit of "
+                f"{number}, then raise share_max"
             )
-        return found
 
     def _notches(self, sampling_Hz: float) -> tuple[Notch, ...]:
         found = []
@@ -375,8 +360,7 @@ class CompensationTable(TomlTable):
                     f"{table.width_Hz:g} Hz wide, does not lie between 0 and half the sampling "
                     f"rate, {0.5 * sampling_Hz:g} Hz"
                 )
-            shape = table.frequency_Hz, table.width_Hz, table.depth
-            found.append(Notch.at(*shape, sampling_Hz))
+            found.append(Notch.at(table.frequency_Hz, table.width_Hz, table.depth, sampling_Hz))
         return tuple(found)
 
     def _effort_limit_N(self, effort_max_N: float, newtons_per_ampere: float) -> float:
@@ -409,12 +393,6 @@ class CompensationTable(TomlTable):
                 f"compensation.gravity.rise_m {table.rise_m:g} m exceeds the least length, "
                 f"{table.length_min_m:g} m: the cable would not reach"
             )
-        heaviest_N = table.weight_N_m * table.length_max_m
-        if heaviest_N > limit_N:
-            raise InvalidInput(
-                f"compensation.gravity: a cable of {heaviest_N:.4g} N is above "
-                f"compensation.share_max of the greatest effort, {limit_N:.4g} N; check the unit "
-                "of weight_N_m"
-            )
+        self._check_share("gravity", table.weight_N_m * table.length_max_m, limit_N, "weight_N_m")
         numbers = table.weight_N_m, table.rise_m, cable_length_m
         return Gravity(*numbers, table.length_min_m, table.length_max_m)
