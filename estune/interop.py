@@ -8,12 +8,13 @@ import numpy as np
 
 from estune.core import pidf
 from estune.core.gains import Gains
+from estune.core.initial import Proposal
 from estune.core.margins import Margins, SampledPlant, loop_margins, sample_plant
 from estune.core.pidf import ControllerSettings
 from estune.core.quantities import FloatArray
 from estune.core.schedule import GainSchedule
 from estune.core.sensitivity import largest_integral_gain
-from estune.errors import InvalidInput, UnsafeStart
+from estune.errors import InvalidInput
 from estune.trial import LinearModel
 
 if TYPE_CHECKING:  # python-control takes more than a second to import
@@ -32,10 +33,6 @@ __all__ = [
     "to_control",
 ]
 
-_GAIN_MARGIN_MIN = 1.5
-_PHASE_MARGIN_MIN_deg = 25.0
-"""Initial gains with smaller margins are refused: dithered trials would reach instability."""
-
 
 def margins(model: LinearModel, gains: Gains, settings: ControllerSettings) -> Margins:
     """Gain and phase margin of the sampled loop of a plant and the PIDF, or its instability.
@@ -46,28 +43,16 @@ def margins(model: LinearModel, gains: Gains, settings: ControllerSettings) -> M
 
 
 def model_gains(model: LinearModel, settings: ControllerSettings) -> Gains:
-    """Initial gains from a rig's own linear model: the largest I within limits of sensitivity.
+    """Initial gains, by the rule `sensitivity_limited` on a rig's own linear model.
 
     Raises:
-        InvalidInput: no gains keep the limits on the model.
+        InvalidInput: the rule does not apply to the model.
         UnsafeStart: the loop would be unstable, or near it.
     """
     plant = sampled_model(model, settings)
     gains = largest_integral_gain(plant, settings)
-    m = loop_margins(plant, gains, settings)
-    least = max(m.gain_margin, 1.0 / m.gain_margin), m.phase_margin_deg
-    if m.stable and least[0] >= _GAIN_MARGIN_MIN and least[1] >= _PHASE_MARGIN_MIN_deg:
-        return gains
-    how = (
-        f"gain margin {m.gain_margin:.2f} and phase margin {m.phase_margin_deg:.0f} degrees, "
-        f"where {_GAIN_MARGIN_MIN} and {_PHASE_MARGIN_MIN_deg:.0f} are the least"
-        if m.stable
-        else "the loop is unstable"
-    )
-    raise UnsafeStart(
-        f"the gains from the rig's linear model are no safe start: {how}; check the model, or "
-        "give initial gains"
-    )
+    proposal = Proposal("sensitivity_limited", gains, loop_margins(plant, gains, settings))
+    return proposal.checked().gains
 
 
 def sampled_model(model: LinearModel, settings: ControllerSettings) -> SampledPlant:

@@ -1,11 +1,13 @@
 import math
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
+from scipy.stats import chi2
 
 from estune.errors import InvalidInput
 from estune.reel.friction import StribeckFriction
@@ -16,6 +18,8 @@ from plants.bench.demonstrations.friction_compensation import (
     run_high_and_low,
     run_wrench,
 )
+from plants.bench.identify.friction_ramp import fit_friction
+from plants.bench.identify.torque_ramp import RampRecord
 
 DRY = StribeckFriction(coulomb_Nm=0.02, static_Nm=0.03, stribeck_rad_s=0.8)
 COUNTS = 8192.0
@@ -138,6 +142,140 @@ def test_inertia_is_compensated_at_high_speed_only():
         assert np.abs(traces.friction_N).max() <= np.abs(traces.true_friction_N).max()
 
 
+TRUTH = {"inertia": 2e-3, "viscous": 0.022, "coulomb": 0.02, "static": 0.03, "stribeck": 0.8}
+
+
+@cache
+def ramp(
+    *,
+    slope=0.03,
+    duration=3.5,
+    rate=316.0,
+    phase=0.3,
+    sign=1.0,
+    held=False,
+    stiffness=None,
+    **truth,
+):
+    """A torque ramp on a drum, integrated by scipy with an event at break-away."""
+    p = {**TRUTH, **truth}
+    t = np.arange(round(duration * rate)) / rate
+    late = 1.5 / rate if held else 0.0  # a held command, and a sample of dead time
+
+    def dry(v):
+        return p["coulomb"] + (p["static"] - p["coulomb"]) * math.exp(-((v / p["stribeck"]) ** 2))
+
+    def torque(now):
+        now = math.floor(now * rate + 1e-9) / rate - 1.0 / rate if held else now
+        return slope * max(now, 0.0)
+
+    def slipping(now, x):
+        return [x[1], (torque(now) - p["viscous"] * x[1] - dry(x[1])) / p["inertia"]]
+
+    def bristly(now, x):
+        z_rate = x[1] - stiffness * abs(x[1]) * x[2] / dry(x[1])
+        friction = stiffness * x[2] + 0.02 * z_rate + p["viscous"] * x[1]
+        return [x[1], (torque(now) - friction) / p["inertia"], z_rate]
+
+    if stiffness is None:
+        starts, law, x = min(p["static"] / slope + late, t[-1]), slipping, [0.0, 0.0]
+    else:
+        starts, law, x = 0.0, bristly, [0.0, 0.0, 0.0]
+    solved = solve_ivp(
+        law, (starts, t[-1] + 1.0), x, "LSODA", rtol=1e-9, atol=1e-12, max_step=1.0 / rate,
+        dense_output=True,
+    )  # fmt: skip
+    turned = np.where(t > starts, solved.sol(np.maximum(t, starts))[0], 0.0)
+    count = 2.0 * math.pi / COUNTS
+    angle = sign * np.floor(turned / count + phase) * count
+    return RampRecord(t, sign * slope * t, angle, COUNTS, dead_time_s=late)
+
+
+def estimates(fit):
+    return {
+        "inertia": fit.inertia_kgm2,
+        "viscous": fit.viscous_Nms_rad,
+        "coulomb": fit.coulomb_Nm,
+        "static": fit.static_Nm,
+        "stribeck": fit.stribeck_rad_s,
+    }
+
+
+def test_ramps_in_both_directions_recover_friction_and_inertia():
+    fit = fit_friction([ramp(held=True), ramp(held=True, sign=-1.0, slope=0.05)], 0.999)
+    for name, estimate in estimates(fit).items():
+        assert estimate.low <= TRUTH[name] <= estimate.high, name
+        assert estimate.value == pytest.approx(TRUTH[name], rel=0.03), name
+    assert fit.residual_counts == pytest.approx(1.0 / math.sqrt(12.0), rel=0.1)  # rounding
+
+
+def test_bias_by_presliding_falls_with_its_stiffness():
+    off = {}
+    for stiffness in (60.0, 300.0):  # the drum creeps half a count before it slips, and a tenth
+        estimate = estimates(fit_friction([ramp(stiffness=stiffness)]))
+        off[stiffness] = {name: abs(e.value / TRUTH[name] - 1.0) for name, e in estimate.items()}
+    for name in ("coulomb", "static", "inertia", "stribeck"):
+        assert off[300.0][name] < 0.3 * off[60.0][name], name
+        assert off[300.0][name] < 0.05, name
+
+
+def drawn_ramp(rng):
+    """Ramp on a randomly drawn drum, and its true parameters."""
+    spread = np.exp(0.2 * rng.normal(size=5))
+    truth = dict(zip(TRUTH, np.array(list(TRUTH.values())) * spread, strict=True))
+    truth["static"] = truth["coulomb"] * rng.uniform(1.3, 1.9)
+    return ramp(duration=2.6, rate=200.0, phase=rng.random(), **truth), truth
+
+
+@pytest.mark.parametrize("fits", [4, pytest.param(100, marks=pytest.mark.nightly)])
+def test_confidence_intervals_match_the_spread_of_estimates(fits):
+    rng, scores = np.random.default_rng(0), []
+    for _ in range(fits):
+        record, truth = drawn_ramp(rng)
+        estimate = estimates(fit_friction([record], confidence=0.9))
+        # Error in standard deviations; a 90 % interval is 1.645 of them to either side.
+        scores.append(
+            [1.645 * math.log(e.value / truth[n]) / math.log(e.high / e.value)
+             for n, e in estimate.items()]
+        )  # fmt: skip
+    misfit = np.sum(np.square(scores), axis=0)
+    least, greatest = chi2.ppf([0.001, 0.999], fits)
+    assert (least < misfit).all()
+    assert (misfit < greatest).all()
+
+
+@pytest.mark.parametrize(
+    ("record", "message"),
+    [
+        (lambda: ramp(static=0.2, coulomb=0.1), "no break-away"),
+        (lambda: replace(ramp(), torque_Nm=0.05 * np.sin(ramp().time_s)), "not monotone"),
+        (lambda: replace(ramp(), torque_Nm=np.zeros(1106)), "ends at 0 N m"),
+        (lambda: replace(ramp(), angle_rad=0.1 * ramp().time_s), "moves from sample"),
+        (lambda: replace(ramp(), angle_rad=np.full(1106, math.nan)), "not finite"),
+        (lambda: replace(ramp(), time_s=ramp().time_s ** 2), "constant rate"),
+        (lambda: replace(ramp(), time_s=ramp().time_s[:-1]), "equally long"),
+        (lambda: replace(ramp(), dead_time_s=-1.0), "dead time"),
+        (lambda: ramp(duration=0.1), "80 or more"),
+    ],
+)
+def test_record_without_friction_information_is_refused(record, message):
+    with pytest.raises(InvalidInput, match=message):
+        record()
+
+
+@pytest.mark.parametrize(
+    ("record", "message"),
+    [
+        (lambda: ramp(slope=3.0, duration=0.5, static=0.3, coulomb=0.02), "slower ramp"),
+        (lambda: ramp(stribeck=8.0), "end the ramp higher"),
+        (lambda: ramp(static=0.02), "Coulomb friction alone|slower ramp"),
+    ],
+)
+def test_ramp_too_fast_for_the_stribeck_velocity_is_refused(record, message):
+    with pytest.raises(InvalidInput, match=message):
+        fit_friction([record()])
+
+
 @pytest.mark.parametrize(
     ("call", "message"),
     [
@@ -147,6 +285,8 @@ def test_inertia_is_compensated_at_high_speed_only():
         (lambda: StribeckFriction(0.02, math.nan, 1.0), "not finite"),
         (lambda: FeedForward(DRY, -1.0), "inertia"),
         (lambda: FeedForward(DRY, 1e-3, 1.0), "below 1"),
+        (lambda: fit_friction([]), "one or more"),
+        (lambda: fit_friction([ramp()], confidence=95.0), "between 0 and 1"),
     ],
 )
 def test_bad_input_is_refused_with_its_remedy(call, message):

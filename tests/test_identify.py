@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from scipy.optimize import minimize_scalar
 from scipy.stats import binom
 
+from estune.core.initial import propose
 from estune.core.margins import sample_plant
 from estune.core.second_order import GaugeMode, SecondOrder, hooke_constant
 from estune.errors import InvalidInput
@@ -133,7 +134,7 @@ def test_multisine_has_a_low_crest_factor_and_silent_detection_lines(slope):
     expected = np.maximum(f / 20.0, 1.0) ** slope
     assert spectrum[segment.excited] / spectrum[segment.excited][0] == pytest.approx(expected)
     # A sum of sines with random phases has 3 or more; one sine has 1.41.
-    assert 3.0 / excitation.waveform_N.std() < 1.6
+    assert excitation.crest_factor < 1.6
     assert (segment.even % 2 == 0).all()
     assert (segment.odd % 2 == 1).all()
     assert segment.odd.size > segment.excited.size / 5
@@ -169,6 +170,8 @@ def test_plant_is_identified_by_every_excitation(excitation):
     assert fit.gauge_Hz.value == pytest.approx(TRUTH.gauge_Hz, rel=0.02)
     peak = TRUTH.natural_Hz * math.sqrt(1 - 2 * TRUTH.damping**2)
     assert fit.resonance_Hz.value == pytest.approx(peak, rel=0.005)
+    k = 2e-3 * (2 * np.pi * TRUTH.natural_Hz) ** 2
+    assert fit.hooke_constant_Nm_rad(2e-3).value == pytest.approx(k, rel=0.01)
 
 
 def test_confidence_intervals_have_nominal_coverage():
@@ -329,6 +332,15 @@ def test_open_loop_reel_matches_its_linear_model():
     assert record.current_A == pytest.approx(record.setpoint_N / reel.newtons_per_ampere)
     expected = 20.0 + simulated(truth, excitation.waveform_N)
     assert np.abs(record.tension_N - expected).max() < 1e-9
+
+
+def test_identified_reel_gives_safe_initial_gains():
+    reel = reference_reel(0.8, 15.0)
+    excitation = multisine(SAMPLING_HZ, TEN_SECONDS, 40.0, slope=1.5, corner_Hz=20.0)
+    fit = fit_second_order(response_of_record(open_loop_record(reel, excitation), excitation))
+    model = fit.model.per_effort(reel.newtons_per_ampere)
+    assert model.gain == pytest.approx(1.0, rel=0.01)
+    assert propose(model, reel.controller, "sensitivity_limited").safe
 
 
 def test_unsuitable_record_is_rejected():

@@ -51,6 +51,16 @@ def test_angle_of_a_nearly_straight_cable_is_accurate():
     )
 
 
+def test_contact_line_is_normal_to_both_directions():
+    P_1, P_2 = (
+        geometry.direction_outside([0.3, 1.0], 0.2),
+        geometry.direction_inside(0.8, [2.0, 0.1]),
+    )
+    line = geometry.contact_line(P_1, P_2)
+    assert np.sum(line * P_1, axis=-1) == pytest.approx([0.0, 0.0], abs=1e-15)
+    assert np.sum(line * P_2, axis=-1) == pytest.approx([0.0, 0.0], abs=1e-15)
+
+
 # Forces at one contact
 
 
@@ -259,6 +269,7 @@ def test_weber_verdict_depends_on_the_interval(low, value, high, verdict):
         (lambda: friction_ratio.friction_coefficient(1.02, 2.0), "at most 1"),
         (lambda: friction_ratio.friction_coefficient(0.9, math.pi), "straight cable"),
         (lambda: geometry.direction_outside(1.6, 0.0), "less than pi/2"),
+        (lambda: geometry.contact_line([0, 0, 1], [0, 0, -2]), "collinear"),
         (lambda: geometry.angle_between_rad([0, 0, 0], [0, 0, 1]), "no length"),
         (lambda: geometry.angle_between_rad([0, 1], [0, 1]), "3 components"),
         (lambda: contact.friction_N(10.0, 0.2, 0.5, 0.3), "outside the friction cone"),

@@ -251,6 +251,22 @@ def test_drift_between_sweeps_gives_a_warning():
     assert any("drifts" in remark for remark in result.warnings)
 
 
+def test_exchanged_angles_separate_unequal_reels_only():
+    for other, alike in ((0.1, True), (0.15, False)):
+        runs = [
+            measure(
+                bench(tr.Eyelet(0.1, (a,)), other=tr.Eyelet(other, (b,)), seed=seed), (a,), (b,)
+            )
+            for seed, (a, b) in enumerate([(1.9, 2.5), (2.5, 1.9)])
+        ]
+        comparison = tr.compare_reels(*runs)
+        assert comparison.alike is alike
+        assert comparison.coefficient_x.value == pytest.approx(0.1, rel=0.03)
+        assert comparison.coefficient_y.value == pytest.approx(other, rel=0.03)
+    with pytest.raises(InvalidInput, match="exchange the angles"):
+        tr.compare_reels(runs[0], runs[0])
+
+
 def test_hysteresis_loop_has_the_slopes_of_the_ratio():
     two = bench(tr.Eyelet(variation=0.0), noise_N=0.0)
     loop = tr.HysteresisTest(6.0, 36.0).run(two)

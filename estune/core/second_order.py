@@ -1,7 +1,8 @@
 """The underdamped second-order model of a reel, with dead time and gauge mode, sampled."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Self
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -83,6 +84,15 @@ class SecondOrder:
                 "use the natural frequency"
             )
         return self.natural_frequency_rad_s * math.sqrt(inside)
+
+    def per_effort(self, newtons_per_ampere: float) -> Self:
+        """The model from effort to tension, N/N, of one from motor current to tension, N/A.
+
+        Raises:
+            InvalidInput: the tension per ampere is not above zero.
+        """
+        check_positive("tension per ampere", newtons_per_ampere, "N/A")
+        return replace(self, gain=self.gain / newtons_per_ampere)
 
     def state_space(self) -> tuple[FloatArray, FloatArray, FloatArray, float]:
         """A, B, C, E of the model without its dead time; the dead time delays the input."""

@@ -6,6 +6,7 @@ fit = fit_second_order(response_of_record(record, excitation))
 print(fit.resonance_Hz, fit.damping, fit.dead_time_s)
 """
 
+from plants.bench.identify.dependence import Condition, Dependence
 from plants.bench.identify.distortion import HarmonicDistortion
 from plants.bench.identify.estimate import Estimate
 from plants.bench.identify.excitation import (
@@ -27,6 +28,8 @@ from plants.bench.identify.second_order import SecondOrderFit, fit_second_order
 __all__ = [
     "Band",
     "BroadbandExcitation",
+    "Condition",
+    "Dependence",
     "Estimate",
     "FrequencyResponse",
     "HarmonicDistortion",

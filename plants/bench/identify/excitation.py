@@ -70,6 +70,11 @@ class BroadbandExcitation:
         """Duration of the signal, s."""
         return sum(segment.samples for segment in self.segments) / self.sampling_Hz
 
+    @property
+    def crest_factor(self) -> float:
+        """Peak over root mean square."""
+        return float(np.abs(self.waveform_N).max() / self.waveform_N.std())
+
 
 @dataclass(frozen=True, slots=True)
 class Band:

@@ -13,7 +13,7 @@ from typing import Literal
 import numpy as np
 
 from estune.core.quantities import FloatArray
-from estune.core.second_order import GaugeMode, SecondOrder
+from estune.core.second_order import GaugeMode, SecondOrder, hooke_constant
 from estune.errors import InvalidInput
 from plants.bench.identify.estimate import Estimate
 from plants.bench.identify.frequency_response import FrequencyResponse, check_probability
@@ -98,6 +98,18 @@ class SecondOrderFit:
         """b_m = 2 zeta w J_m for a known inertia, N m s/rad."""
         w, zeta, J = self.model.natural_frequency_rad_s, self.model.damping, inertia_kg_m2
         return self._estimate(2.0 * zeta * w * J, [2.0 * zeta * J, 2.0 * w * J], "N m s/rad")
+
+    def hooke_constant_Nm_rad(self, inertia_kg_m2: float) -> Estimate:
+        """k_m by (30) from the resonance and the friction, for a known inertia, N m/rad.
+
+        Raises:
+            InvalidInput: the inertia is out of its range, or the damping too high for a peak.
+        """
+        w = self.model.natural_frequency_rad_s
+        friction = self.viscous_friction_Nms(inertia_kg_m2).value
+        k = hooke_constant(self.model.resonance_rad_s, inertia_kg_m2, friction)
+        # The damping drops out: (30) takes the peak back to J w^2.
+        return self._estimate(k, [2.0 * inertia_kg_m2 * w], "N m/rad")
 
     def _estimate(self, value: float, slope: list[float], unit: str) -> Estimate:
         """Estimate of a quantity from its gradient in the fitted quantities."""

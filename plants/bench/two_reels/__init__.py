@@ -21,6 +21,7 @@ from plants.bench.two_reels.geometry import eyelet_angle_rad
 from plants.bench.two_reels.hysteresis import HysteresisLoop, HysteresisTest
 from plants.bench.two_reels.index import WEBER_LIMIT
 from plants.bench.two_reels.procedure import SetpointReadings, TwoReelProcedure
+from plants.bench.two_reels.reel_comparison import ReelComparison, compare_reels
 from plants.bench.two_reels.rig import Bench, BenchReading, BenchRecord, BenchReel
 
 __all__ = [
@@ -34,12 +35,14 @@ __all__ = [
     "Eyelet",
     "HysteresisLoop",
     "HysteresisTest",
+    "ReelComparison",
     "ReelModel",
     "SetpointReadings",
     "SimulatedBench",
     "TwoReelProcedure",
     "TwoReelResult",
     "attenuation",
+    "compare_reels",
     "evaluate",
     "eyelet_angle_rad",
 ]

@@ -52,6 +52,8 @@ class TwoReelResult:
     reading_y: FloatArray  # readings of Y's gauge, in its own unit
     tension_y_N: FloatArray  # tension at Y's gauge at these readings, N
     probability: float  # confidence level of the intervals
+    angles_x_rad: tuple[float, ...]  # angle gamma of each contact at X, rad
+    angles_y_rad: tuple[float, ...]  # angle gamma of each contact at Y, rad
 
     def __repr__(self) -> str:
         state = "resolved" if self.resolved else "not resolved"
@@ -153,6 +155,8 @@ def evaluate(
         reading_y=y_1,
         tension_y_N=np.sqrt(x_1 * x_2 * curve.ratio(x_1) / curve.ratio(x_2)),
         probability=probability,
+        angles_x_rad=angles_x,
+        angles_y_rad=angles_y,
     )
 
 

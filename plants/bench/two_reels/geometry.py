@@ -27,6 +27,9 @@ from estune.core.quantities import (
 )
 from estune.errors import InvalidInput
 
+_STRAIGHT_rad = 1e-7
+"""Minimum angle of two vectors that span a plane, for rounding."""
+
 
 def direction_outside(theta_1_rad: ArrayLike, phi_1_rad: ArrayLike) -> FloatArray:
     """Unit vector of the cable outside the eyelet.
@@ -97,6 +100,19 @@ def eyelet_angle_rad(
     return angle_between_rad(
         direction_outside(theta_1_rad, phi_1_rad), direction_inside(theta_2_rad, phi_2_rad)
     )
+
+
+def contact_line(P_1: ArrayLike, P_2: ArrayLike) -> FloatArray:
+    """Line of contact at the eyelet: unit vector of `P_1 x P_2`."""
+    across = np.cross(unit_vector("P_1", P_1), unit_vector("P_2", P_2))
+    size = np.linalg.norm(across, axis=-1)
+    collinear = size < _STRAIGHT_rad
+    if collinear.any():
+        raise InvalidInput(
+            f"the cable outside and inside are collinear{index_text(first_index(collinear))}; "
+            "without a bend there is neither a contact line nor friction, move one end sideways"
+        )
+    return np.asarray(across / size[..., None])
 
 
 def unit_vector(name: str, vector: ArrayLike) -> FloatArray:
