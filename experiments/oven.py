@@ -63,7 +63,7 @@ shortest stretch that shows the slow pole, and the lags that the search begins f
 may end with a swing of minutes, which no chamber has."""
 
 
-class Run(NamedTuple):
+class ChamberRun(NamedTuple):
     """A run of the chamber.
 
     Attributes:
@@ -102,7 +102,7 @@ def temperature_degC(reading: FloatArray) -> FloatArray:
     return np.asarray(1.0 / (np.log(ohms / 11800.0) / 3977.0 + 1.0 / 294.15) - 273.15)
 
 
-def read_run(file: Path) -> Run:
+def read_run(file: Path) -> ChamberRun:
     """A run, its effort replayed."""
     time_s, setpoint, measured, effort = np.loadtxt(file, delimiter=",", skiprows=1, unpack=True)
     stated = re.findall(r"k[pid]([\d.]+\d)", file.stem)
@@ -121,11 +121,11 @@ def read_run(file: Path) -> Run:
     ran = gains if found.agrees or found.ran is None else found.ran
     error = min(found.stated_error, found.ran_error) * found.range / OUTPUT_MAX
     parts = tuple(ServicePart(stretch, ran) for stretch in stretches)
-    return Run(log, parts, found.sentence(), error)
+    return ChamberRun(log, parts, found.sentence(), error)
 
 
 def begun_by(
-    model: LoopModel, run: Run, samples: int, level: float | None
+    model: LoopModel, run: ChamberRun, samples: int, level: float | None
 ) -> tuple[float, FloatArray]:
     """Level and response of a model over the first samples of a run.
 
@@ -154,7 +154,7 @@ def polynomials(model: LoopModel) -> tuple[FloatArray, FloatArray]:
     return polynomial(model.coordinates), np.pad(zeros, (model.dead_samples + 1, 0))
 
 
-def predicted_degC(model: LoopModel, run: Run, level: float) -> FloatArray:
+def predicted_degC(model: LoopModel, run: ChamberRun, level: float) -> FloatArray:
     """Temperature of a run by a model, in closed loop from its first seconds on, (samples,).
 
     Args:
@@ -182,7 +182,7 @@ def predicted_degC(model: LoopModel, run: Run, level: float) -> FloatArray:
     return temperature_degC(y)
 
 
-def simulating(runs: Sequence[Run]) -> LoopModel:
+def simulating(runs: Sequence[ChamberRun]) -> LoopModel:
     """The model of three poles whose output without any noise is next to that of some runs.
 
     A model of load, which predicts the next sample, takes the place of the slowest pole.
@@ -201,7 +201,9 @@ def simulating(runs: Sequence[Run]) -> LoopModel:
     return LoopModel(tuple(best.coordinates.tolist()), tuple(at.numerator.tolist()), best.dead)
 
 
-def prediction(model: LoopModel, others: Sequence[Run], run: Run) -> tuple[float, float]:
+def prediction(
+    model: LoopModel, others: Sequence[ChamberRun], run: ChamberRun
+) -> tuple[float, float]:
     """Error of a predicted run over its range, and the largest about a step, K."""
     level = np.median([begun_by(model, r, r.samples, None)[0] for r in others])
     columns = run.log.parts[0]
@@ -212,14 +214,14 @@ def prediction(model: LoopModel, others: Sequence[Run], run: Run) -> tuple[float
     return _rms(error) / float(np.ptp(measured)), max(_rms(one) for one in after)
 
 
-def left_out(runs: Sequence[Run], number: int) -> dict[str, float]:
+def left_out(runs: Sequence[ChamberRun], number: int) -> dict[str, float]:
     """Errors of the closed-loop prediction of a run by a model of all others."""
     others, run = [r for i, r in enumerate(runs) if i != number], runs[number]
     error, about_steps_K = prediction(simulating(others), others, run)
     return {"predicted": error, "about_steps_K": about_steps_K}
 
 
-def alone(run: Run, pooled: LoopModel) -> dict[str, Any]:
+def alone(run: ChamberRun, pooled: LoopModel) -> dict[str, Any]:
     """What a run by itself shows, beside the model of all runs."""
     begun = time.process_time()
     found = suggest(Logs((run.log,), (), SETTINGS))

@@ -28,7 +28,7 @@ from estune.loop_model.prediction import Prediction, StepTrial, predict
 from estune.loop_model.records import LoopRecord
 from estune.tuners.identified_loop_state import IdentifiedLoopState
 from estune.tuners.interface import ConvergenceEstimate, CostPrediction
-from estune.tuners.model_convergence import DrawnLoop, model_convergence
+from estune.tuners.model_convergence import SearchedLoop, model_convergence
 from estune.tuners.observation import Observation, log_cost
 from estune.tuners.predictions import cost_noise, difference, log_of_cost, measured_overshoot
 from estune.tuners.residual_surface import ResidualSurface
@@ -364,7 +364,7 @@ class IdentifiedLoopTuner:
             return None
         if self._at_edge(state, optimum):
             return None
-        loop = DrawnLoop(fit, lambda model: self._search(state, model), optimum, state.surface)
+        loop = SearchedLoop(fit, lambda model: self._search(state, model), optimum, state.surface)
         return model_convergence(loop, self.space, state.errors, seed=len(state.costs))
 
     def _at_edge(self, state: IdentifiedLoopState, optimum: Optimum) -> bool:

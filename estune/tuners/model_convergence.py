@@ -19,7 +19,7 @@ ONE_SIDED_95 = 1.645
 """Standard deviations of a normal distribution below which 95 % of it lie."""
 
 
-class DrawnLoop(NamedTuple):
+class SearchedLoop(NamedTuple):
     """An identified loop and its optimum.
 
     Attributes:
@@ -36,7 +36,7 @@ class DrawnLoop(NamedTuple):
 
 
 def model_convergence(
-    loop: DrawnLoop, space: SearchSpace, errors: Sequence[float], seed: int
+    loop: SearchedLoop, space: SearchSpace, errors: Sequence[float], seed: int
 ) -> ConvergenceEstimate:
     """The state of convergence at the optimum of a loop.
 
@@ -65,7 +65,7 @@ def model_convergence(
     )
 
 
-def _condition(loop: DrawnLoop, space: SearchSpace) -> str:
+def _condition(loop: SearchedLoop, space: SearchSpace) -> str:
     """What the bound of the remaining improvement does not know."""
     within = []
     if space.at_bound(space.point(tuple(loop.optimum.coordinates.tolist()))):

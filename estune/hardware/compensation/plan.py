@@ -145,7 +145,7 @@ class Notch(NamedTuple):
         return cls(b_0, b_1, b_2, float(a[1]), float(a[2]))
 
 
-class Eyelet(NamedTuple):
+class EyeletFeedForward(NamedTuple):
     """Friction of the cable at the eyelet, `T exp(exponent z)` at the gauge, T outside.
 
     Attributes:
@@ -213,7 +213,7 @@ class CompensationPlan:
     gravity: Gravity | None
     angle_map: AngleMap | None
     notches: tuple[Notch, ...]
-    eyelet: Eyelet | None
+    eyelet: EyeletFeedForward | None
     effort_limit_N: float
     drum_radius_m: float
     feed_forward_max_N: float

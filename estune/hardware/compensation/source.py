@@ -4,7 +4,7 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 from estune.core.gains import Gains
-from estune.hardware.compensation.plan import CompensationPlan, Eyelet, Notch, Wave
+from estune.hardware.compensation.plan import CompensationPlan, EyeletFeedForward, Notch, Wave
 from estune.hardware.scales import CurrentScale
 from estune.reel.hybrid import SwitchingRules
 
@@ -27,7 +27,7 @@ def compensation_source(
     dry = friction.friction if friction else None
     mapped = plan.angle_map
     notches = plan.notches or (_NO_NOTCH,)
-    eyelet = plan.eyelet or Eyelet(0.0, 1.0)
+    eyelet = plan.eyelet or EyeletFeedForward(0.0, 1.0)
     numbers: dict[str, float | int | str] = {
         "HISTORY": max(windows.velocity_intervals, windows.acceleration_intervals) + 1,
         "VELOCITY_INTERVALS": windows.velocity_intervals,

@@ -12,7 +12,7 @@ from estune.errors import InvalidInput
 from estune.hardware.compensation.plan import (
     AngleMap,
     CompensationPlan,
-    Eyelet,
+    EyeletFeedForward,
     Gravity,
     Notch,
     Wave,
@@ -89,9 +89,9 @@ class EyeletTable(TomlTable):
     fraction: Annotated[float, Field(ge=0.0, le=FRACTION_MAX)] = 0.8
 
     @property
-    def eyelet(self) -> Eyelet:
+    def eyelet(self) -> EyeletFeedForward:
         """The share of it."""
-        return Eyelet(-self.fraction * math.log(self.attenuation), self.memory_rad)
+        return EyeletFeedForward(-self.fraction * math.log(self.attenuation), self.memory_rad)
 
 
 class CurrentLimitTable(TomlTable):
