@@ -8,11 +8,13 @@ import pytest
 import plants
 from estune.errors import InvalidInput
 from estune.trial import SATURATED, TrialRequest
+from estune.trial.profiles import MultisineProfile
 from plants import reference_reel
 from plants.bench.identify.excitation import Band, chirp, multisine
 from plants.bench.identify.open_loop import open_loop_record
 from plants.diagnosis.checks.quality import check
 from plants.diagnosis.data.measured_record import MeasuredRecord
+from plants.effects import CoulombFriction
 from tests.support_measurements import open_loop
 
 RATE = 632.0
@@ -236,6 +238,14 @@ def test_encoder_stands_still_where_the_drum_turns_less_than_a_step():
     assert np.ptp(rough[1].angle_rad) == 0.0
     _, issues = check(rough, REEL)
     assert not [f for f in issues if "stand still" in f.sentence]
+
+
+def test_encoder_of_a_drum_that_friction_holds_is_not_at_the_end_of_its_range():
+    rig = replace(REEL, effects=(CoulombFriction(0.05),)).rig()
+    sines = MultisineProfile(20.0, 2.2, period_s=1.0, first_line=1, last_line=60, duration_s=3.0)
+    held = MeasuredRecord.of(rig.run(TrialRequest("r", 0, rig.describe().gains, sines)))
+    assert np.unique(held.angle_rad).size == 2
+    assert findings(replace(held, rig=GOOD.rig)) == ()
 
 
 @pytest.mark.parametrize(("share", "level"), [(0.2, "warning"), (0.8, "refused")])

@@ -44,14 +44,15 @@ def upper_rms(signal: FloatArray) -> float:
 
 
 def step_of(signal: FloatArray) -> float:
-    """The step that readings are whole multiples of, or 0 where there is none."""
+    """The step that readings are whole multiples of, or 0 where there is none.
+
+    Of two values, as of a drum that moves by one count, it is their distance at the most.
+    """
     distinct = np.unique(signal)
-    if distinct.size < 3:
-        return 0.0
     gaps = np.diff(distinct)
     gaps = gaps[gaps > 1e-9 * np.abs(distinct).max()]
     if gaps.size < 2:
-        return 0.0
+        return float(gaps.sum())
     for divisor in (1.0, 2.0, 3.0):  # no two readings may be adjacent
         step = float(gaps.min()) / divisor
         steps = gaps / step
