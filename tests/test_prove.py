@@ -1,6 +1,7 @@
 """A remedy as a patch of a rig's file, and its proof by trials with it and without."""
 
 import json
+import math
 import tomllib
 from contextlib import closing
 from dataclasses import replace
@@ -143,6 +144,21 @@ def test_patch_is_written_read_and_applied_never_unasked(tmp_path, capsys):
         read_patch(file).applied(rig)
 
 
+def test_proof_is_kept_and_never_overwritten_by_other_numbers(tmp_path, capsys):
+    diagnosis, rig = written(tmp_path, found(CoulombFriction(torque_Nm=0.05)))
+    file = tmp_path / "coulomb_friction.remedy.json"
+    proof = {"rig": "r", "date": "today", "sentence": "cost 0.8 of what it was", "proven": True}
+    replace(patch_of(diagnosis), proof=proof).write(file)
+    assert run(["remedy", str(diagnosis), "--rig", str(rig)]) in (None, 0)
+    assert read_patch(file).proven
+    proven = file.read_text()
+    diagnosis, rig = written(tmp_path, found(CoulombFriction(torque_Nm=0.06)))
+    for words in (["remedy", str(diagnosis), "--rig", str(rig)], ["prove", str(diagnosis), "x"]):
+        assert run(words) == InvalidInput.exit_code
+        assert "proven on rig r" in capsys.readouterr().err
+    assert file.read_text() == proven
+
+
 @pytest.mark.parametrize(
     ("effect", "words"),
     [
@@ -160,6 +176,11 @@ def test_uncertain_remedy_is_refused_with_the_experiment(tmp_path):
     diagnosis, _ = written(tmp_path, found(CoulombFriction(torque_Nm=0.05), spread=0.5))
     with pytest.raises(InvalidInput, match="slow reversals"):
         patch_of(diagnosis)
+
+
+def test_number_that_is_not_finite_is_no_remedy():
+    with pytest.raises(InvalidInput, match=r"friction\.coulomb_Nm of the remedy is nan"):
+        patch(coulomb_Nm=math.nan)
 
 
 @pytest.mark.parametrize("text", ["", "[]", '{"version": 2}', '{"version": 1, "x": 1}'])

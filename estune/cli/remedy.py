@@ -31,14 +31,14 @@ def remedy(
         out: The patch; EFFECT.remedy.json beside the rig's file by default.
 
     Raises:
-        InvalidInput: the diagnosis offers no remedy for the loop, with the reason for each, or the
-            rig's file has its table already.
+        InvalidInput: the diagnosis offers no remedy for the loop, with the reason for each, the
+            rig's file has its table already, or the patch is there and has other numbers proven.
     """
     patch = patch_of(diagnosis, effect)
     change = patch.diff(rig)
     check_applied(patch, rig)
     path = out or rig.with_name(f"{patch.effect}{SUFFIX}")
-    patch.write(path)
+    patch.with_proof_of(path).write(path)
     print(change, end="")
     output.show_next(
         {
@@ -79,15 +79,20 @@ def prove(
     Exits with 1 where the remedy is not proven.
 
     Raises:
-        InvalidInput: the patch cannot be read, or the rig's limits do not allow its trials.
+        InvalidInput: the patch cannot be read, a patch beside the diagnosis has other numbers
+            proven, or the rig's limits do not allow its trials.
         RigError: the rig cannot be reached, or cannot run trials with a remedy.
     """
     from estune import api  # noqa: PLC0415  slow to import
     from estune.proof.trials import RemedyRig  # noqa: PLC0415  as above
     from estune.proof.trials import prove as run  # noqa: PLC0415  as above
 
-    told = read_patch(patch) if patch.name.endswith(SUFFIX) else patch_of(patch)
-    patch = patch if patch.name.endswith(SUFFIX) else patch.with_name(f"{told.effect}{SUFFIX}")
+    if patch.name.endswith(SUFFIX):
+        told = read_patch(patch)
+    else:
+        told = patch_of(patch)
+        patch = patch.with_name(f"{told.effect}{SUFFIX}")
+        told = told.with_proof_of(patch)
     with open_target(target, rig, security_from(security)) as the_rig:
         about = the_rig.describe()
         if not yes:
@@ -103,7 +108,10 @@ def prove(
     style = "bold green" if proof.proven else "bold yellow"
     state = "PROVEN" if proof.proven else "NOT PROVEN"
     output.console().print(Text(f"{state}: {proof.sentence}", style=style), soft_wrap=True)
-    output.show_next({"patch": patch, "apply it": command_line("apply", patch, "my-rig.toml")})
+    facts: dict[str, object] = {"patch": patch}
+    if proof.proven:
+        facts["apply it"] = command_line("apply", patch, "my-rig.toml")
+    output.show_next(facts)
     return 0 if proof.proven else 1
 
 

@@ -2,10 +2,11 @@
 
 import difflib
 import json
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 from estune.errors import InvalidInput
 from estune.support.toml_file import read_toml
@@ -28,6 +29,9 @@ class Patch:
         tables: Tables of `[compensation]` that switch it on.
         predicted: Predicted ratios of with to without: value, low and high by measure.
         proof: What the rig measured; see `estune.proof.trials.Proof`. None before.
+
+    Raises:
+        InvalidInput: a number of the tables is not finite.
     """
 
     effect: str
@@ -36,6 +40,14 @@ class Patch:
     tables: Mapping[str, Mapping[str, Any]]
     predicted: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     proof: Mapping[str, Any] | None = None
+
+    def __post_init__(self) -> None:
+        for name, number in _numbers("compensation", self.tables):
+            if not math.isfinite(number):
+                raise InvalidInput(
+                    f"{name} of the remedy is {number}, and must be finite; write the diagnosis "
+                    "again by estune explain --json"
+                )
 
     @property
     def proven(self) -> bool:
@@ -100,6 +112,21 @@ class Patch:
         before = rig_file.read_text(encoding="utf-8").splitlines(keepends=True)
         after = self.applied(rig_file).splitlines(keepends=True)
         return "".join(difflib.unified_diff(before, after, str(rig_file), str(rig_file)))
+
+    def with_proof_of(self, path: Path) -> Self:
+        """This patch, with the proof that a file has of it, if there is one.
+
+        Raises:
+            InvalidInput: the file is no patch, or has the proof of other numbers.
+        """
+        there = read_patch(path) if path.exists() else self
+        if there.proof is None:
+            return self
+        if there.tables != self.tables:
+            raise InvalidInput(
+                f"{path} has other numbers and is {there.status}; move it to keep that proof"
+            )
+        return replace(self, proof=there.proof)
 
     def write(self, path: Path) -> None:
         """Writes the patch, in one step.
@@ -172,8 +199,22 @@ def _why_not(offer: Mapping[str, Any]) -> str:
     return "it is predicted to gain less than 2 %, or nothing could be predicted"
 
 
+def _numbers(name: str, value: Any) -> Iterator[tuple[str, float]]:
+    """The numbers of a table with their names."""
+    if isinstance(value, Mapping):
+        for key, one in value.items():
+            yield from _numbers(f"{name}.{key}", one)
+    elif isinstance(value, list | tuple):
+        for one in value:
+            yield from _numbers(name, one)
+    elif isinstance(value, float):
+        yield name, value
+
+
 def _json(path: Path) -> Any:
     try:
         return json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        raise InvalidInput(f"{path}: {error}") from error
+    except OSError as error:
+        raise InvalidInput(f"{path} cannot be read: {error.strerror}") from error
+    except ValueError as error:
+        raise InvalidInput(f"{path} is no JSON: {error}") from error
