@@ -13,8 +13,8 @@ import estune
 from estune.cli import run
 from tests.support_runs import ArithmeticRig
 
-WORKERS = 4
-"""Two more than the two cores CI has: tests of pages, daemons and links wait half of the time."""
+WORKERS = 3
+"""One more than the two cores CI has, as many tests wait for other processes."""
 
 INDEPENDENT = (
     "test_experiments",
