@@ -18,7 +18,7 @@ from plants.effects import EFFECTS, CoulombFriction, Effect, Port, parameter
 from plants.effects.plant_scale import PlantScale
 from plants.effects.remedy import Place, Remedy
 from plants.remedies import offers_for, text
-from tests.support_diagnosis import diagnosis, interval
+from tests.support_diagnosis import deciding, diagnosis, interval
 from tests.test_compensation import friction_table, rig_with
 
 GAINS = Gains(0.78, 31.0, 0.0206, 0.0003)
@@ -91,6 +91,13 @@ def test_uncertain_friction_is_refused_with_the_experiment_that_helps():
     assert "50 %" in offer.refused
     assert not offer.tables
     assert CoulombFriction.excitation in text.sentences(d, (offer,))[0]
+
+
+def test_remedy_of_one_of_two_effects_is_told_beside_the_experiment_that_decides():
+    d = found(CoulombFriction(0.05), verdict="ambiguous", next_experiment=deciding())
+    (told,) = text.sentences(d, offers_for(d, GAINS))
+    assert told.startswith("The records allow another effect, whose remedy is another. ")
+    assert text.sentences(d, ())[0].startswith("What is not named cannot be remedied. ")
 
 
 def test_a_share_is_fed_forward_that_the_interval_allows():

@@ -39,7 +39,10 @@ def sentences(diagnosis: Any, offers: Sequence[Offer]) -> tuple[str, ...]:
     found = [f"{offer.effect}: not yet; {offer.refused}." for offer in offers if offer.refused]
     next_one = diagnosis.next_experiment
     if diagnosis.verdict in ("unknown", "incomplete", "ambiguous") and next_one is not None:
-        found.append(f"What is not named cannot be remedied. {_sentence(next_one.sentence)}")
+        told = "What is not named cannot be remedied."
+        if diagnosis.verdict == "ambiguous" and offers:
+            told = "The records allow another effect, whose remedy is another."
+        found.append(f"{told} {_sentence(next_one.sentence)}")
     if diagnosis.verdict == "none":
         hidden = ", ".join(diagnosis.hidden)
         told = f"; these records cannot show {hidden}" if hidden else ""
