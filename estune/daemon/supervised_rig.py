@@ -197,8 +197,7 @@ class SupervisedRig:
 
     def events(self, request: Request) -> Events:
         """Stored events."""
-        events = self.store.events(request.after, request.limit)
-        return Events(list(events))
+        return Events(self.store.events(request.after, request.limit))
 
     def mark_ready(self, live: GainSet | None) -> None:
         """Reports that the rig runs the nominal gains, unless those have changed meanwhile.

@@ -104,10 +104,10 @@ def fit_with_excitations(
     fit = fit_loop((*steps, *excitations), sampling_Hz, settling_time_s, last)
     if fit.is_white or not excitations:
         return fit, tuple(excitations)
-    of_steps = last is not None and len(last.errors) == len(steps)
-    alone = last if last and of_steps else fit_loop(steps, sampling_Hz, settling_time_s)
+    of_steps = last if last is not None and len(last.errors) == len(steps) else None
+    alone = of_steps or fit_loop(steps, sampling_Hz, settling_time_s)
     spoilt, own = (np.concatenate(one.errors[: len(steps)]) for one in (fit, alone))
-    chance = 1.0 + 5.0 * math.sqrt(2.0 / own.size)
+    chance = 1.0 + 5.0 * math.sqrt(2.0 / own.size)  # five deviations of the power of white noise
     return (alone, ()) if _power(spoilt) > chance * _power(own) else (fit, tuple(excitations))
 
 

@@ -17,8 +17,9 @@ from estune.loop_model.fitting import fit_loop, fit_with_excitations
 from estune.loop_model.intervals import PredictedMargins
 from estune.loop_model.limit_price import LimitPrice, price_of
 from estune.loop_model.loop_fit import LoopFit
+from estune.loop_model.model import robustness
 from estune.loop_model.optimum import RobustnessLimits
-from estune.loop_model.prediction import expected_response, predict
+from estune.loop_model.prediction import expected_response
 from estune.loop_model.records import LoopRecord
 from estune.run.limit_verdict import LimitVerdict, limit_verdict
 from estune.run.loop import TuningRun
@@ -85,12 +86,11 @@ class IdentifiedLoop(NamedTuple):
         """
         if self.fit is None:
             return None
+        if not robustness(self.fit.model, gains, rig.controller).sensitivity <= SENSITIVITY_ROBUST:
+            return None
         trial = step_trial(rig, plan.step, plan.cost)
         trial = replace(trial, effort_N=self.signals[0].rest_effort_N)
-        model = self.fit.model._replace(friction_N=0.0)
-        if not predict(model, trial, gains).sensitivity <= SENSITIVITY_ROBUST:
-            return None
-        return expected_response(model, trial, gains)
+        return expected_response(self.fit.model._replace(friction_N=0.0), trial, gains)
 
     def undisturbed(self, records: Iterable[TrialRecord]) -> list[TrialRecord]:
         """The records that the loop rests on, and all records of gains of which it has none.

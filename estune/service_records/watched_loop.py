@@ -87,13 +87,14 @@ def observe(
     reference = known.reference
     if reference is not None:
         suspects = (*known.suspects, (record, evidence(reference, record)))
+        starts = len(suspects)
         known, suspects = _parted(known, suspects)
-        if is_another(known, [one for _, one in suspects]):
+        if is_another(known, [one for _, one in suspects], starts):
             changed = tuple(one for one, _ in suspects)
             return _begun(changed, fit_loop(changed, sampling_Hz, settling_time_s)), True
         suspects = _less_disturbed(known, suspects)
         newest, shown = tuple(r for r, _ in suspects), tuple(one for _, one in suspects)
-        likely = chance(reference, known.known, shown)
+        likely = starts * chance(reference, known.known, shown)
         if likely < SUSPECT and len(suspects) < UNDECIDED:
             return known._replace(suspects=suspects), False
     records = (*known.records, *newest)
@@ -124,11 +125,17 @@ def _parted(known: WatchedLoop, suspects: Suspects) -> tuple[WatchedLoop, Suspec
     return known._replace(records=records, known=remembered), suspects[begun:]
 
 
-def is_another(known: WatchedLoop, shown: Sequence[PlantEvidence]) -> bool:
-    """Whether records are of another plant than a known one, whichever one is left out."""
+def is_another(known: WatchedLoop, shown: Sequence[PlantEvidence], starts: int) -> bool:
+    """Whether records are of another plant than a known one, whichever one is left out.
+
+    Args:
+        known: The loop.
+        shown: What the records show.
+        starts: Beginnings of a change that they were chosen from; each could be chance.
+    """
     assert known.reference is not None  # noqa: S101  it has records
     fit, before = known.reference, known.known
-    if len(shown) < 2 or chance(fit, before, shown) > FALSE_ALARM:
+    if len(shown) < 2 or starts * chance(fit, before, shown) > FALSE_ALARM:
         return False
     without = ([*shown[:i], *shown[i + 1 :]] for i in range(len(shown)))
     return all(chance(fit, before, others) < DISTURBED for others in without)
