@@ -44,7 +44,6 @@ NIGHTLY = {
     "compensation",
     "diagnosis_constants",
     "diagnosis_scale",
-    "equal_transparency",
     "faulty_rigs",
     "hidden_effects",
     "hidden_remedies",
@@ -63,7 +62,6 @@ NIGHTLY = {
     "service_records",
     "sweep_law",
     "tls_flood",
-    "transfer",
 }
 """Experiments of ten seconds of a core, or whose targets are times; their subjects have tests of
 their own."""

@@ -1,10 +1,8 @@
 """Root search under noise: how far to detune a reel for its cost to equal a target.
 
 The path is the loop gain K of the standard form, `K (1 + 1/(Ti s) + Td s)`: P, I and D shrink by
-one factor and their ratios stay. Of the one-parameter paths away from the optimum it is the best
-conditioned: the cost rises most steeply along it, so that trials locate the target most exactly.
-Effort, its noise and overshoot fall along it, and the gain margin grows by the same factor.
-`experiments/equal_transparency.py` compares it with the setpoint filter or the integrator alone.
+one factor and their ratios stay. Effort, its noise and overshoot fall along it, and the gain
+margin grows by the same factor.
 
 With u = ln(K_tuned/K) >= 0 and the target eta*, the first trials go outward, doubling u, until one
 costs more than eta*. The others stay near the root of the parabola fitted to all of them,
