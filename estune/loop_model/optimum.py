@@ -13,6 +13,7 @@ from estune.core.setting import Setting, check_settings, documented
 from estune.loop_model.intervals import Interval, PredictedMargins
 from estune.loop_model.model import LoopModel
 from estune.loop_model.prediction import Prediction, StepTrial, predict
+from estune.loop_model.sobol import sobol_points
 
 SENSITIVITY_MAX = 1.6
 """Largest Ms by default; 1.4 is robust, 2 aggressive."""
@@ -232,10 +233,7 @@ class RegionSearch:
         return self._penalised(one.coordinates, PENALTY)
 
     def _best_of(self, count: int) -> FloatArray:
-        from scipy.stats import qmc  # noqa: PLC0415  slow to import
-
-        unit = qmc.Sobol(self.low.size, scramble=False).random(count)
-        points: FloatArray = self.low + (self.high - self.low) * unit
+        points: FloatArray = self.low + (self.high - self.low) * sobol_points(self.low.size, count)
         return min(points, key=lambda x: self._penalised(x, 1.0))
 
     def _stabilised(self, start: FloatArray) -> FloatArray | None:

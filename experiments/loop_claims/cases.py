@@ -3,7 +3,7 @@
 import math
 from collections.abc import Callable, Iterator
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -117,7 +117,7 @@ def _with_mode(seed: int) -> LoopCase:
         math.exp(rng.uniform(math.log(low), math.log(high))) for low, high in MODE_RANGES.values()
     )
     where = ("in phase", "in antiphase", "in series")[seed % 3]
-    w, rate = 2.0 * math.pi * BASE_Hz, SAMPLING_HZ
+    w = 2.0 * math.pi * BASE_Hz
     plant = control.tf([w * w], [1.0, 0.4 * w, w * w])
     v = ratio * w
     mode = control.tf([v * v], [1.0, 2.0 * damping * v, v * v])
@@ -126,6 +126,13 @@ def _with_mode(seed: int) -> LoopCase:
     else:
         sign = 1.0 if where == "in phase" else -1.0
         system, name = plant + sign * share * mode, f"{where}, share {share:.1%}"
+    label = f"mode {seed}: {ratio * BASE_Hz:.0f} Hz, {name}, damping {damping:.1%}"
+    return of_system(label, system)
+
+
+def of_system(name: str, system: Any) -> LoopCase:
+    """The tuning of a linear system of python-control whose slowest mode is at `BASE_Hz`."""
+    rate = SAMPLING_HZ
     made = plants.linear_plant(
         system,
         dead_time_s=2.0 / rate,
@@ -136,13 +143,8 @@ def _with_mode(seed: int) -> LoopCase:
         profile=StepProfile(0.0, 1.0, 0.1, 1.5),
     )
     cost = StepCost(1.0 / BASE_Hz, time_unit="settling_time", move_weight=2.0)
-    return LoopCase(
-        f"mode {seed}: {ratio * BASE_Hz:.0f} Hz, {name}, damping {damping:.1%}",
-        "mode",
-        with_noise(made, MODE_NOISE),
-        cost,
-        Gains(0.15, 4.0, 0.003, 0.08),
-    )
+    plant = with_noise(made, MODE_NOISE)
+    return LoopCase(name, "mode", plant, cost, Gains(0.15, 4.0, 0.003, 0.08))
 
 
 def random_loops(count: int, seed0: int) -> Iterator[LoopCase]:
