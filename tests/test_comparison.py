@@ -36,23 +36,34 @@ def test_intervals_have_their_nominal_coverage():
     assert covered / trials == pytest.approx(0.9, abs=0.015 + 4 * math.sqrt(0.09 / trials))
 
 
-def test_intervals_of_repeats_that_end_once_narrow_hold_the_true_change():
+@pytest.mark.parametrize("known", [False, True], ids=["none", "one"])
+def test_intervals_of_repeats_that_end_once_narrow_hold_the_true_change(known):
     rng, covered, runs = np.random.default_rng(7), 0, 1500
     for _ in range(runs):
-        repeats = InterleavedRepeats.new((A, B), 2)
+        repeats = InterleavedRepeats.new((A, B), 2, np.exp(rng.normal(0.0, 0.02, int(known))))
         while (turn := repeats.next_index) is not None:
-            repeats = repeats.with_cost(math.exp(rng.normal(turn * math.log(0.7), 0.03)))
-            done = repeats.next_index is None
-            if done and repeats.rounds < 10 and _is_wide(repeats.change()):
-                repeats = repeats._replace(rounds=repeats.rounds + 1)
+            repeats = repeats.with_cost(math.exp(rng.normal(turn * math.log(0.8), 0.02)))
+            repeats = repeats.until(_is_narrow, 2, 10)
         change = repeats.change()
-        covered += change.low < -0.3 < change.high
+        covered += change.low < -0.2 < change.high
     # The worst ratio of noise and improvement; three standard errors of the count are allowed.
     assert covered / runs >= 0.945 - 3 * math.sqrt(0.05 / runs)
 
 
-def _is_wide(change):
-    return change.high - change.low > 0.2 * abs(change.estimate)
+def _is_narrow(change):
+    return change.high - change.low <= 0.2 * abs(change.estimate)
+
+
+def test_repeats_are_over_once_narrow_with_one_more_of_the_first_gains():
+    repeats, order = InterleavedRepeats.new((A, B), 2, [1.0]), []
+    for cost in (0.5, 0.6, 1.01):
+        order.append(repeats.next_index)
+        repeats = repeats.with_cost(cost).until(lambda _: False, 2, 10)
+    assert order == [1, 1, 0]
+    assert (repeats.next_index, repeats.missing) == (0, 2)
+    over = repeats.with_cost(0.99).until(lambda _: True, 2, 10)
+    assert (over.next_index, over.missing) == (None, 0)
+    assert tuple(map(len, over.costs)) == (3, 2)
 
 
 @pytest.mark.parametrize(

@@ -45,6 +45,15 @@ def test_search_of_a_linear_reel_needs_few_trials_and_keeps_its_limits(tuned):
     assert tuned.tuned.metrics.overshoot <= 0.06
 
 
+def test_baseline_counts_as_the_first_repeat_of_the_initial_gains(tuned, tmp_path):
+    repeats = tuned.session.confirmation
+    confirming = [entry for entry in tuned.entries if entry.phase is Phase.CONFIRM]
+    assert repeats.costs[0][0] == tuned.session.baseline[0]
+    assert sum(map(len, repeats.costs)) == len(confirming) + 1
+    stored = tune(plants.reference_reel(0.8), journal=tmp_path / "run")
+    assert estune.load(stored.folder).session.confirmation == stored.session.confirmation
+
+
 def test_run_excites_the_loop_once_at_least_and_counts_no_cost_of_it(tuned):
     excited = [entry for entry in tuned.entries if entry.phase is Phase.EXCITE]
     assert 1 <= len(excited) <= 2

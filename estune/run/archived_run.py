@@ -141,10 +141,16 @@ def _session(session: Session, entries: list[JournalEntry], journal: Journal) ->
         unsafe=censored - declined,
         declined=declined,
         choice=_repeats(session, [e for e in others if e.phase is Phase.CHOOSE], choice),
-        confirmation=_repeats(
-            session, [e for e in others if e.phase is Phase.CONFIRM], confirmation
-        ),
+        confirmation=_repeats(session, _confirming(session, others), confirmation),
     )
+
+
+def _confirming(session: Session, entries: list[JournalEntry]) -> list[JournalEntry]:
+    """Trials of the confirmation, with those of the baseline where it does not begin with one."""
+    found = [e for e in entries if e.phase is Phase.CONFIRM]
+    if not found or found[0].gains == session.plan.start:
+        return found
+    return [*(e for e in entries if e.phase is Phase.BASELINE), *found]
 
 
 def _repeats(

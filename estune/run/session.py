@@ -6,9 +6,10 @@ which has no cost (`estune.run.excitation`).
 `choose` repeats the tuner's recommendation and its best trial, interleaved, unless the tuner
 predicts costs by an identified loop; `confirm` repeats the better of the two and the initial
 gains, interleaved, until the interval of the improvement is narrow. Choice and confirmation use
-different trials, so that lucky costs in the choice do not bias the confirmed improvement. Nothing
-here reads a clock or a file: replaying a journal's trials restores the session and all later
-proposals bit for bit.
+different trials, so that lucky costs in the choice do not bias the confirmed improvement. A search
+by an identified loop is short and chooses by no cost, so that its baseline counts as the first
+repeat of the initial gains. Nothing here reads a clock or a file: replaying a journal's trials
+restores the session and all later proposals bit for bit.
 """
 
 import math
@@ -17,7 +18,7 @@ from enum import StrEnum
 from statistics import fmean
 from typing import Any
 
-from estune.core.comparison import InterleavedRepeats
+from estune.core.comparison import Change, InterleavedRepeats
 from estune.core.gains import Gains
 from estune.loop_model.records import LoopRecord
 from estune.run.excitation import ExcitationTrial, excitation_trial
@@ -68,8 +69,8 @@ class Session:
         excitation_refused: Whether the rig refused one: it is not asked for another.
         search_end: Why the search ended; empty while it continues.
         choice: Repeats of the candidates; None before there are two.
-        confirmation: Repeats of the initial and of the tuned gains, in this order; None before
-            there are any.
+        confirmation: Repeats of the initial and of the tuned gains, in this order, the first
+            ones perhaps those of the baseline; None before there are any.
         failure: Why the run cannot continue; empty while it can.
     """
 
@@ -124,7 +125,7 @@ class Session:
         if self.choice is not None:
             return self.choice.missing + 2 * repeats
         to_come = self.plan.trials - self.search_trials + 2 * repeats
-        to_come += 0 if self.plan.uses_records else 2 * repeats  # of the choice
+        to_come += -1 if self.plan.uses_records else 2 * repeats  # baseline or choice
         return to_come + self.plan.baseline_trials - len(self.baseline)
 
     @property
@@ -231,7 +232,7 @@ def after_trial(
         choice = session.choice.with_cost(math.inf if censored else cost)
         changed = {"choice": choice}
         if choice.next_index is None and choice.best is not None:
-            changed["confirmation"] = _confirmation(session.plan, choice.gains[choice.best])
+            changed["confirmation"] = _confirmation(session, choice.gains[choice.best])
     else:
         assert session.confirmation is not None, phase  # noqa: S101  the last phase there is
         confirmation = session.confirmation.with_cost(math.inf if censored else cost)
@@ -272,8 +273,9 @@ def _after_search(session: Session, observation: Observation) -> dict[str, Any]:
         "consecutive_censored": session.consecutive_censored + 1 if observation.censored else 0,
         "consecutive_settled": session.consecutive_settled + 1 if settled else 0,
     }
-    end = _end_of_search(replace(session, **changed))
-    return changed | ({"search_end": end} | _after_end(plan, state) if end else {})
+    session = replace(session, **changed)
+    end = _end_of_search(session)
+    return changed | ({"search_end": end} | _after_end(session) if end else {})
 
 
 def _is_settled(plan: Plan, state: Any) -> bool:
@@ -300,9 +302,9 @@ def _end_of_search(session: Session) -> str:
     return ""
 
 
-def _after_end(plan: Plan, state: Any) -> dict[str, Any]:
+def _after_end(session: Session) -> dict[str, Any]:
     """Fields of the session that the end of its search sets."""
-    tuner = plan.tuner
+    plan, state, tuner = session.plan, session.tuner_state, session.plan.tuner
     # The recommendation rests on all trials; the best single trial may be luck, or may not.
     points = [tuner.recommend(state)]
     if not plan.is_predicted(state):
@@ -310,7 +312,7 @@ def _after_end(plan: Plan, state: Any) -> dict[str, Any]:
     gains = tuple(map(tuner.space.gains, points))
     if not tuner.space.is_same(points[0], points[-1]):
         return {"choice": InterleavedRepeats.new(gains, plan.repeats)}
-    return {"confirmation": _confirmation(plan, gains[0])}
+    return {"confirmation": _confirmation(session, gains[0])}
 
 
 def with_excitation(session: Session, rig: RigDescription) -> Session:
@@ -320,7 +322,8 @@ def with_excitation(session: Session, rig: RigDescription) -> Session:
     in a row, for a step trial in between may show enough, or better gains for another.
     """
     tuner, plan = session.plan.tuner, session.plan
-    confirmed = session.confirmation is not None and any(session.confirmation.costs)
+    before = session.confirmation
+    confirmed = before is not None and before.costs != (_known_costs(session), ())
     if session.phase not in (Phase.SEARCH, Phase.CONFIRM) or confirmed:
         return session
     if session.excitation_refused or len(session.excitations) >= EXCITATIONS_MAX:
@@ -349,34 +352,40 @@ def _after_excitation(session: Session, record: LoopRecord | None) -> dict[str, 
     if session.search_end:
         settled = plan.settled_trials(state) if _is_settled(plan, state) else 0
         changed |= {"confirmation": None, "choice": None, "consecutive_settled": settled}
-        changed["search_end"] = _end_of_search(replace(session, **changed))
+        known = replace(session, **changed)
+        changed["search_end"] = _end_of_search(known)
         if changed["search_end"]:
-            changed |= _after_end(plan, state)
+            changed |= _after_end(known)
     return changed
 
 
-def _confirmation(plan: Plan, gains: Gains) -> InterleavedRepeats | None:
+def _known_costs(session: Session) -> tuple[float, ...]:
+    """Costs of the initial gains before the confirmation that count as repeats of theirs."""
+    return session.baseline if session.plan.is_predicted(session.tuner_state) else ()
+
+
+def _confirmation(session: Session, gains: Gains) -> InterleavedRepeats | None:
     """The repeats that confirm candidate gains; None if those are the initial ones."""
-    space = plan.tuner.space
+    plan, space = session.plan, session.plan.tuner.space
     if space.is_same(space.point_of(gains), space.point_of(plan.start)):
         return None
-    return InterleavedRepeats.new((plan.start, gains), max(plan.repeats, 2))
+    compared = plan.start, gains
+    return InterleavedRepeats.new(compared, max(plan.repeats, 2), _known_costs(session))
 
 
 def _extended(repeats: InterleavedRepeats, plan: Plan) -> InterleavedRepeats:
-    """The repeats with one more round where the interval of the improvement is still too wide.
+    """The repeats, over where the interval of the improvement is narrow.
 
     It is narrow enough at a share `precision` of the improvement, or where it excludes an
     improvement above the tolerance of the search.
     """
+
+    def is_narrow(change: Change) -> bool:
+        most = 2.0 * plan.precision * abs(change.estimate)
+        return change.high - change.low <= most or change.low > -plan.tolerance
+
     most = max(CONFIRMATION_REPEATS_MAX, plan.repeats)
-    if repeats.next_index is not None or len(repeats.safe) < 2 or repeats.rounds >= most:
-        return repeats
-    change = repeats.change()
-    narrow = change.high - change.low <= 2.0 * plan.precision * abs(change.estimate)
-    if narrow or change.low > -plan.tolerance:
-        return repeats
-    return repeats._replace(rounds=repeats.rounds + 1)
+    return repeats.until(is_narrow, max(plan.repeats, 2), most)
 
 
 def _unsafe_start(session: Session, outcome: Outcome, cost: float, reason: str) -> str:

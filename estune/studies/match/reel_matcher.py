@@ -20,7 +20,7 @@ from estune.run.journal import FILE_NAME
 from estune.run.loop import ProgressListener
 from estune.run.plan import TRIALS
 from estune.run.results.result import TuneResult
-from estune.run.session import UNSAFE_RATIO, Phase
+from estune.run.session import UNSAFE_RATIO
 from estune.run.targets import open_target
 from estune.studies.match.outcome import (
     CostEstimate,
@@ -236,19 +236,11 @@ def _check_settings(path: Path, result: TuneResult, options: Mapping[str, Any]) 
 
 
 def _cost_of(result: TuneResult, gains: Gains) -> CostEstimate:
-    """The cost of some gains by a run's repeats, those after the search where there are any.
-
-    They are nearer in time to what follows than those before it.
-    """
-    for phase in (Phase.CONFIRM, Phase.BASELINE):
-        costs = [
-            e.cost if math.isfinite(e.cost) else math.inf
-            for e in result.entries
-            if e.phase is phase and e.gains == gains and e.outcome and not e.outcome.is_void
-        ]
-        if costs:
-            return estimate_cost(costs)
-    return estimate_cost([math.inf])
+    """The cost of some gains by a run's confirmation, else that of the initial gains before it."""
+    repeats, session = result.session.confirmation, result.session
+    costs = dict(zip(repeats.gains, repeats.costs, strict=True)) if repeats else {}
+    baseline = session.baseline if gains == session.plan.start else ()
+    return estimate_cost(costs.get(gains) or baseline or [math.inf])
 
 
 def _out_of_reach(cost: CostEstimate, target: float) -> str:
