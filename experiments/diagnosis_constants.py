@@ -28,8 +28,7 @@ from experiments.results import command_line, print_results, save_figure
 from plants.diagnosis.constants import CONSTANTS, Constants
 from plants.diagnosis.data import noise_floor
 from plants.diagnosis.pipeline import intervals as interval_step
-from plants.diagnosis.search import intervals, mains_interference
-from plants.diagnosis.search.decide import decide, probabilities
+from plants.diagnosis.search import decide, intervals, mains_interference
 from plants.diagnosis.search.model_fitter import CandidateFit, ModelFitter
 from plants.effects import EFFECTS
 
@@ -73,7 +72,8 @@ def again(rows: Iterable[Row], c: Constants) -> tuple[float, float]:
     for row in rows:
         if not row.models:
             continue
-        decision = decide(row.models[0], row.models[1:], c)
+        with mock.patch.object(decide, "CONSTANTS", c):
+            decision = decide.decide(row.models[0], row.models[1:])
         accepted = [frozenset(names) for names in row.accepted]
         named = decision.verdict in ("named", "incomplete")
         families = {hidden_machines.family(n) for names in accepted for n in names}
@@ -91,10 +91,11 @@ def confidence(rows: Iterable[Row], c: Constants) -> tuple[float, float]:
     """Mean probability of the models believed where they are right, and where they are not."""
     sums = {True: [0.0, 0.0], False: [0.0, 0.0]}
     for row in rows:
-        decision = decide(row.models[0], row.models[1:]) if row.models else None
+        decision = decide.decide(row.models[0], row.models[1:]) if row.models else None
         if decision is None or not decision.best:
             continue
-        p = probabilities(row.models[0], row.models[1:], c)
+        with mock.patch.object(decide, "CONSTANTS", c):
+            p = decide.probabilities(row.models[0], row.models[1:])
         there = sums[decision.best in [frozenset(names) for names in row.accepted]]
         there[0] += p[decision.best]
         there[1] += 1.0

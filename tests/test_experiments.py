@@ -44,6 +44,7 @@ NIGHTLY = {
     "benchmark_trials",
     "compensation",
     "diagnosis_constants",
+    "diagnosis_numbers",
     "diagnosis_scale",
     "faulty_rigs",
     "hidden_effects",

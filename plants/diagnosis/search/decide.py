@@ -5,7 +5,7 @@ from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from typing import NamedTuple
 
-from plants.diagnosis.constants import CONSTANTS, Constants
+from plants.diagnosis.constants import CONSTANTS
 from plants.diagnosis.result import ModelSummary as Model
 from plants.diagnosis.result import Slugs, Verdict, explained_share
 
@@ -28,44 +28,42 @@ class Decision(NamedTuple):
     leading: Slugs = frozenset()
 
 
-def beats(
-    full: Model, simple: Model, share: float, c: Constants = CONSTANTS, least: float = 0.0
-) -> bool:
+def beats(full: Model, simple: Model, share: float, least: float = 0.0) -> bool:
     """Whether a model takes off so much of what a simpler one leaves above the floor."""
-    return simple.power > max(c.floor, least) and full.power - 1.0 <= (1.0 - share) * (
+    return simple.power > max(CONSTANTS.floor, least) and full.power - 1.0 <= (1.0 - share) * (
         simple.power - 1.0
     )
 
 
-def decide(base: Model, models: Sequence[Model], c: Constants = CONSTANTS) -> Decision:
+def decide(base: Model, models: Sequence[Model]) -> Decision:
     """The verdict on the fits of a search."""
-    if base.power <= c.nothing:
+    if base.power <= CONSTANTS.nothing:
         return Decision("none", frozenset())
-    p = probabilities(base, models, c)
+    p = probabilities(base, models)
     base, *models = relative([base, *models])
     named = [m for m in models if m.named and m.eligible]
-    best = _supported(best_of(models, c), models, p, c)
+    best = _supported(best_of(models), models, p)
     nameless = [m for m in models if not m.named and len(m.names) == 1]
     if best is None:
-        like = [m for m in nameless if explained_share(base.J, m.J) >= c.named_share]
+        like = [m for m in nameless if explained_share(base.J, m.J) >= CONSTANTS.named_share]
         names = [next(iter(m.names)) for m in sorted(like, key=lambda m: m.power)]
         leading = min((m for m in models if m.named), key=lambda m: m.power, default=base)
         return Decision("unknown", frozenset(), like=(*names, "")[0], leading=leading.names)
     likelier = sorted((m for m in named if _is_likelier(m, best)), key=lambda m: m.power)
     for other in likelier:
         explained = explained_share(base.J, other.J)
-        if not beats(best, other, c.one_more, c) and explained >= c.named_share:
+        if not beats(best, other, CONSTANTS.one_more) and explained >= CONSTANTS.named_share:
             best = other
             break
     for law in sorted(nameless, key=lambda m: m.power):
-        fewer = law.values < best.values and not beats(best, law, c.one_more, c)
-        as_few = law.values <= best.values and beats(law, best, c.one_more, c)
-        if fewer or as_few or beats(law, best, c.named_share, c):
+        fewer = law.values < best.values and not beats(best, law, CONSTANTS.one_more)
+        as_few = law.values <= best.values and beats(law, best, CONSTANTS.one_more)
+        if fewer or as_few or beats(law, best, CONSTANTS.named_share):
             return Decision("unknown", frozenset(), like=next(iter(law.names)), leading=best.names)
-    if explained_share(base.J, best.J) < c.named_share and best.power > c.floor:
+    if explained_share(base.J, best.J) < CONSTANTS.named_share and best.power > CONSTANTS.floor:
         return Decision("unknown", frozenset(), leading=best.names)
-    tied = _tied(best, named, p, c)
-    verdict: Verdict = "incomplete" if best.power > c.incomplete else "named"
+    tied = _tied(best, named, p)
+    verdict: Verdict = "incomplete" if best.power > CONSTANTS.incomplete else "named"
     return Decision("ambiguous" if tied else verdict, best.names, tied, leading=best.names)
 
 
@@ -75,9 +73,7 @@ def relative(models: Sequence[Model]) -> list[Model]:
     return [m._replace(J=m.J / least) for m in models]
 
 
-def _tied(
-    best: Model, named: Sequence[Model], p: Mapping[Slugs, float], c: Constants
-) -> tuple[Slugs, ...]:
+def _tied(best: Model, named: Sequence[Model], p: Mapping[Slugs, float]) -> tuple[Slugs, ...]:
     """Models with no more effects that are about as probable: of other families, or rivals.
 
     Of laws of a family a fuller one is taken for the share it explains; two with as many values
@@ -92,21 +88,21 @@ def _tied(
     others = [m for m in others if m.names != best.names]
     # Of two, that whose size a scale tells without the machine is the less likely one.
     others = [m for m in others if len(m.names) <= len(best.names) and not m.known_apart]
-    close = [m for m in others if p[m.names] > c.tied * (p[m.names] + p[best.names])]
+    close = [m for m in others if p[m.names] > CONSTANTS.tied * (p[m.names] + p[best.names])]
     return tuple(m.names for m in sorted(close, key=lambda m: m.power))
 
 
 def _supported(
-    best: Model | None, models: Sequence[Model], p: Mapping[Slugs, float], c: Constants
+    best: Model | None, models: Sequence[Model], p: Mapping[Slugs, float]
 ) -> Model | None:
     """The best model, or of a pair the best without the family that is rather not there."""
     if best is None or len(best.families) < 2:
         return best
     known = family_probabilities(models, p)
     doubtful = min(best.families, key=lambda family: known[family])
-    if known[doubtful] >= c.second:
+    if known[doubtful] >= CONSTANTS.second:
         return best
-    return best_of([m for m in models if doubtful not in m.families], c)
+    return best_of([m for m in models if doubtful not in m.families])
 
 
 def _is_likelier(model: Model, best: Model) -> bool:
@@ -121,21 +117,21 @@ def _is_likelier(model: Model, best: Model) -> bool:
     return model.values < best.values
 
 
-def best_of(models: Sequence[Model], c: Constants = CONSTANTS) -> Model | None:
+def best_of(models: Sequence[Model]) -> Model | None:
     """The best single effect, or the best pair where the second takes off so much more."""
     named = [m for m in models if m.named and m.eligible]
     singles = [m for m in named if len(m.names) == 1]
-    single = _member(singles, c)
+    single = _member(singles)
     pairs = [m for m in named if len(m.names) == 2]
     if single is None or not pairs:
-        return _member(pairs, c) or single
+        return _member(pairs) or single
     fullest = min((m for m in singles if m.families == single.families), key=lambda m: m.power)
-    if beats(min(pairs, key=lambda m: m.power), fullest, c.one_more, c, c.nothing):
-        return _member(pairs, c)
+    if beats(min(pairs, key=lambda m: m.power), fullest, CONSTANTS.one_more, CONSTANTS.nothing):
+        return _member(pairs)
     return single
 
 
-def _member(models: Sequence[Model], c: Constants) -> Model | None:
+def _member(models: Sequence[Model]) -> Model | None:
     """The best model, or the simplest of its families that a fuller one does not beat."""
     if not models:
         return None
@@ -143,21 +139,19 @@ def _member(models: Sequence[Model], c: Constants) -> Model | None:
     alike = sorted((m for m in models if m.families == best.families), key=lambda m: (m.rank, m.J))
     kept = alike[0]
     for fuller in alike[1:]:
-        if fuller.rank > kept.rank and beats(fuller, kept, c.one_more, c):
+        if fuller.rank > kept.rank and beats(fuller, kept, CONSTANTS.one_more):
             kept = fuller
     return kept
 
 
-def probabilities(
-    base: Model, models: Sequence[Model], c: Constants = CONSTANTS
-) -> Mapping[Slugs, float]:
+def probabilities(base: Model, models: Sequence[Model]) -> Mapping[Slugs, float]:
     """Probability of each model: p ~ exp(-L/2), L = n ln(P + f (J0 - 1)) + k ln n.
 
     Powers are relative to the best one's, as in a decision: with a noise that is overestimated two
     laws of 0.74 and 0.95 would else be alike.
     """
     all_ = relative([base, *models])
-    n, slack = c.effective, c.form * (all_[0].power - 1.0)
+    n, slack = CONSTANTS.effective, CONSTANTS.form * (all_[0].power - 1.0)
     L = [n * math.log(m.power + slack) + m.values * math.log(n) for m in all_]
     weight = [math.exp(-0.5 * (cost - min(L))) for cost in L]
     return {m.names: w / sum(weight) for m, w in zip(all_, weight, strict=True)}

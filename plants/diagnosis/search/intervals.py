@@ -37,7 +37,7 @@ def intervals(
         base: The model without effects: of what the effects explain, a share is put down to the
             wrong value where their laws are unlike the machine's.
     """
-    fitted, c = model.fitted, CONSTANTS
+    fitted = model.fitted
     moves = fitter.moves(fitted.predictor)
     residuals, jacobian = fitted.predictor.linearise(
         fitted.values, moves, fitted.entries, fitted.residuals
@@ -55,9 +55,9 @@ def intervals(
         math.sqrt(max(power, 0.0) * residuals.size) for power in (base.J - model.J, model.J - 1.0)
     )
     unexplained = unexplained_length * (
-        c.form_taken_up if model.effects else CONSTANTS.form_lacking
+        CONSTANTS.form_taken_up if model.effects else CONSTANTS.form_lacking
     )
-    form = {e.name: max(e.form_error, c.form_least) for e in model.effects}
+    form = {e.name: max(e.form_error, CONSTANTS.form_least) for e in model.effects}
     stated = {}
     for f, value, s, unit, shift in zip(
         free, values.tolist(), spread, prior, greatest_shifts(columns), strict=True
@@ -71,8 +71,8 @@ def intervals(
             law = form.get(f.owner, max(form.values(), default=0.0))
             by_law = law * min(explained * shift * unit, most)
         else:  # an effect that the model declares: how much it explains is not known
-            by_law = c.form_least * size
-        least = c.base_least * size if f.owner == BASE else 0.0
+            by_law = CONSTANTS.form_least * size
+        least = CONSTANTS.base_least * size if f.owner == BASE else 0.0
         by_rest = min(unexplained * shift * unit, most)
         stated[f.name] = _interval(f, value, math.hypot(s, by_law, by_rest, least))
     return stated

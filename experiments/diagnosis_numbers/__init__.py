@@ -1,0 +1,1 @@
+"""Numbers of the diagnosis, each halved and doubled."""

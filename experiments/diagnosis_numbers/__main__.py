@@ -1,0 +1,280 @@
+"""Which numbers of the diagnosis change a verdict when they are halved or doubled?
+
+Command: `python -m experiments.diagnosis_numbers --into FILE`.
+Target: none; a line for each number, with the cases whose verdict or names it changes.
+
+Numbers are those of `numbers.py`. Each is changed alone, in cases of the development seeds of
+`experiments.hidden_machines` and `experiments.independent_drives`. A case begins with the step in
+which the number is first used; a number that leaves records, noise and base fit as they were, and
+is not used later, changes nothing. `--list` prints the numbers, `--rows` the table of a file,
+`--functions` the functions of the room that a call of `explain` enters.
+"""
+
+import json
+import sys
+import tempfile
+from collections import defaultdict
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, NamedTuple
+from unittest import mock
+
+import numpy as np
+
+import plants
+from estune.recordings.column_map import AS_NAMED, ColumnMap
+from estune.support.blas import one_blas_thread
+from experiments import hidden_machines
+from experiments.diagnosis_numbers.numbers import FOLDER, Number, numbers, replaced
+from experiments.hidden_scores import choice, measurement, model
+from experiments.independent_drives.drives import draw
+from experiments.independent_drives.logs import Logger
+from experiments.results import command_line, print_results
+from plants.diagnosis.models.diagnosed_model import diagnosed
+from plants.diagnosis.pipeline.check import check
+from plants.diagnosis.pipeline.compare import compare
+from plants.diagnosis.pipeline.fit import fit
+from plants.diagnosis.pipeline.noise import noise
+from plants.diagnosis.pipeline.read import read
+from plants.diagnosis.pipeline.screen import screen
+from plants.diagnosis.progress import silent
+from plants.diagnosis.search import least_squares, model_fitter, validation
+from plants.diagnosis.search.effect_choices import EffectChoices
+from plants.models.model_file import load_model
+
+CASES = (
+    *("servo 1", "none 20000", "two 20000", "plain 20001", "link 2", "outside 20000"),
+    *("unloaded 20000", "spindle 1", "left_out 20000", "plain 20002", "stage 5"),
+    *("none_no_encoder 20000", "noise5 20000", "wrong_base 20000", "none 20001", "two 20001"),
+    *("steps_only 20000", "none_unloaded 20000", "outside 20001", "stage 20000", "plain 20003"),
+)
+"""Kinds with the seed of a hidden machine, or the number of an independent drive."""
+DRIVES, DRIVE_SEED = ("servo", "stage", "spindle", "link"), 3000
+STEPS = ("check", "noise", "fit", "screen", "compare")
+FITTED_WITH = ("prediction/", "models/", "search/least_squares.py")
+"""What a fit is made with: with numbers of these each fit is made anew."""
+
+
+class Case(NamedTuple):
+    """What a diagnosis is asked."""
+
+    model: Any
+    records: Any
+    effects: list[str] | None
+    columns: ColumnMap
+
+
+class Said(NamedTuple):
+    """What a diagnosis answers, and the values of its steps."""
+
+    answer: str
+    values: dict[str, Any]
+    used: dict[str, frozenset[tuple[str, int]]]
+
+
+def case_of(name: str, folder: Path) -> Case:
+    """A case by its name; a drive writes its files into a folder."""
+    kind, number = name.split()
+    if kind in DRIVES and int(number) < 100:
+        rng = np.random.default_rng([DRIVE_SEED, int(number), 1, *kind.encode()])
+        logger = Logger.drawn(kind, rng)
+        logger.write(draw(kind, int(number), DRIVE_SEED), folder, rng)
+        return Case(load_model(folder / "model.toml"), folder / "logs", None, logger.columns)
+    drawn, secret = hidden_machines.draw(int(number), kind)
+    records = [measurement(record) for record in drawn.records]
+    return Case(model(drawn), records, choice(drawn, secret), AS_NAMED)
+
+
+def diagnose(case: Case, known: dict[str, Any], stop: Callable[[str, Any], bool]) -> Said | None:
+    """Runs the steps that are not known; None where one says that nothing will change."""
+    values, used = dict(known), {}
+
+    def step(name: str, of: Callable[[], Any]) -> Any:
+        if name not in values:
+            with functions_entered() as entered:
+                values[name] = of()
+            used[name] = frozenset(entered)
+        return values[name]
+
+    logged = step("read", lambda: read(case.records, case.model, case.columns))
+    usable = step("check", lambda: check(logged, case.model))
+    sensors = step("noise", lambda: noise(usable.measurements))
+    if stop("noise", values):
+        return None
+    plant = step("plant", lambda: diagnosed(case.model, usable.measurements))
+    choices = EffectChoices.of(plant, case.effects)
+    fitted = step("fit", lambda: fit(plant, sensors, choices))
+    if stop("fit", values):
+        return None
+    screening = step("screen", lambda: screen(fitted))
+    last = step("compare", lambda: compare(usable, fitted, screening, (), silent))
+    names = sorted(effect.name for effect in last.effects)
+    tied = sorted(last.conclusion.tied) if last.verdict == "ambiguous" else []
+    answer = " ".join([last.verdict, *names, *(["tied:", *tied] if tied else [])])
+    return Said(answer, values, used)
+
+
+@contextmanager
+def functions_entered() -> Iterator[set[tuple[str, int]]]:
+    """The functions entered meanwhile, as (file, first line)."""
+    entered: set[tuple[str, int]] = set()
+
+    def note(frame: Any, event: str, _: Any) -> None:
+        if event == "call":
+            entered.add((frame.f_code.co_filename, frame.f_code.co_firstlineno))
+
+    sys.setprofile(note)
+    try:
+        yield entered
+    finally:
+        sys.setprofile(None)
+
+
+@contextmanager
+def fits_made_once(made: dict[Any, Any]) -> Iterator[None]:
+    """Fits of the same predictor from the same values are not made again."""
+    plain = least_squares.fit
+
+    def once(predictor: Any, *arrays: Any, **options: Any) -> Any:
+        content = tuple(a.tobytes() if isinstance(a, np.ndarray) else a for a in arrays)
+        key = (id(predictor), content, *sorted(options.items()))
+        if key not in made:
+            made[key] = plain(predictor, *arrays, **options)
+        return made[key]
+
+    with mock.patch.object(model_fitter, "fit", once), mock.patch.object(validation, "fit", once):
+        yield
+
+
+def changes(case: Case, number: Number, factor: float, first: Said, made: dict[Any, Any]) -> str:
+    """The answer with another value of a number, or the same."""
+    steps = [name for name, entered in first.used.items() if entered & number.uses]
+    if not steps:
+        return first.answer
+    order = list(first.values)
+    kept = order[: order.index(steps[0])]
+    known = {name: first.values[name] for name in kept}
+    last = max(order.index(name) for name in steps)
+
+    def stop(name: str, values: dict[str, Any]) -> bool:
+        if last > order.index(name) or name in known:
+            return False
+        return bool(_content(name, values) == _content(name, first.values))
+
+    anew = any(part in path for path, _ in number.uses for part in FITTED_WITH)
+    anew |= number.name in ("effective", "range")
+    with replaced(number, factor * number.value), fits_made_once({} if anew else made):
+        said = diagnose(case, known, stop)
+    return first.answer if said is None else said.answer
+
+
+def _content(name: str, values: dict[str, Any]) -> Any:
+    """What later steps take of the steps up to one."""
+    usable, sensors = values["check"], values["noise"]
+    records = [(m.name, m.samples) for m in usable.measurements]
+    found = (records, [str(issue) for issue in usable.findings], sensors.channels)
+    if name == "noise":
+        return found
+    fitter, base = values["fit"].fitter, values["fit"].models.base
+    line = values["fit"].line
+    return (
+        *(found, fitter.base.free, fitter.base.index.sigma.tobytes(), base.values),
+        *(values["fit"].where.blocks, values["fit"].scale, line and line.frequency_Hz),
+    )
+
+
+def read_rows(path: Path | None) -> list[dict[str, Any]]:
+    """The rows of a file; none where there is no file."""
+    if path is None or not path.exists():
+        return []
+    return [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()]
+
+
+def measure(name: str, todo: list[Number]) -> Iterator[dict[str, Any]]:
+    """Halves and doubles each number in one case."""
+    with tempfile.TemporaryDirectory() as place, one_blas_thread():
+        case = case_of(name, Path(place))
+        made: dict[Any, Any] = {}
+        with fits_made_once(made):
+            first = diagnose(case, {}, lambda *_: False)
+        assert first is not None  # noqa: S101  nothing stops it
+        entered = frozenset().union(*first.used.values())
+        for number in todo:
+            if not entered & number.uses:
+                continue
+            for factor in (0.5, 2.0):
+                try:
+                    answer = changes(case, number, factor, first, made)
+                except Exception as error:  # noqa: BLE001  a number that breaks it decides
+                    answer = f"{type(error).__name__}: {error}"[:120]
+                about = {"case": name, "number": number.name, "factor": factor}
+                yield {**about, "before": first.answer, "after": answer}
+
+
+def functions_of(name: str) -> list[str]:
+    """Functions of the room that a call enters, as file:line."""
+    with tempfile.TemporaryDirectory() as place:
+        case = case_of(name, Path(place))
+        with functions_entered() as entered:
+            plants.explain(case.model, case.records, effects=case.effects, columns=case.columns)
+    inside = [(path, line) for path, line in entered if Path(path).is_relative_to(FOLDER)]
+    return [f"{Path(path).relative_to(FOLDER)}:{line}" for path, line in sorted(inside)]
+
+
+def table(rows: list[dict[str, Any]], known: list[Number]) -> dict[str, Any]:
+    """For each number the cases it was used in, and what changed there."""
+    used: dict[str, set[str]] = defaultdict(set)
+    changed: dict[str, list[str]] = defaultdict(list)
+    for row in rows:
+        used[row["number"]].add(row["case"])
+        if row["before"] != row["after"]:
+            what = f"{row['case']} x{row['factor']:g}: {row['before']} -> {row['after']}"
+            changed[row["number"]].append(what)
+    return {
+        f"{n.name} = {n.value:g}": {
+            "cases": len(used[n.name]),
+            "changed": changed[n.name],
+            **({"line": n.text} if n.text else {}),
+        }
+        for n in known
+    }
+
+
+def main() -> int:
+    """Prints the table, or with --json one object."""
+    parser = command_line(__doc__, quick="one case, two numbers")
+    parser.add_argument("--into", type=Path, help="continue this file of rows")
+    parser.add_argument("--rows", type=Path, help="print the table of this file; run nothing")
+    parser.add_argument("--list", action="store_true", help="print the numbers; run nothing")
+    parser.add_argument("--functions", action="store_true", help="print those entered in a call")
+    parser.add_argument("--only", default="", help="names, or beginnings of names, of numbers")
+    parser.add_argument("--cases", type=int, default=len(CASES), help="number of cases")
+    options = parser.parse_args()
+    only = tuple(filter(None, options.only.split(",")))
+    known = [n for n in numbers() if not only or n.name.startswith(only)]
+    if options.functions or options.list:
+        listed = (f"{n.name} = {n.value:g}  {n.text}".rstrip() for n in known)
+        lines = functions_of(CASES[0]) if options.functions else list(listed)
+        print("\n".join(lines), f"{len(lines)} in all", sep="\n")
+        return 0
+    rows = read_rows(options.rows or options.into)
+    if options.rows is None:
+        for name in CASES[: 1 if options.quick else options.cases]:
+            done = {(row["case"], row["number"]) for row in rows}
+            todo = [n for n in known if (name, n.name) not in done]
+            for row in measure(name, todo[:2] if options.quick else todo):
+                rows.append(row)
+                if options.into is not None:
+                    with options.into.open("a", encoding="utf-8") as file:
+                        file.write(json.dumps(row) + "\n")
+    figures = table(rows, known)
+    if not options.json:
+        for name, about in figures.items():
+            print(f"{name}: {about['cases']} cases, {len(about['changed'])} changed")
+            print("".join(f"    {what}\n" for what in about["changed"]), end="")
+    return print_results(figures, {}, as_json=options.json)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

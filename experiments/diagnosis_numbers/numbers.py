@@ -1,0 +1,170 @@
+"""The numbers that decide in `plants.diagnosis`, found in its source, and what replaces them.
+
+A number decides if it stands in a comparison, or in the table `constants.py`. Left out are 0, 1, 2
+and 0.5, guards of a division (1e-6 and less), and what is only shown: `report` and the pages.
+"""
+
+import ast
+import gc
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from types import CodeType, FunctionType
+from typing import NamedTuple
+
+import plants.diagnosis
+from plants.diagnosis.constants import CONSTANTS
+
+FOLDER = Path(plants.diagnosis.__file__).parent
+SHOWN = ("report", "improvement", "experiments")
+"""Folders that decide no verdict."""
+PLAIN = (0.0, 0.5, 1.0, 2.0)
+GUARD = 1e-6
+Functions = ast.FunctionDef | ast.AsyncFunctionDef
+
+
+class Number(NamedTuple):
+    """A number that decides.
+
+    Attributes:
+        name: Name in the table, or `file:line:column`.
+        value: The value.
+        text: The line of source, or empty.
+        uses: Functions that use it, as (file, first line), outermost of nested ones.
+    """
+
+    name: str
+    value: float
+    text: str
+    uses: frozenset[tuple[str, int]]
+
+    @property
+    def in_table(self) -> bool:
+        """Whether it stands in the table."""
+        return ":" not in self.name
+
+
+class _Source(NamedTuple):
+    path: Path
+    tree: ast.Module
+    parents: dict[ast.AST, ast.AST]
+
+    @classmethod
+    def of(cls, path: Path) -> "_Source":
+        tree = ast.parse(path.read_text(encoding="utf-8"))
+        parents = {c: n for n in ast.walk(tree) for c in ast.iter_child_nodes(n)}
+        return cls(path, tree, parents)
+
+    def above(self, node: ast.AST) -> Iterator[ast.AST]:
+        """The nodes that a node lies in, innermost first."""
+        while node in self.parents:
+            node = self.parents[node]
+            yield node
+
+    def function(self, node: ast.AST) -> tuple[str, int] | None:
+        """The outermost function that a node lies in."""
+        around = [n for n in self.above(node) if isinstance(n, Functions)]
+        if not around:
+            return None
+        decorators = [d.lineno for d in around[-1].decorator_list]
+        return str(self.path), min([around[-1].lineno, *decorators])
+
+
+def _sources() -> list[_Source]:
+    paths = sorted(FOLDER.rglob("*.py"))
+    return [_Source.of(p) for p in paths if p.relative_to(FOLDER).parts[0] not in SHOWN]
+
+
+def numbers() -> list[Number]:
+    """All numbers that decide, those of the table first."""
+    sources = _sources()
+    uses: dict[str, set[tuple[str, int]]] = {name: set() for name in CONSTANTS._fields}
+    compared = []
+    for source in sources:
+        for node in ast.walk(source.tree):
+            function = source.function(node)
+            if function is None:
+                continue
+            if isinstance(node, ast.Attribute) and node.attr in uses and _of_table(node):
+                uses[node.attr].add(function)
+            elif _is_compared(source, node):
+                assert isinstance(node, ast.Constant)  # noqa: S101  for the types
+                line = source.path.read_text(encoding="utf-8").splitlines()[node.lineno - 1]
+                place = f"{source.path.relative_to(FOLDER)}:{node.lineno}:{node.col_offset}"
+                number = Number(place, node.value, line.strip(), frozenset([function]))  # type: ignore[arg-type]
+                compared.append(number)
+    table = [Number(n, getattr(CONSTANTS, n), "", frozenset(at)) for n, at in uses.items()]
+    return [*table, *compared]
+
+
+def _of_table(node: ast.Attribute) -> bool:
+    return isinstance(node.value, ast.Name) and node.value.id == "CONSTANTS"
+
+
+def _is_compared(source: _Source, node: ast.AST) -> bool:
+    """Whether a node is a number in a comparison, no index and no plain one."""
+    if not isinstance(node, ast.Constant) or type(node.value) not in (int, float):
+        return False
+    if abs(node.value) in PLAIN or abs(node.value) <= GUARD:  # type: ignore[arg-type]
+        return False
+    around = list(source.above(node))
+    for inner, outer in zip([node, *around], around, strict=False):
+        if isinstance(outer, ast.Subscript) and outer.slice is inner:
+            return False
+        if isinstance(outer, ast.Compare):
+            return True
+        if isinstance(outer, ast.stmt | ast.FormattedValue):
+            return False
+    return False
+
+
+@contextmanager
+def replaced(number: Number, value: float) -> Iterator[None]:
+    """The diagnosis with another value of a number, as long as the context lasts."""
+    undo = _in_table(number, value) if number.in_table else _in_code(number, value)
+    try:
+        yield
+    finally:
+        for holder, name, before in undo:
+            setattr(holder, name, before)
+
+
+def _in_table(number: Number, value: float) -> list[tuple[object, str, object]]:
+    before = CONSTANTS
+    changed = before._replace(**{number.name: value})
+    holders = [m for m in sys.modules.values() if getattr(m, "CONSTANTS", None) is before]
+    for module in holders:
+        module.CONSTANTS = changed  # type: ignore[attr-defined]
+    return [(module, "CONSTANTS", before) for module in holders]
+
+
+def _in_code(number: Number, value: float) -> list[tuple[object, str, object]]:
+    """Functions take the code that their module would have with the other value."""
+    (path, first), (_, line, column) = next(iter(number.uses)), number.name.split(":")
+    tree = ast.parse(Path(path).read_text(encoding="utf-8"))
+    for node in ast.walk(tree):
+        at = getattr(node, "lineno", 0), getattr(node, "col_offset", -1)
+        if isinstance(node, ast.Constant) and at == (int(line), int(column)):
+            node.value = type(number.value)(value) or 1
+    codes = {c.co_firstlineno: c for c in _codes(compile(tree, path, "exec"))}
+    live = [
+        f
+        for f in gc.get_objects()
+        if isinstance(f, FunctionType)
+        and f.__code__.co_filename == path
+        and f.__code__.co_firstlineno == first
+        and f.__code__.co_name == codes[first].co_name
+    ]
+    undo = [(f, "__code__", f.__code__) for f in live]
+    for function in live:
+        function.__code__ = codes[first]
+    return undo  # type: ignore[return-value]
+
+
+def _codes(code: CodeType) -> Iterator[CodeType]:
+    """Code of all functions and methods of a module, none that is nested in another."""
+    for constant in code.co_consts:
+        if isinstance(constant, CodeType):
+            is_class = not constant.co_flags & 0x2  # CO_NEWLOCALS: functions alone have it
+            yield from _codes(constant) if is_class else (constant,)
