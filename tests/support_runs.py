@@ -4,8 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 
+from estune.core.cost import default_cost
 from estune.core.gains import Gains
 from estune.core.pidf import ControllerSettings
+from estune.run.planning import known_start
+from estune.studies.law.start import start_from
 from estune.trial import (
     Outcome,
     RigDescription,
@@ -98,3 +101,9 @@ class Seer(LeastSquaresGradient):
 
     def predict(self, _state, point):
         return CostPrediction(1.0, 0.5, 2.0, explored=point[0] < START.P)
+
+
+def start_for(source, rig):
+    """The initial gains of a source for a rig's own step, with the default cost and limits."""
+    cost = default_cost(rig.settling_time_s).scaled(rig.effort_scale)
+    return known_start(start_from(source), rig, rig.step, cost, None)

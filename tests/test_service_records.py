@@ -17,6 +17,7 @@ from estune.core.gains import Gains
 from estune.core.pidf import ControllerSettings
 from estune.errors import InvalidInput
 from estune.loop_model.optimum import RobustnessLimits
+from estune.loop_model.prediction import predict
 from estune.recordings.loop_log import LoopLog
 from estune.service_records.replay import replay
 from estune.service_records.sources import Logs
@@ -24,6 +25,7 @@ from estune.service_records.stretches import Stretch, find_stretches
 from experiments.loop_claims.truth import TrueLoop, true_sensitivity
 from experiments.sample_efficiency.problems import PROBLEMS
 from experiments.service_records.service import Service, serve
+from tests.support_runs import start_for
 
 REEL = PROBLEMS["reel 1.4 m"]
 
@@ -217,9 +219,7 @@ def test_unknown_gains_are_refused_where_no_effort_shows_them(busy):
 def test_a_tuning_from_logs_starts_within_its_limits_near_the_optimum(busy, tmp_path):
     write(tmp_path / "log.csv", busy.parts[0])
     (tmp_path / "log.csv").write_text((tmp_path / "log.csv").read_text().replace("measured", "y"))
-    rule = estune.start_from(f"records:{tmp_path}")
-    rig = REEL.plant.describe("reel", REEL.start)
-    known = rule(rig)
+    known = start_for(f"records:{tmp_path}", REEL.plant.describe("reel", REEL.start))
     assert true_sensitivity(REEL.plant, known.gains) <= 1.65
     result = estune.tune(
         REEL.plant, start=known, limits=RobustnessLimits(), journal=False, watch=None, trials=8
@@ -228,8 +228,29 @@ def test_a_tuning_from_logs_starts_within_its_limits_near_the_optimum(busy, tmp_
     assert result.verdict.start_cost <= 1.1 * result.verdict.cost
 
 
+@pytest.mark.parametrize("cost", ["itae", "rejection"])
+def test_suggestion_minimises_the_cost_it_is_given(busy, cost):
+    plain, found = suggest(busy), suggest(busy, cost=cost)
+    trial, loop = found.trial, found.fit
+    costs = [
+        predict(loop.model, trial, one.recommendation.gains, loop.noise_N).cost
+        for one in (found, plain)
+    ]
+    assert costs[0] < costs[1]
+
+
+def test_a_tuning_from_logs_keeps_the_cost_and_the_limits_of_its_run(busy, tmp_path):
+    write(tmp_path / "log.csv", busy.parts[0])
+    rig = REEL.plant.describe("reel", REEL.start)
+    rule, limits = estune.start_from(f"records:{tmp_path}"), RobustnessLimits(1.4)
+    known = rule(rig, REEL.trial, limits)
+    assert true_sensitivity(REEL.plant, known.gains) <= 1.45
+    gentle = replace(REEL.trial, cost=replace(REEL.trial.cost, move_weight=20.0))
+    assert rule(rig, gentle, limits).gains.P < known.gains.P
+
+
 def test_logs_that_show_nothing_start_no_tuning(tmp_path):
     write(tmp_path / "log.csv", log_of("still").parts[0] | {})
     (tmp_path / "log.csv").write_text((tmp_path / "log.csv").read_text().replace("measured", "y"))
     with pytest.raises(InvalidInput, match="recommends no gains"):
-        estune.start_from(f"records:{tmp_path}")(REEL.plant.describe("reel", REEL.start))
+        start_for(f"records:{tmp_path}", REEL.plant.describe("reel", REEL.start))

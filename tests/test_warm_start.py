@@ -16,7 +16,7 @@ from estune.interop import linear_model, margins, model_gains
 from estune.run.planning import make_plan
 from estune.run.start import KnownStart
 from experiments.loop_claims import true_sensitivity
-from tests.support_runs import description
+from tests.support_runs import description, start_for
 from tests.test_initial import SETTINGS
 
 s = control.tf("s")
@@ -108,19 +108,19 @@ def test_law_leaves_out_runs_with_another_cost_than_the_latest(runs, tmp_path):
     for run in runs.iterdir():
         (tmp_path / run.name).symlink_to(run)
     tuned(0.7, folder=tmp_path, run="other", cost="itae", trials=3)
-    known = estune.start_from(f"law:{tmp_path}")(plants.reference_reel(1.0).rig().describe())
+    known = start_for(f"law:{tmp_path}", plants.reference_reel(1.0).rig().describe())
     assert "the nearest length" in known.source  # the only run with that cost
     assert known.gains == estune.load(tmp_path / "other").gains
 
 
 def test_law_refuses_lengths_beyond_its_own_and_takes_the_nearest_of_two(runs, tmp_path):
-    rule = estune.start_from(f"law:{runs}")
     with pytest.raises(InvalidInput, match=r"holds from 0.5 to 1.4 m"):
-        rule(plants.reference_reel(cable_length_m=2.0).rig().describe())
+        start_for(f"law:{runs}", plants.reference_reel(cable_length_m=2.0).rig().describe())
     for name in ("at-0-5", "at-1-4"):
         (tmp_path / name).symlink_to(runs / name)
-    nearest = estune.start_from(f"law:{tmp_path}")
-    known = nearest(plants.reference_reel(cable_length_m=1.2).rig().describe())
+    known = start_for(
+        f"law:{tmp_path}", plants.reference_reel(cable_length_m=1.2).rig().describe()
+    )
     assert known.gains == estune.load(runs / "at-1-4").gains
     assert "nearest length" in known.source
 
@@ -136,7 +136,7 @@ def test_sweep_starts_from_a_run_and_its_cells_give_a_law(runs, tmp_path):
     result = estune.sweep(design, folder=tmp_path, jobs=1, watch=None)
     starts = {outcome.cell.start.gains for outcome in result.outcomes}
     assert {estune.load(runs / "at-0-9").gains} == starts
-    known = estune.start_from(f"law:{tmp_path}")(plants.reference_reel(1.0).rig().describe())
+    known = start_for(f"law:{tmp_path}", plants.reference_reel(1.0).rig().describe())
     assert pytest.approx(result.law().band("I", 1.0).gain, rel=1e-5) == known.gains.I
 
 

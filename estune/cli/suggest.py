@@ -32,6 +32,7 @@ def suggest(
     reverse: Flag = False,
     settling_time_s: Annotated[float | None, Parameter(name="--settling")] = None,
     step: float | None = None,
+    cost: str | None = None,
     limits: LimitOptions = NO_LIMITS,
     report: Path | None = None,
     next_: Annotated[Path | None, Parameter(name="--next")] = None,
@@ -51,6 +52,7 @@ def suggest(
         reverse: More effort lowers the measurement.
         settling_time_s: Settling time asked for, s; that of the gains in use by default.
         step: Step that the predictions are for; the range of the setpoint by default.
+        cost: What the gains minimise: paper (the default), itae, ise, or module:function.
         limits: What the recommended gains keep.
         report: Write a report as one HTML page that works offline.
         next_: Folder for the trial that would show what these records do not, for estune
@@ -76,6 +78,7 @@ def suggest(
         reverse=reverse,
         settling_time_s=settling_time_s,
         step=step,
+        cost=cost,
         limits=limits.limits,
     )
     if report is not None:

@@ -140,10 +140,10 @@ def known_start(
         InvalidInput: the rule does not apply to the rig.
         UnsafeStart: the rig's linear model has no stable gains.
     """
+    trial, limits = step_trial(description, step, cost), limits or RobustnessLimits()
     if rule != "model":
-        return rule(description)
-    trial = step_trial(description, step, cost)
-    return model_start(description, trial, limits or RobustnessLimits())
+        return rule(description, trial, limits)
+    return model_start(description, trial, limits)
 
 
 def step_trial(description: RigDescription, step: StepProfile, cost: StepCost) -> StepTrial:

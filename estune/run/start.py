@@ -44,8 +44,8 @@ class KnownStart:
     source: str
 
 
-StartRule = Callable[[RigDescription], KnownStart]
-"""Initial gains for a rig, such as those of `estune.start_from`."""
+StartRule = Callable[[RigDescription, StepTrial, RobustnessLimits], KnownStart]
+"""Initial gains for a rig, a step trial and the limits to be kept, as of `estune.start_from`."""
 
 
 def left_out(start: Gains, tuned: tuple[str, ...], settling_time_s: float) -> str:

@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 
 from estune.core.controller_form import ControllerForm
-from estune.core.cost import default_cost
+from estune.core.cost import StepCost, cost_from
 from estune.core.gains import Gains
 from estune.core.pidf import ControllerSettings
-from estune.core.response import StepShape
+from estune.core.response import CostFunction, LoadStep, StepShape
 from estune.errors import InvalidInput
 from estune.loop_model.intervals import PredictedMargins
 from estune.loop_model.optimum import RobustnessLimits
@@ -66,6 +66,7 @@ def suggest(
     reverse: bool = False,
     settling_time_s: float | None = None,
     step: float | None = None,
+    cost: StepCost | str | CostFunction | None = None,
     limits: RobustnessLimits | None = None,
 ) -> Suggestion:
     """Margins of a running loop and better gains, from records of its ordinary service.
@@ -82,6 +83,8 @@ def suggest(
         reverse: Whether more effort lowers the measurement.
         settling_time_s: Settling time asked of a step; that of the gains in use by default.
         step: Step that the predictions are for; the range of the setpoint by default.
+        cost: What the recommended gains minimise, as `estune.tune` takes it. A `StepCost` has the
+            settling time in it; (35) with a control-move penalty by default.
         limits: What the recommended gains keep; Ms 1.6 and overshoot 5 % by default.
 
     Raises:
@@ -100,8 +103,10 @@ def suggest(
     parts, left_out, replays = _usable(logs, gains, settings)
     worst = _worst(replays)
     in_use = parts[-1].gains
+    if isinstance(cost, StepCost):
+        settling_time_s = cost.settling_time_s
     loop = identify(parts, settings, settling_time_s)
-    trial = _trial(loop, in_use, settling_time_s, step)
+    trial = _trial(loop, in_use, settling_time_s, step, cost or "paper")
     margins, margin = margins_of(loop, trial, in_use)
     judgement = judge(loop, in_use, margins, margin)
     better = recommend(loop, trial, in_use, limits) if judgement.can_tell else None
@@ -178,23 +183,34 @@ def _worst(replays: Sequence[Replay]) -> Replay | None:
 
 
 def _trial(
-    loop: ServiceLoop, in_use: Gains, settling_time_s: float | None, step: float | None
+    loop: ServiceLoop,
+    in_use: Gains,
+    settling_time_s: float | None,
+    step: float | None,
+    cost: StepCost | str | CostFunction,
 ) -> StepTrial:
     """The step that the predictions are for: of the size and the speed of the records."""
     settings, model = loop.settings, loop.fit.model
+    rate = settings.sampling_Hz
     if settling_time_s is None:
         settling_time_s = settling_time(loop, in_use)
     if not math.isfinite(settling_time_s):
-        settling_time_s = model.natural_period / settings.sampling_Hz
+        settling_time_s = model.natural_period / rate
     setpoint = np.concatenate([record.setpoint_N for record in loop.records])
     measured = np.concatenate([record.measurement_N for record in loop.records])
     size = step or float(np.ptp(setpoint)) or float(np.ptp(measured)) or 1.0
-    cost = default_cost(settling_time_s)
-    if math.isfinite(model.static_gain):
+    own = isinstance(cost, StepCost)
+    cost = cost if isinstance(cost, StepCost) else cost_from(cost, settling_time_s)
+    if (cost.unscaled or not own) and math.isfinite(model.static_gain):
         cost = cost.scaled(model.static_gain)
-    samples = math.ceil(TRIAL_SPAN * settling_time_s * settings.sampling_Hz) + 1
+    shape, samples = StepShape(1, size), math.ceil(TRIAL_SPAN * settling_time_s * rate) + 1
+    if cost.rejection:
+        # A load that takes as much effort as the step, once the step has settled.
+        gain = model.static_gain
+        load_N = size / gain if math.isfinite(gain) and gain else size
+        shape, samples = shape._replace(load=LoadStep(samples, load_N)), 2 * samples
     limitless = replace(settings, output_min_N=-math.inf, output_max_N=math.inf)
-    return StepTrial(limitless, cost, 0.0, StepShape(1, size), samples)
+    return StepTrial(limitless, cost, 0.0, shape, samples)
 
 
 def _worthwhile(

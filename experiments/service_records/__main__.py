@@ -134,7 +134,7 @@ def read(loop: KnownLoop, service: Service, seed: int) -> tuple[Suggestion, floa
     begun = time.process_time()
     found = suggest(
         Logs((log,), (), loop.trial.controller),
-        settling_time_s=loop.trial.cost.settling_time_s,
+        cost=loop.trial.cost,
         step=loop.trial.step.size_N,
     )
     return found, time.process_time() - begun

@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING, Literal
 from estune import api
 from estune.core.gains import GAIN_NAMES, Gains
 from estune.errors import InvalidInput, JournalError
+from estune.loop_model.optimum import RobustnessLimits
+from estune.loop_model.prediction import StepTrial
 from estune.run.journal import FILE_NAME
 from estune.run.start import KnownStart, StartRule
 from estune.service_records.sources import RATES_APART, read_logs
@@ -53,7 +55,7 @@ def start_from(source: str) -> StartRule | Literal["model"]:
         return "model"
     if kind == "run" and where:
         known = _of_run(_run_folder(where))
-        return lambda _: known
+        return lambda *_: known
     if kind == "law" and where:
         return partial(_by_length, _tunings(Path(where)), where)
     if kind == "records" and where:
@@ -61,7 +63,9 @@ def start_from(source: str) -> StartRule | Literal["model"]:
     raise InvalidInput(f"{source!r} is no source of initial gains; give {FORMS}")
 
 
-def _by_records(folder: Path, rig: RigDescription) -> KnownStart:
+def _by_records(
+    folder: Path, rig: RigDescription, trial: StepTrial, limits: RobustnessLimits
+) -> KnownStart:
     """The gains that logs of the rig in service recommend."""
     logs = read_logs(folder)
     rate = logs.logs[0].sampling_Hz
@@ -74,8 +78,9 @@ def _by_records(folder: Path, rig: RigDescription) -> KnownStart:
     found = suggest(
         logs._replace(controller=rig.controller),
         gains=stated,
-        settling_time_s=rig.settling_time_s,
-        step=rig.step.step_N,
+        cost=trial.cost,
+        step=trial.step.size_N,
+        limits=limits,
     )
     if found.recommendation is None or found.exit_code:
         raise InvalidInput(f"{folder} recommends no gains: {found.heading()}")
@@ -164,7 +169,13 @@ def _data_point(result: "TuneResult") -> TunedGains:
     )
 
 
-def _by_length(tunings: Sequence[TunedGains], where: str, rig: RigDescription) -> KnownStart:
+def _by_length(
+    tunings: Sequence[TunedGains],
+    where: str,
+    rig: RigDescription,
+    _trial: StepTrial,
+    _limits: RobustnessLimits,
+) -> KnownStart:
     length_m = rig.cable_length_m
     if length_m is None:
         raise InvalidInput(
