@@ -31,7 +31,8 @@ from estune.core.pidf import ControllerSettings
 from estune.core.quantities import FloatArray
 from estune.loop_model.identification import PoleFit, by_cost, improve
 from estune.loop_model.least_squares import Solution, signals_of
-from estune.loop_model.model import LoopModel, exchanged, robustness
+from estune.loop_model.margins import robustness
+from estune.loop_model.model import LoopModel, exchanged
 from estune.loop_model.poles import pair_coordinates, polynomial
 from estune.recordings.loop_log import LoopLog
 from estune.service_records.identification import ServicePart, loop_record

@@ -1,6 +1,7 @@
 """The loop identified from step records: margins, predictions, optimum and claims."""
 
 import math
+from dataclasses import replace
 
 import control
 import numpy as np
@@ -13,13 +14,15 @@ from estune.core.margins import loop_margins, sample_plant
 from estune.loop_model.claim import claim
 from estune.loop_model.fitting import fit_loop, fit_with_excitations
 from estune.loop_model.intervals import predict_with_intervals
-from estune.loop_model.model import LoopModel, close_loop, robustness
+from estune.loop_model.margins import robustness
+from estune.loop_model.model import LoopModel, close_loop
 from estune.loop_model.optimum import RegionSearch, RobustnessLimits
 from estune.loop_model.poles import pair_coordinates, polynomial
-from estune.loop_model.prediction import StepTrial, predict
+from estune.loop_model.prediction import StepTrial, predict, predictions
 from estune.loop_model.records import LoopRecord
 from estune.trial.profiles import StepProfile
 from experiments.loop_claims import true_sensitivity
+from experiments.sample_efficiency.problems import step_trial
 from plants.effects import CoulombFriction, EyeletFriction
 from plants.simulation.noise import NoiseSource
 from tests.support_binomial import least_hits
@@ -242,3 +245,16 @@ def test_claim_is_refused_where_friction_in_the_eyelet_leaves_a_misfit():
     refused = claim(fit, records, trial_of(reel), gains)
     assert refused.margins is None
     assert "estune explain" in refused.reason
+
+
+def test_predictions_of_several_loops_are_those_of_each():
+    trial = step_trial(linear(), COST)
+    exact = exact_model()
+    models = [exact, *(exact._replace(numerator=(b, 0.0, 0.0)) for b in (0.01, 5.0))]
+    gains = [GAINS, replace(GAINS, P=1.2), replace(GAINS, I=0.0)]
+    for several, of in ((models, [GAINS] * 3), ([exact] * 3, gains), (models, gains)):
+        found = predictions(several, trial, of, NOISE_N)
+        alone = [predict(m, trial, g, NOISE_N) for m, g in zip(several, of, strict=True)]
+        np.testing.assert_allclose(found, alone, rtol=1e-9)
+    assert predictions([exact], trial, gains) == predictions([exact] * 3, trial, gains)
+    assert predictions(models, trial, [GAINS]) == predictions(models, trial, [GAINS] * 3)

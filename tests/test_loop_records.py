@@ -16,7 +16,8 @@ from estune.loop_model.claim import claim
 from estune.loop_model.excitation import UnknownLoop, wanted_setpoint
 from estune.loop_model.fitting import fit_loop
 from estune.loop_model.intervals import predict_with_intervals, setpoint_deviation
-from estune.loop_model.model import LoopModel, close_loop, robustness
+from estune.loop_model.margins import robustness
+from estune.loop_model.model import LoopModel, close_loop
 from estune.loop_model.prediction import StepTrial
 from estune.loop_model.records import LoopRecord
 from estune.trial.profiles import StepProfile

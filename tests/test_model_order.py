@@ -11,7 +11,7 @@ from estune.loop_model.drawn_models import drawn_models, white_factor
 from estune.loop_model.fitting import fit_loop
 from estune.loop_model.identification import PoleFit, improve
 from estune.loop_model.least_squares import signals_of
-from estune.loop_model.model import robustness
+from estune.loop_model.margins import robustness
 from estune.loop_model.poles import coordinates_of, difference_polynomial
 from estune.trial.profiles import StepProfile
 from experiments.loop_claims import true_sensitivity

@@ -59,7 +59,9 @@ def equal_range(search: RegionSearch, optimum: Optimum) -> tuple[FloatArray, Flo
     """
     x, here = optimum.coordinates, math.log(optimum.prediction.cost)
     low, high = np.array(search.low, dtype=float), np.array(search.high, dtype=float)
-    for i, axis in enumerate(CURVATURE_STEP * np.eye(x.size)):
+    axes = CURVATURE_STEP * np.eye(x.size)
+    search.all_predicted([x + side * axis for axis in axes for side in (-1.0, 1.0)])
+    for i, axis in enumerate(axes):
         rises = [math.log(search.predicted(x + side * axis).cost) - here for side in (-1.0, 1.0)]
         bend = (rises[0] + rises[1]) / (2.0 * CURVATURE_STEP**2)
         if not 0.0 < bend < math.inf:

@@ -22,7 +22,8 @@ from estune.core.gains import Gains
 from estune.core.pidf import ControllerSettings
 from estune.core.quantities import FloatArray
 from estune.loop_model.loop_fit import LoopFit
-from estune.loop_model.model import LoopModel, close_loop, loop_response
+from estune.loop_model.margins import loop_response
+from estune.loop_model.model import LoopModel, close_loop
 from estune.loop_model.plant_error import (
     DEVIATIONS,
     HALF_WIDTH,

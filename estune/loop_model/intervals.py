@@ -17,8 +17,9 @@ from estune.loop_model.drawn_models import (
 )
 from estune.loop_model.least_squares import Solution, signals_of
 from estune.loop_model.loop_fit import LoopFit
-from estune.loop_model.model import close_loop, robustness
-from estune.loop_model.prediction import Prediction, StepTrial, predict
+from estune.loop_model.margins import robustness
+from estune.loop_model.model import close_loop
+from estune.loop_model.prediction import Prediction, StepTrial, predict, predictions
 from estune.loop_model.records import LoopRecord
 
 DRAWS = 48
@@ -66,11 +67,9 @@ def predict_with_intervals(fit: LoopFit, trial: StepTrial, gains: Gains) -> Pred
     centre = _transformed(predict(fit.model, trial, gains, fit.noise_N))
     low, high = np.full(4, math.inf), np.full(4, -math.inf)
     for factor in (white_factor(fit), clustered_factor(fit)):
-        drawn = [
-            _transformed(predict(model, trial, gains, fit.noise_N))
-            for model in drawn_models(fit, factor, DRAWS, seed=0)
-        ]
-        ends = _ends(np.array(drawn))
+        models = drawn_models(fit, factor, DRAWS, seed=0)
+        drawn = predictions(models, trial, [gains], fit.noise_N)
+        ends = _ends(np.array([_transformed(one) for one in drawn]))
         low, high = np.fmin(low, ends[0]), np.fmax(high, ends[1])
     low, high = np.fmin(low, centre), np.fmax(high, centre)
     error = math.hypot(MODEL_ERROR, FRICTION_ERROR if fit.model.friction_N else 0.0)

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
-from typing import Annotated, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 
@@ -12,7 +12,7 @@ from estune.core.quantities import FloatArray
 from estune.core.setting import Setting, check_settings, documented
 from estune.loop_model.intervals import Interval, PredictedMargins
 from estune.loop_model.model import LoopModel
-from estune.loop_model.prediction import Prediction, StepTrial, predict
+from estune.loop_model.prediction import Prediction, StepTrial, predictions
 from estune.loop_model.sobol import sobol_points
 
 SENSITIVITY_MAX = 1.6
@@ -142,6 +142,9 @@ DESCENTS = 2
 SAME_START = 0.05
 """Largest difference in a logarithm between two starts of which one search is enough."""
 
+SLOPE_STEP = 1e-4
+"""Distance in a logarithm by which slopes of cost and limits are measured."""
+
 GENTLER = np.array([-0.4, -0.6, -0.4, 0.2])
 """Step from gains at which a model is unstable, in logarithms of P, I, D and the filter."""
 
@@ -195,12 +198,17 @@ class RegionSearch:
 
     def predicted(self, x: FloatArray) -> Prediction:
         """The expected cost and constraints at some coordinates."""
-        key = x.tobytes()
-        if key not in self._known:
-            gains = self.gains_of(x)
-            found = predict(self.model, self.trial, gains, self.noise_N)
-            self._known[key] = self.corrected(x, found) if self.corrected else found
-        return self._known[key]
+        return self.all_predicted([x])[0]
+
+    def all_predicted(self, points: Sequence[FloatArray]) -> list[Prediction]:
+        """The expected cost and constraints at several coordinates, at once."""
+        new = {key: x for x in points if (key := x.tobytes()) not in self._known}
+        if new:
+            gains = [self.gains_of(x) for x in new.values()]
+            found = predictions([self.model], self.trial, gains, self.noise_N)
+            for (key, x), one in zip(new.items(), found, strict=True):
+                self._known[key] = self.corrected(x, one) if self.corrected else one
+        return [self._known[x.tobytes()] for x in points]
 
     def _descend(self, start: FloatArray, iterations: int) -> Optimum:
         from scipy.optimize import minimize  # noqa: PLC0415  slow to import
@@ -209,13 +217,27 @@ class RegionSearch:
             self._objective,
             start,
             method="SLSQP",
+            jac=lambda x: self._slopes(x, self._objective),
             bounds=list(zip(self.low, self.high, strict=True)),
-            constraints={"type": "ineq", "fun": lambda x: -self._excess(x)},
-            options={"maxiter": iterations, "ftol": 1e-5, "eps": 1e-4},
+            constraints={
+                "type": "ineq",
+                "fun": lambda x: -self._excess(x),
+                "jac": lambda x: -self._slopes(x, self._excess),
+            },
+            options={"maxiter": iterations, "ftol": 1e-5},
         )
         x = np.clip(found.x, self.low, self.high)
         kept = bool(self._excess(x).max() < TOLERANCE)
         return Optimum(x, self.predicted(x), feasible=kept)
+
+    def _slopes(self, x: FloatArray, values: Callable[[FloatArray], Any]) -> FloatArray:
+        """Slopes of values along each coordinate, shape (..., n), all points predicted at once."""
+        steps = np.where(x + SLOPE_STEP <= self.high, SLOPE_STEP, -SLOPE_STEP)
+        beside = [x + step for step in np.diag(steps)]
+        self.all_predicted([x, *beside])
+        here = values(x)
+        moved = [(values(there) - here) / (there[i] - x[i]) for i, there in enumerate(beside)]
+        return np.stack(moved, axis=-1)
 
     def _objective(self, x: FloatArray) -> float:
         cost = self.predicted(x).cost
@@ -234,6 +256,7 @@ class RegionSearch:
 
     def _best_of(self, count: int) -> FloatArray:
         points: FloatArray = self.low + (self.high - self.low) * sobol_points(self.low.size, count)
+        self.all_predicted(list(points))
         return min(points, key=lambda x: self._penalised(x, 1.0))
 
     def _stabilised(self, start: FloatArray) -> FloatArray | None:

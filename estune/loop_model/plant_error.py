@@ -22,7 +22,7 @@ from estune.core.pidf import ControllerSettings
 from estune.core.quantities import FloatArray
 from estune.loop_model.least_squares import whiten
 from estune.loop_model.loop_fit import LoopFit
-from estune.loop_model.model import loop_response
+from estune.loop_model.margins import loop_response
 from estune.loop_model.noise_model import shaping
 from estune.loop_model.records import LoopRecord
 

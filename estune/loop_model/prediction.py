@@ -1,6 +1,7 @@
 """Cost, overshoot and stability margins that an identified loop predicts at any gains."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from typing import NamedTuple
@@ -12,7 +13,8 @@ from estune.core.gains import Gains
 from estune.core.pidf import ControllerSettings
 from estune.core.quantities import FloatArray
 from estune.core.response import StepShape
-from estune.loop_model.model import ClosedLoop, LoopModel, close_loop, robustness
+from estune.loop_model.margins import robustness_of
+from estune.loop_model.model import ClosedLoop, LoopModel, close_loop
 from estune.loop_model.sampled_loop import sampled_response
 
 
@@ -79,18 +81,39 @@ UNSTABLE = Prediction(math.inf, math.inf, math.inf, math.nan)
 
 def predict(model: LoopModel, trial: StepTrial, gains: Gains, noise_N: float = 0.0) -> Prediction:
     """The predictions by a model of a step trial with these gains."""
-    margins = robustness(model, gains, trial.controller)
-    if not math.isfinite(margins.sensitivity):
-        return UNSTABLE
-    loop = close_loop(model, gains, trial.controller)
-    output, effort = _response(model, loop, trial, gains)
-    peak = float(np.max(output[trial.step.sample : trial.end] / trial.step.size_N)) - 1.0
-    return Prediction(
-        cost=_expected_cost(loop, trial, output, effort, noise_N),
-        overshoot=max(peak, 0.0),
-        sensitivity=margins.sensitivity,
-        phase_margin_deg=margins.phase_margin_deg,
-    )
+    return predictions([model], trial, [gains], noise_N)[0]
+
+
+def predictions(
+    models: Sequence[LoopModel],
+    trial: StepTrial,
+    gains: Sequence[Gains],
+    noise_N: float = 0.0,
+) -> list[Prediction]:
+    """The predictions of a step trial by several models, or with several gains.
+
+    Args:
+        models: Of one order and dead time; one for all gains, or one for each.
+        trial: The step trial.
+        gains: One for all models, or one for each.
+        noise_N: Standard deviation of the measurement noise.
+    """
+    margins = robustness_of(models, gains, trial.controller)
+    found = [UNSTABLE] * len(margins)
+    stable = [i for i, one in enumerate(margins) if math.isfinite(one.sensitivity)]
+    if not stable:
+        return found
+    pairs = [(models[i % len(models)], gains[i % len(gains)]) for i in stable]
+    loops = [close_loop(model, at, trial.controller) for model, at in pairs]
+    responses = [
+        _response(model, loop, trial, at) for (model, at), loop in zip(pairs, loops, strict=True)
+    ]
+    output, effort = (np.array(signals) for signals in zip(*responses, strict=True))
+    costs = _expected_costs(loops, trial, output, effort, noise_N)
+    peaks = np.max(output[:, trial.step.sample : trial.end] / trial.step.size_N, axis=1) - 1.0
+    for i, cost, peak in zip(stable, costs.tolist(), peaks.tolist(), strict=True):
+        found[i] = Prediction(cost, max(peak, 0.0), *margins[i])
+    return found
 
 
 def expected_response(model: LoopModel, trial: StepTrial, gains: Gains) -> FloatArray:
@@ -116,26 +139,40 @@ def _response(
     )
 
 
-def _expected_cost(
-    loop: ClosedLoop, trial: StepTrial, output: FloatArray, effort: FloatArray, noise_N: float
-) -> float:
-    """Cost of a response with the measurement noise in it.
+def _expected_costs(
+    loops: Sequence[ClosedLoop],
+    trial: StepTrial,
+    output: FloatArray,
+    effort: FloatArray,
+    noise_N: float,
+) -> FloatArray:
+    """Costs of responses with the measurement noise in them, shape (loops,).
 
     Where the share of the noise is not known from the weights of the error, it is the mean over
     one fixed sequence of noise and its negative, which leaves out the terms of odd order.
+
+    Args:
+        loops: The loops.
+        trial: The step trial.
+        output: Shape (loops, samples).
+        effort: Shape (loops, samples).
+        noise_N: Standard deviation of the measurement noise.
     """
 
-    def cost(measurement: FloatArray, command: FloatArray) -> float:
+    def cost(measurement: FloatArray, command: FloatArray) -> FloatArray:
         columns = trial.setpoint_N, measurement, command
         rate = trial.controller.sampling_Hz
-        return float(trial.cost.evaluate(rate, trial.step, *columns))
+        return np.asarray(trial.cost.evaluate(rate, trial.step, *columns))
 
     if noise_N == 0.0:
         return cost(output, effort)
     if trial.cost.is_quadratic and trial.step.load is None:
-        return cost(output, effort) + _noise_cost(loop, trial, noise_N)
-    y, u = loop.noise_response(noise_N * fixed_noise(trial.samples))
-    return 0.5 * (cost(output + y, effort + u) + cost(output - y, effort - u))
+        shares = np.array([_noise_cost(loop, trial, noise_N) for loop in loops])
+        return np.asarray(cost(output, effort) + shares)
+    noise = noise_N * fixed_noise(trial.samples)
+    both = [loop.noise_response(noise) for loop in loops]
+    y, u = (np.array(signals) for signals in zip(*both, strict=True))
+    return np.asarray(0.5 * (cost(output + y, effort + u) + cost(output - y, effort - u)))
 
 
 @lru_cache(maxsize=16)

@@ -17,7 +17,7 @@ from estune.loop_model.fitting import fit_loop, fit_with_excitations
 from estune.loop_model.intervals import PredictedMargins
 from estune.loop_model.limit_price import LimitPrice, price_of
 from estune.loop_model.loop_fit import LoopFit
-from estune.loop_model.model import robustness
+from estune.loop_model.margins import robustness
 from estune.loop_model.optimum import RobustnessLimits
 from estune.loop_model.prediction import expected_response
 from estune.loop_model.records import LoopRecord

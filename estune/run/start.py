@@ -15,7 +15,7 @@ from estune.errors import InvalidInput, UnsafeStart
 from estune.interop import model_gains, sampled_model
 from estune.loop_model.fitting import fit_loop
 from estune.loop_model.loop_fit import LoopFit
-from estune.loop_model.model import robustness
+from estune.loop_model.margins import robustness
 from estune.loop_model.optimum import RegionSearch, RobustnessLimits
 from estune.loop_model.prediction import StepTrial
 from estune.loop_model.records import LoopRecord

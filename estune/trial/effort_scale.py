@@ -6,6 +6,7 @@ import numpy as np
 
 from estune.core.quantities import FloatArray
 from estune.loop_model.fitting import fit_loop
+from estune.loop_model.margins import frequency_response
 from estune.loop_model.records import LoopRecord
 from estune.trial.profiles import StepProfile
 from estune.trial.records import TrialRecord
@@ -40,7 +41,7 @@ def measured_effort_scale(
     )
     fit = fit_loop([signals], record.sampling_Hz, settling_time_s)
     theta = np.array([2.0 * math.pi / (settling_time_s * record.sampling_Hz)])
-    scale = float(np.abs(fit.model.frequency_response(theta))[0])
+    scale = float(np.abs(frequency_response(fit.model, theta))[0])
     return scale if fit.responds and 0.0 < scale < math.inf else 1.0
 
 

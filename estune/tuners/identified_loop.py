@@ -22,7 +22,8 @@ import numpy as np
 from estune.loop_model.excitation import UnknownLoop
 from estune.loop_model.fitting import fit_loop, fit_with_excitations
 from estune.loop_model.loop_fit import LoopFit
-from estune.loop_model.model import LoopModel, robustness
+from estune.loop_model.margins import robustness
+from estune.loop_model.model import LoopModel
 from estune.loop_model.optimum import TOLERANCE, Optimum, RegionSearch, RobustnessLimits
 from estune.loop_model.prediction import Prediction, StepTrial, predict
 from estune.loop_model.records import LoopRecord

@@ -16,7 +16,7 @@ from estune.core.gains import Gains
 from estune.core.quantities import FloatArray
 from estune.errors import UnsafeStart
 from estune.loop_model.fitting import fit_loop
-from estune.loop_model.model import robustness
+from estune.loop_model.margins import frequency_response, robustness
 from estune.loop_model.records import LoopRecord
 from plants.models.mounting import HOW_TO_GIVE_GAINS
 from plants.simulation.plant import Plant, TrialSetpoint, drive_of
@@ -83,7 +83,7 @@ def identified_gains(plant: Plant, settling_time_s: float, rest_effort_N: float)
         return sensitivity <= SENSITIVITY_MAX and _holds(plant, gains)
 
     slow = min(2.0 * math.pi / settling_time_s / controller.sampling_Hz, 3.0)
-    size = float(np.abs(model.frequency_response(np.array([slow])))[0])
+    size = float(np.abs(frequency_response(model, np.array([slow])))[0])
     gains = cautious_gains(size, settling_time_s, safe)
     if gains is None:
         raise _unknown("no slow PI holds the identified model")

@@ -7,7 +7,7 @@ from typing import Any
 
 from estune.core.gains import Gains
 from estune.loop_model.fitting import fit_loop
-from estune.loop_model.model import robustness
+from estune.loop_model.margins import robustness
 from estune.trial import TrialRequest
 from estune.trial.loop_records import loop_signals
 

@@ -15,6 +15,7 @@ from estune.core.quantities import ComplexArray, FloatArray
 from estune.interop import sampled_model
 from estune.loop_model.drawn_models import drawn_models, white_factor
 from estune.loop_model.loop_fit import LoopFit
+from estune.loop_model.margins import frequency_response
 from estune.support.plot_style import BLUE, GREY, LIGHT, ORANGE, finish, legend, new_figure
 from estune.trial import RigDescription
 
@@ -53,8 +54,8 @@ class PlantResponse:
         frequency, theta = _grid(settings.sampling_Hz, settling_time_s)
         # A fixed seed: the same run gives the same page.
         models = drawn_models(fit, white_factor(fit), DRAWS, seed=0)
-        drawn = [model.frequency_response(theta) for model in models]
-        return cls(frequency, fit.model.frequency_response(theta), np.array(drawn))
+        drawn = [frequency_response(model, theta) for model in models]
+        return cls(frequency, frequency_response(fit.model, theta), np.array(drawn))
 
     @classmethod
     def of_rig(cls, rig: RigDescription) -> "PlantResponse | None":
