@@ -125,9 +125,9 @@ def test_friction_adds_no_energy(name, share):
 @pytest.mark.parametrize("order", [1, -1], ids=["forward", "backward"])
 def test_compiled_trial_equals_that_of_the_virtual_machine(order, monkeypatch):
     reel = all_on(order)
-    equations = reel.structure.equations()
     seen = []
-    for loop in (CompiledLoop(equations), CasadiLoop(loop_functions(equations))):
+    virtual = CasadiLoop(loop_functions(reel.structure.equations()))
+    for loop in (CompiledLoop(reel.structure), virtual):
         monkeypatch.setattr("plants.models.plant_model.trial_loop", lambda _, loop=loop: loop)
         noise = np.random.default_rng(3).normal(0.0, 0.05, UP.samples(REEL.sampling_Hz))
         seen.append(plants.simulate(reel, GAINS, UP, noise_N=noise))

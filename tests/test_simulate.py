@@ -86,6 +86,44 @@ def test_corrupt_library_is_compiled_again(cache, damage):
     assert again.read_bytes() == whole
 
 
+def no_equations(_):
+    raise AssertionError("the equations were written")
+
+
+@pytest.mark.usefixtures("cache")
+def test_known_library_is_loaded_without_its_equations(monkeypatch):
+    structure = plants.reference_reel().structure
+    trial_loop.__wrapped__(structure)
+    monkeypatch.setattr(type(structure), "equations", no_equations)
+    assert isinstance(trial_loop.__wrapped__(structure), CompiledLoop)
+    other = (plants.reference_reel() + plants.CoulombFriction()).structure
+    with pytest.raises(AssertionError, match="were written"):
+        trial_loop.__wrapped__(other)
+
+
+@pytest.mark.usefixtures("cache")
+def test_equations_of_a_users_effect_are_written_in_every_process(monkeypatch):
+    class Own(plants.CoulombFriction):
+        """Might have another text in the next process."""
+
+    structure = (plants.reference_reel() + Own()).structure
+    trial_loop.__wrapped__(structure)
+    monkeypatch.setattr(type(structure), "equations", no_equations)
+    with pytest.raises(AssertionError, match="were written"):
+        trial_loop.__wrapped__(structure)
+
+
+@pytest.mark.parametrize("damage", ["", "*", "0" * 32])
+def test_note_of_a_library_that_is_not_there_is_written_again(cache, damage):
+    structure = plants.reference_reel().structure
+    trial_loop.__wrapped__(structure)
+    (note,) = cache.glob("*.key")
+    whole = note.read_text()
+    note.write_text(damage)
+    assert isinstance(trial_loop.__wrapped__(structure), CompiledLoop)
+    assert note.read_text() == whole
+
+
 def test_concurrent_processes_compile_the_same_structure(cache):
     code = (
         "import plants; from estune.core.gains import Gains;"
@@ -101,7 +139,8 @@ def test_concurrent_processes_compile_the_same_structure(cache):
     answers = [process.communicate(timeout=120) for process in started]
     assert {error for _, error in answers} == {""}
     assert len({out for out, _ in answers}) == 1
-    assert {path.suffix for path in cache.iterdir()} == {".so"}  # no partial file remains
+    # No partial file remains.
+    assert {path.suffix for path in cache.iterdir()} == {".so", ".key"}
 
 
 def run_elsewhere(**environment):

@@ -5,16 +5,18 @@ bytes, so that a truncated or damaged one is detected before it is loaded, and c
 Files appear by an atomic rename, so that two processes may compile the same source at once.
 """
 
+import contextlib
 import ctypes
 import hashlib
 import logging
 import os
+import re
 import shlex
 import shutil
 import subprocess
 import tempfile
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from functools import cache
 from pathlib import Path
 
@@ -31,6 +33,7 @@ FLAGS = (
     *("-fPIC", "-shared", "-fvisibility=hidden", "-w"),
 )
 COMPILE_LIMIT_s = 120.0
+_KEY = "[0-9a-f]{32}"
 
 
 def load(source: str, optimise: str = "-O3") -> ctypes.CDLL:
@@ -55,6 +58,35 @@ def load(source: str, optimise: str = "-O3") -> ctypes.CDLL:
         except OSError as error:
             reason = f"{folder}: {error.strerror or error}"
     raise PlantError(reason)
+
+
+def load_named(name: str, written: Callable[[], str], optimise: str = "-O3") -> ctypes.CDLL:
+    """The library of a C source that takes long to write, by a name of it.
+
+    Args:
+        name: Text that differs wherever the source differs.
+        written: Gives the source; it is called where the cache does not know the name.
+        optimise: The compiler's option for it.
+
+    Raises:
+        PlantError: there is no compiler, it failed, or the library cannot be loaded.
+    """
+    command = (*compiler(), optimise)
+    folder = next(_folders())
+    note = folder / f"{_key(name, command)}.key"
+    try:
+        key = note.read_text(encoding="ascii")
+        library = _load_cached(folder, key) if re.fullmatch(_KEY, key) else None
+    except (OSError, UnicodeError):
+        library = None
+    if library is None:
+        source = written()
+        library = load(source, optimise)
+        with contextlib.suppress(OSError):
+            with tempfile.NamedTemporaryFile("w", dir=folder, delete=False) as file:
+                file.write(_key(source, command))
+            Path(file.name).replace(note)
+    return library
 
 
 def notice(reason: str) -> None:

@@ -1,6 +1,7 @@
 /* The closed-loop trial: a loop around the generated functions estune_prepare, estune_sense and
  * estune_substep. The compiled file has them before this text, with the sizes CONSTANTS, STATES,
- * SUBSTEPS, PIDF_STATES and COEFFICIENTS, and COMPENSATED, 1 for trials with compensations, else 0.
+ * SUBSTEPS, PIDF_STATES and COEFFICIENTS; COMPENSATED is 1 for trials with compensations, OUTSIDE 1
+ * for a plant with a gauge outside, else 0.
  *
  * The dead time is a ring buffer of past drives. During sample k the plant is driven by
  * drive[k - delay - 1] for the dead time's fraction of a sample, then by drive[k - delay].
@@ -92,6 +93,9 @@ static long one_trial(long samples, long delay, double bound, double preload, do
   }
   return samples;
 }
+
+/* Whether the plant has a gauge outside. */
+__attribute__((visibility("default"))) const int estune_outside = OUTSIDE;
 
 /* Runs a batch of trials, one after the other; the arrays of a trial follow each other. A stride
  * of zero shares the parameters or the noise among all trials. Returns nonzero without memory. */

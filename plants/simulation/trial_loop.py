@@ -19,6 +19,7 @@ from estune.trial import SATURATED
 from plants.simulation.buffers import Buffers
 from plants.simulation.c_source import c_source
 from plants.simulation.compensation import TrialCompensation
+from plants.simulation.compiled_structure import compiled
 from plants.simulation.equations import Equations
 from plants.simulation.plant import Columns
 
@@ -55,12 +56,11 @@ class Batch(NamedTuple):
 @lru_cache(maxsize=64)
 def trial_loop(structure: Structure) -> "CompiledLoop | CasadiLoop":
     """Trial loop of a structure, compiled if there is a compiler."""
-    equations = structure.equations()
     try:
-        return CompiledLoop(equations)
+        return CompiledLoop(structure)
     except PlantError as error:
         c_compiler.notice(str(error))
-        return CasadiLoop(loop_functions(equations))
+        return CasadiLoop(loop_functions(structure.equations()))
 
 
 class Functions(NamedTuple):
@@ -136,32 +136,27 @@ def loop_functions(plant: Equations, *, compensated: bool = True) -> Functions:
 class CompiledLoop:
     """The trial as a C library. Calls release the interpreter's lock."""
 
-    def __init__(self, plant: Equations) -> None:
+    def __init__(self, structure: Structure) -> None:
         """Compiles the loop of `trial_loop.c` without compensations; with them at the first use.
 
         Raises:
             PlantError: no compiler, or it failed.
         """
-        self._plant = plant
-        self._reference = plant.outside is not None
-        self._plain = self._compiled(compensated=False)
+        self._structure = structure
+        library = self._library(compensated=False)
+        self._reference = bool(ctypes.c_int.in_dll(library, "estune_outside").value)
+        self._plain = _trials(library)
 
     @cached_property
     def _compensated(self) -> Any:
-        return self._compiled(compensated=True)
+        return _trials(self._library(compensated=True))
 
-    def _compiled(self, *, compensated: bool) -> Any:
-        functions = loop_functions(self._plant, compensated=compensated)
-        trials = c_compiler.load(_source(functions, compensated=compensated)).estune_trials
-        address, count = ctypes.c_void_p, ctypes.c_long
-        trials.argtypes = (
-            *(count, count, count, ctypes.c_double, ctypes.c_double, ctypes.c_double),
-            *(address, count, address, address, address, address, count),
-            *(address, address, address, address, address, address),
-            *(address, count, ctypes.c_double, address),
-        )
-        trials.restype = ctypes.c_int
-        return trials
+    def _library(self, *, compensated: bool) -> ctypes.CDLL:
+        def source() -> str:
+            functions = loop_functions(self._structure.equations(), compensated=compensated)
+            return _source(functions, compensated=compensated)
+
+        return compiled(self._structure, f"trial, compensated {compensated}", source)
 
     def run(self, batch: Batch) -> Columns:
         """Runs the trials, one after the other."""
@@ -178,9 +173,9 @@ class CompiledLoop:
         flags, ended = np.empty((trials, samples), np.uint8), np.empty(trials, np.int64)
         tension, signal_bytes = _address(signals), 8 * trials * samples
         compensation = batch.compensation
-        compiled = None if compensation is None else compensation.compiled()
-        terms = None if compiled is None else np.empty((trials, samples, TERMS))
-        failed = (self._plain if compiled is None else self._compensated)(
+        beside = None if compensation is None else compensation.compiled()
+        terms = None if beside is None else np.empty((trials, samples, TERMS))
+        failed = (self._plain if beside is None else self._compensated)(
             *(trials, samples, batch.delay, batch.bound_N, batch.preload_N, batch.open_loop),
             _address(parameters),
             parameters.shape[1] if parameters.ndim > 1 else 0,
@@ -193,8 +188,8 @@ class CompiledLoop:
             tension + 3 * signal_bytes if self._reference else None,
             _address(flags),
             _address(ended),
-            None if compiled is None else compiled.function,
-            0 if compiled is None else compiled.size,
+            None if beside is None else beside.function,
+            0 if beside is None else beside.size,
             0.0 if compensation is None else compensation.plan.period_s,
             None if terms is None else _address(terms),
         )
@@ -202,6 +197,20 @@ class CompiledLoop:
             raise MemoryError(f"no memory for a dead time of {batch.delay} samples")
         reference = signals[3] if self._reference else None
         return Columns(signals[0], signals[1], signals[2], flags, ended, reference, terms)
+
+
+def _trials(library: ctypes.CDLL) -> Any:
+    """The library's function that runs trials, with the types of its arguments."""
+    trials = library.estune_trials
+    address, count = ctypes.c_void_p, ctypes.c_long
+    trials.argtypes = (
+        *(count, count, count, ctypes.c_double, ctypes.c_double, ctypes.c_double),
+        *(address, count, address, address, address, address, count),
+        *(address, address, address, address, address, address),
+        *(address, count, ctypes.c_double, address),
+    )
+    trials.restype = ctypes.c_int
+    return trials
 
 
 def _address(array: Any) -> int:
@@ -220,6 +229,7 @@ def _source(functions: Functions, *, compensated: bool) -> str:
         "PIDF_STATES": PIDF_STATES,
         "COEFFICIENTS": COEFFICIENTS,
         "COMPENSATED": int(compensated),
+        "OUTSIDE": int(functions.has_reference),
         "INTEGRAL": INTEGRAL,
         "FILTERED_SETPOINT": FILTERED_SETPOINT,
     }

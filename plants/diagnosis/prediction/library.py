@@ -8,11 +8,11 @@ from typing import Any
 import casadi as ca
 
 from estune.errors import PlantError
-from estune.support import c_compiler
 from plants.diagnosis.models.diagnosed_model import SENSORS
 from plants.models.path_structure import PathStructure
 from plants.models.symbolic_plant import TracedStructure
 from plants.simulation.c_source import c_source
+from plants.simulation.compiled_structure import compiled
 from plants.simulation.equations import Equations
 
 CHANNELS = ("tension_N", "angle_rad", "reference_N", "current_A")
@@ -54,17 +54,20 @@ class Library:
         Raises:
             PlantError: no compiler, or it failed.
         """
-        equations = structure.equations()
         names = (*structure.parameter_names, *SENSORS)
         self.columns = {name: n for n, name in enumerate(names)}
-        self.placed = equations.place.numel_in(2)
         try:
-            source = _source(equations, self.columns["delay_samples"])
-            library = c_compiler.load(source, OPTIMISE)
+            library = compiled(
+                structure,
+                "prediction",
+                lambda: _source(structure.equations(), self.columns["delay_samples"]),
+                OPTIMISE,
+            )
         except PlantError as error:
             raise PlantError(
                 f"predictions have to be compiled, and cannot be: {error}; install gcc or clang"
             ) from error
+        self.placed = ctypes.c_int.in_dll(library, "estune_placed").value
         self._predict = library.estune_predict
         self._predict.argtypes = (ctypes.c_void_p,)
         self._predict.restype = ctypes.c_int

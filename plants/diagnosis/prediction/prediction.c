@@ -234,6 +234,9 @@ APART int ready(const Task *task, Rows *rows, Ring *ring, long m, long r, Stretc
   return 0;
 }
 
+/* Number of states that are reset. */
+__attribute__((visibility("default"))) const int estune_placed = PLACED;
+
 /* Runs all rows; zero, or nonzero without memory. What is called for each sample is in place. */
 __attribute__((visibility("default"), flatten)) int estune_predict(const Task *task) {
   const long samples = task->samples;
