@@ -19,6 +19,8 @@ from estune.errors import InvalidInput
 from estune.loop_model.optimum import RobustnessLimits
 from estune.loop_model.prediction import predict
 from estune.recordings.loop_log import LoopLog
+from estune.service_records.advice import advise
+from estune.service_records.identification import ServicePart, identify
 from estune.service_records.replay import replay
 from estune.service_records.sources import Logs
 from estune.service_records.stretches import Stretch, find_stretches
@@ -247,6 +249,15 @@ def test_a_tuning_from_logs_keeps_the_cost_and_the_limits_of_its_run(busy, tmp_p
     assert true_sensitivity(REEL.plant, known.gains) <= 1.45
     gentle = replace(REEL.trial, cost=replace(REEL.trial.cost, move_weight=20.0))
     assert rule(rig, gentle, limits).gains.P < known.gains.P
+
+
+def test_advised_experiment_is_as_long_as_the_wanted_interval_needs(busy):
+    found = suggest(busy)
+    loop = identify(
+        [ServicePart(s, REEL.start) for s in found.stretches], REEL.trial.controller, None
+    )
+    rough, fine = (advise(loop, found.trial, REEL.start, aim) for aim in (0.1, 0.05))
+    assert fine.share > rough.share or fine.duration_s > 3.0 * rough.duration_s
 
 
 def test_logs_that_show_nothing_start_no_tuning(tmp_path):

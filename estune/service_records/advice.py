@@ -44,11 +44,13 @@ class AdvisedExperiment(NamedTuple):
     Attributes:
         share: Its rms over the step.
         duration_s: Its length.
+        aim: Half width of ln Ms that it reaches by the identified loop.
         trial: The trial, for `estune run-experiment`.
     """
 
     share: float
     duration_s: float
+    aim: float
     trial: TrialFile
 
 
@@ -60,14 +62,16 @@ def advice(found: AdvisedExperiment | None) -> str:
             "that move the measurement well beyond its noise."
         )
     return (
-        f"To know Ms to {math.expm1(AIM):.0%}, hold the setpoint with a multisine of "
+        f"To know Ms to {math.expm1(found.aim):.0%}, hold the setpoint with a multisine of "
         f"{found.share:.0%} of the step (rms) from {_Hz(found.trial, first=True):.3g} to "
         f"{_Hz(found.trial, first=False):.3g} Hz for {found.duration_s:.3g} s."
     )
 
 
-def advise(loop: ServiceLoop, trial: StepTrial, gains: Gains) -> AdvisedExperiment | None:
-    """The gentlest multisine that would show the margins; None where none is known to."""
+def advise(
+    loop: ServiceLoop, trial: StepTrial, gains: Gains, aim: float = AIM
+) -> AdvisedExperiment | None:
+    """The gentlest multisine that would show ln Ms to a half width; None where none would."""
     fit, settling_s, rate = loop.fit, trial.cost.settling_time_s, trial.controller.sampling_Hz
     middle = float(np.mean(np.concatenate([record.setpoint_N for record in loop.records])))
     for share in SHARES:
@@ -76,12 +80,12 @@ def advise(loop: ServiceLoop, trial: StepTrial, gains: Gains) -> AdvisedExperime
         still = np.zeros(setpoint.size)
         record = LoopRecord(still, still, setpoint, gains)
         half = DEVIATIONS * setpoint_deviation(fit, [record], gains, trial.controller)
-        periods = max(math.ceil((half / AIM) ** 2), 1) if math.isfinite(half) else math.inf
+        periods = max(math.ceil((half / aim) ** 2), 1) if math.isfinite(half) else math.inf
         if periods * PERIOD <= LONGEST:
             length_s = periods * profile.period_s
             whole = replace(profile, duration_s=length_s)
             file = TrialFile("multisine", whole, gains, "to know the margins of the gains in use")
-            return AdvisedExperiment(share, length_s, file)
+            return AdvisedExperiment(share, length_s, aim, file)
     return None
 
 

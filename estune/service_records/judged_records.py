@@ -126,7 +126,7 @@ class JudgedRecords:
                 f"{self.recommendation.price:.0%}: with more data less cautious gains keep the "
                 "limits."
             )
-        if self.recommendation is None:
+        if self.recommendation is None or self.experiment is not None:
             remarks.append(advice(self.experiment))
         return remarks
 

@@ -67,6 +67,7 @@ def suggest(
     settling_time_s: float | None = None,
     step: float | None = None,
     cost: StepCost | str | CostFunction | None = None,
+    trial: StepTrial | None = None,
     limits: RobustnessLimits | None = None,
 ) -> Suggestion:
     """Margins of a running loop and better gains, from records of its ordinary service.
@@ -85,6 +86,8 @@ def suggest(
         step: Step that the predictions are for; the range of the setpoint by default.
         cost: What the recommended gains minimise, as `estune.tune` takes it. A `StepCost` has the
             settling time in it; (35) with a control-move penalty by default.
+        trial: The step trial that costs and overshoots are predicted for; then `cost`, `step` and
+            the settling time are its own.
         limits: What the recommended gains keep; Ms 1.6 and overshoot 5 % by default.
 
     Raises:
@@ -103,10 +106,16 @@ def suggest(
     parts, left_out, replays = _usable(logs, gains, settings)
     worst = _worst(replays)
     in_use = parts[-1].gains
+    if trial is not None:
+        cost = trial.cost
     if isinstance(cost, StepCost):
         settling_time_s = cost.settling_time_s
     loop = identify(parts, settings, settling_time_s)
-    trial = _trial(loop, in_use, settling_time_s, step, cost or "paper")
+    if trial is None:
+        trial = _trial(loop, in_use, settling_time_s, step, cost or "paper")
+    # The limits of the effort are about a level that the records do not name.
+    limitless = replace(trial.controller, output_min_N=-math.inf, output_max_N=math.inf)
+    trial = replace(trial, controller=limitless)
     margins, margin = margins_of(loop, trial, in_use)
     judgement = judge(loop, in_use, margins, margin)
     better = recommend(loop, trial, in_use, limits) if judgement.can_tell else None
@@ -115,7 +124,14 @@ def suggest(
         verdict = "other gains ran"
     elif judgement.can_tell:
         verdict = "change" if better and _worthwhile(margins, better, limits) else "keep"
-    advised = None if better else advise(loop, trial, in_use)
+    if better is None:
+        advised = advise(loop, trial, in_use)
+    elif better.price > WORTHWHILE:
+        # The price is about as large as the intervals are wide.
+        aim = judgement.half_width * WORTHWHILE / better.price
+        advised = advise(loop, trial, in_use, aim)
+    else:
+        advised = None
     return Suggestion(
         verdict=verdict,
         in_use=in_use,
@@ -209,8 +225,7 @@ def _trial(
         gain = model.static_gain
         load_N = size / gain if math.isfinite(gain) and gain else size
         shape, samples = shape._replace(load=LoadStep(samples, load_N)), 2 * samples
-    limitless = replace(settings, output_min_N=-math.inf, output_max_N=math.inf)
-    return StepTrial(limitless, cost, 0.0, shape, samples)
+    return StepTrial(settings, cost, 0.0, shape, samples)
 
 
 def _worthwhile(

@@ -78,8 +78,7 @@ def _by_records(
     found = suggest(
         logs._replace(controller=rig.controller),
         gains=stated,
-        cost=trial.cost,
-        step=trial.step.size_N,
+        trial=trial,
         limits=limits,
     )
     if found.recommendation is None or found.exit_code:
