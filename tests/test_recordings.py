@@ -294,6 +294,27 @@ def test_units_of_the_heading_are_used_and_contradictions_refused(tmp_path):
 
 
 @pytest.mark.parametrize(
+    ("ending", "factor", "unit", "taken"),
+    [
+        ("deg", 57.3, "", "deg"),
+        ("rad", 1.0, "", "rad"),
+        ("in", 1.0, "", "rad"),  # a word
+        ("s", 1.0, "", "rad"),  # of another dimension
+        ("deg", 1.0, "rad", "rad"),  # the map says otherwise
+    ],
+)
+def test_unit_that_a_channels_name_ends_in_is_used_and_told(tmp_path, ending, factor, unit, taken):
+    c, name = columns(), f"turned_{ending}"
+    foreign = {"time_s": c["time_s"], "current_A": c["current_A"], name: c["angle_rad"]}
+    write_csv(tmp_path / "log.csv", foreign)
+    units = {"angle": unit} if unit else {}
+    read = read_recording(tmp_path / "log.csv", AS_NAMED.with_options({"angle": name}, units, {}))
+    np.testing.assert_allclose(factor * read.parts[0]["angle_rad"], c["angle_rad"], rtol=1e-3)
+    assert read.mapped["angle_rad"].unit == taken
+    assert any("as its name ends" in issue.sentence for issue in read.issues) == (taken != "rad")
+
+
+@pytest.mark.parametrize(
     ("options", "message"),
     [
         (({"tensoin": "F"}, {}, {}), "did you mean tension"),

@@ -42,6 +42,37 @@ def test_orders_and_sizes_of_cogging_are_found_in_the_current(records):
         assert waves.parameters[f"phase_{k}_rad"].value == pytest.approx(phi, abs=0.05)
 
 
+def giving_way(w0_rad_s, inertia=3e-4, waves=((12.0, 6e-3, 1.0), (24.0, 3e-3, 2.0))):
+    """A drive whose soft loop lets its speed swing with the cogging, by a third."""
+    per_s = 1e4
+    t = np.arange(round(10.0 * per_s)) / per_s
+    angle, torque = np.empty(t.size), np.empty(t.size)
+    x = v = total = 0.0
+    for k in range(t.size):
+        wanted = w0_rad_s if t[k] < 5.0 else -w0_rad_s
+        total += 0.4 * (wanted - v) / per_s
+        torque[k] = 0.02 * (wanted - v) + total
+        pulled = sum(size * np.sin(order * x + phi) for order, size, phi in waves)
+        v += (torque[k] - 1e-4 * v - pulled) / inertia / per_s
+        x += v / per_s
+        angle[k] = x
+    every = round(per_s / RATE_Hz)
+    read = np.round(angle[::every] / 8e-4) * 8e-4
+    current = torque[::every] / TORQUE_Nm_A
+    return replace(open_loop(1, RATE_Hz, current, angle_rad=read), loop="closed")
+
+
+def test_inertia_of_a_drive_whose_speed_swings_is_not_taken_for_cogging():
+    model = replace(SERVO, drum_inertia_kg_m2=3e-4)
+    records = [giving_way(0.8), giving_way(0.6)]
+    waves = torque_waves(records, [BaseNumbers.of(model, m) for m in records], 1e-3)
+    assert waves.orders[:2] == (12.0, 24.0)
+    for k, true in ((1, 6e-3), (2, 3e-3)):
+        amplitude = waves.parameters[f"amplitude_{k}_Nm"]
+        assert amplitude.value == pytest.approx(true, rel=0.05)
+        assert amplitude.low < true < amplitude.high
+
+
 def test_drive_that_does_not_cog_has_no_waves():
     waves = found([turning(n, waves=()) for n in range(2)])
     assert waves is None or waves.share < 0.3

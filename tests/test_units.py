@@ -6,6 +6,7 @@ import pytest
 import plants
 from estune import tune
 from estune.core.gains import GAIN_UNITS, Gains, gain_units
+from estune.recordings.units import find_unit
 from estune.remote import messages
 from estune.remote.messages import Description
 from estune.remote.messages.replies import decode_description
@@ -15,6 +16,9 @@ from estune.studies.law.tuned import TunedGains
 from estune.support.html_page import render
 from estune.support.quantity_text import change_text, interval_text, time_text
 from estune.trial.signals import Signals
+from plants.diagnosis.interval import Interval
+from plants.diagnosis.report.plant_units import in_own_units, own_names
+from plants.effects import TorqueRipple
 from plants.models.model_file import load_model, save_model
 
 LABELS = {"measurement": "temperature, K", "command": "heating power, W"}
@@ -126,3 +130,24 @@ def test_model_file_keeps_the_labels(tmp_path):
     loaded = load_model(tmp_path / "oven.toml").rig().describe()
     assert (loaded.measurement, loaded.command) == tuple(LABELS.values())
     assert loaded.measurement_unit == "K"
+
+
+def test_waves_of_a_stage_come_back_every_so_many_metres():
+    stage = plants.stage(2.0, 8.0)
+    found = {
+        name: in_own_units(
+            TorqueRipple, name, Interval(value, 0.9 * value, 1.1 * value, unit), stage
+        )
+        for name, value, unit in (("per_turn", 157.08, ""), ("phase_rad", 0.5, "rad"))
+    }
+    assert found["per_turn"].value == pytest.approx(25.0, rel=1e-4)
+    assert found["per_turn"].unit == "1/m"
+    assert found["phase_rad"].unit == "rad"
+    assert own_names(TorqueRipple, found, stage.scale)["per_turn"] == "per_m"
+    said = TorqueRipple.sentence({"amplitude_Nm": 5.0, "per_turn": found["per_turn"].value}, stage)
+    assert "every 40 mm" in said
+
+
+@pytest.mark.parametrize("written", ["mNm", "mN m", "mN.m", "mN*m", "[mN\N{MIDDLE DOT}m]"])
+def test_torques_are_written_in_several_ways(written):
+    assert find_unit(written) == "mNm"

@@ -19,6 +19,8 @@ from estune.recordings.units import UNITS, Drum, find_unit, si_factor
 from estune.reel.calibration import CurrentCalibration, GaugeCalibration
 from estune.support.toml_file import TomlTable, read_toml, validate
 
+_WORDS = ("in", "min")
+"""Units that are words, too: `force_in` is no length."""
 _STEMS = {name.partition("_")[0]: name for name in TABLE_COLUMNS}
 
 
@@ -163,7 +165,7 @@ def map_column(name: str, table: ColumnTable, channel: Channel, drum: Drum) -> M
         calibrated = _calibrated(name, values, table.calibration)
         return Mapped(channel.name, "counts", np.nan, calibrated, channel.time_s)
     stem, _, si = name.partition("_")
-    unit = _unit(stem, table, channel, si or "")
+    unit = _unit(stem, table, channel, si or "") or unit_by_name(table, channel, si, drum)
     try:
         factor = si_factor(unit, si, drum) if unit else 1.0
     except InvalidInput as error:
@@ -176,7 +178,7 @@ def map_column(name: str, table: ColumnTable, channel: Channel, drum: Drum) -> M
 
 
 def _unit(stem: str, table: ColumnTable, channel: Channel, si: str) -> str:
-    """The unit of a column: the map's, else the file's, else that of the column's name."""
+    """The unit of a column: the map's, else the file's; empty where neither states one."""
     given = find_unit(table.unit) if table.unit else None
     stated = find_unit(channel.unit) if channel.unit else None
     if given and stated and given != stated:
@@ -186,7 +188,29 @@ def _unit(stem: str, table: ColumnTable, channel: Channel, si: str) -> str:
         )
     if channel.unit and not (given or stated) and si:
         raise Unusable(_unknown_unit(channel.unit, channel.name), stem)
-    return given or stated or si
+    return given or stated or ""
+
+
+def unit_by_name(table: ColumnTable, channel: Channel, si: str, drum: Drum) -> str:
+    """The unit that a channel's name ends in, as `angle_deg`, else the record's own.
+
+    Only where nothing else says one: a scale is of values in the record's own unit.
+
+    Args:
+        table: The map's entry.
+        channel: The channel.
+        si: The record's own unit; empty for a plain number.
+        drum: Numbers of the reel, for lengths and torques.
+    """
+    ending = channel.name.rpartition("_")[2]
+    unit = find_unit(ending) if "_" in channel.name and ending not in _WORDS else None
+    if unit is None or not si or table.scale != 1.0 or table.offset != 0.0:
+        return si
+    try:
+        si_factor(unit, si, drum)
+    except InvalidInput:
+        return si
+    return unit
 
 
 def _unknown_unit(unit: str, where: str) -> str:

@@ -6,11 +6,18 @@ from typing import NamedTuple
 import numpy as np
 
 from estune.core.quantities import FloatArray
-from estune.recordings.column_map import AS_NAMED, ColumnMap, Mapped, find_channel, map_column
+from estune.recordings.column_map import (
+    AS_NAMED,
+    ColumnMap,
+    ColumnTable,
+    Mapped,
+    find_channel,
+    map_column,
+)
 from estune.recordings.column_names import MEASURED, METADATA, TABLE_COLUMNS, suggest_name
 from estune.recordings.issue import DataIssue, Unusable
 from estune.recordings.metadata import Metadata, metadata_beside
-from estune.recordings.raw_file import RawFile, read_raw
+from estune.recordings.raw_file import Channel, RawFile, read_raw
 from estune.recordings.timing import Columns, evened, resampled
 from estune.recordings.units import NO_DRUM, Drum
 from estune.trial.records import COMPENSATION_COLUMNS
@@ -92,11 +99,21 @@ def _mapped(
             issues.append(DataIssue("warning", sentence, name))
         else:
             mapped[name] = found
+            issues += _by_name(name, table, channel, found)
     used = {m.source for m in mapped.values()}
     left = frozenset(c.name for c in raw.channels) - used
     present = left | mapped.keys()
     known = TABLE_COLUMNS if not column_map.column else ()  # a map says what is meant
     return mapped, issues + _check_names(present, known, used)
+
+
+def _by_name(name: str, table: ColumnTable, channel: Channel, found: Mapped) -> list[DataIssue]:
+    """What is said of a unit that only the channel's name states."""
+    stem, _, si = name.partition("_")
+    if table.unit or channel.unit or found.unit in ("", "counts", si):
+        return []
+    said = f"{channel.name} is taken to be in {found.unit}, as its name ends"
+    return [DataIssue("warning", f"{said}; give --unit {stem}={si} if it is not", name)]
 
 
 def _check_names(

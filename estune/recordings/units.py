@@ -1,6 +1,7 @@
 """Units of recorded data, with the conversions that a drum makes possible."""
 
 import math
+import re
 from typing import NamedTuple
 
 from estune.errors import InvalidInput
@@ -70,17 +71,16 @@ _SPELLINGS = {
     "µm": "um",
     "μm": "um",
     "inch": "in",
-    "N*m": "Nm",
-    "N.m": "Nm",
-    "N·m": "Nm",
-    "N m": "Nm",
 }
+_PRODUCT = re.compile(r"[ .*·⋅]")
 
 
 def find_unit(text: str) -> str | None:
     """The name in `UNITS` of a unit as a file or a user writes it; None where it is not known."""
     bare = text.strip().strip("[]()").strip()
     name = _SPELLINGS.get(bare, bare)
+    if name not in UNITS:
+        name = _PRODUCT.sub("", name)  # mN m, mN.m, mN*m
     return name if name in UNITS else None
 
 

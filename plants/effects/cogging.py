@@ -8,7 +8,7 @@ import casadi as ca
 from plants.effects import angle_phase
 from plants.effects.effect import Effect, Port, Response, Signal, Site, Values
 from plants.effects.parameter import PHASE_MAX_rad, Role, parameter, phase
-from plants.effects.plant_scale import PlantScale, digits
+from plants.effects.plant_scale import PlantScale
 from plants.effects.remedy import Remedy, angle_map, workshop
 
 WAVES = 5
@@ -91,11 +91,11 @@ class Cogging(Effect):
         """Sentence with the fitted values."""
         waves = sorted(_waves(p), key=lambda wave: -wave[0])
         listed = ", ".join(
-            f"{plant.torque(size)} {digits(order)} times a turn"
+            f"{plant.torque(size)} {plant.periods(order)}"
             for size, order, _ in waves
             if size > 0.0
         )
-        return f"has a motor that cogs: its torque varies with the angle by {listed}"
+        return f"has a motor that cogs: its effort varies with the {plant.along} by {listed}"
 
     @classmethod
     def remedies(cls, p: Values, plant: PlantScale) -> tuple[Remedy, ...]:
@@ -125,11 +125,12 @@ class Cogging(Effect):
 
 
 def _waves(p: Values) -> list[tuple[Signal, Signal, Signal]]:
-    """Amplitude, periods and phase of each wave."""
+    """Amplitude, periods and phase of each wave that there is."""
     own = vars(p)
     return [
         (own[f"amplitude_{k}_Nm"], own[f"per_turn_{k}"], own[f"phase_{k}_rad"])
         for k in range(1, WAVES + 1)
+        if f"amplitude_{k}_Nm" in own
     ]
 
 

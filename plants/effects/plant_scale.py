@@ -174,6 +174,20 @@ class PlantScale(NamedTuple):
         wound = angle_rad * self.radius_m if self.has_cable else math.nan
         return f"{self.amount(angle_rad, 'rad')}{also(wound, 'm', ' of cable')}"
 
+    def periods(self, number: float) -> str:
+        """How often a wave comes back: in a turn, or of a position every so many metres."""
+        unit = self.output_unit or _OUTPUT if self.is_plant else self.unit("rad")
+        return (
+            f"{digits(number)} times a turn"
+            if unit == "rad"
+            else f"every {si(1.0 / number, unit)}"
+        )
+
+    @property
+    def along(self) -> str:
+        """What a wave is over, in words."""
+        return "angle" if self.unit("rad") == "rad" and not self.is_plant else "position"
+
     def cable(self, length_m: float) -> str:
         """A length of cable."""
         if self.is_plant:

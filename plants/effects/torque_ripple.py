@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from plants.effects import angle_phase
 from plants.effects.effect import Effect, Port, Response, Signal, Site, Values
 from plants.effects.parameter import Role, Share, parameter, phase
-from plants.effects.plant_scale import PlantScale, digits
+from plants.effects.plant_scale import PlantScale
 from plants.effects.remedy import Remedy, angle_map, workshop
 
 
@@ -40,8 +40,8 @@ class TorqueRipple(Effect):
     def describe(cls, p: Values, plant: PlantScale) -> str:
         """Sentence with the fitted values."""
         return (
-            f"has a motor that cogs: its torque varies by {plant.torque(p.amplitude_Nm)} either "
-            f"way, {digits(p.per_turn)} times a turn, the same at each passage"
+            f"has a motor that cogs: its effort varies by {plant.torque(p.amplitude_Nm)} either "
+            f"way, {plant.periods(p.per_turn)}, the same at each passage"
         )
 
     @classmethod

@@ -120,7 +120,8 @@ def _sentence(
 
 def _named(effect: type[Effect], believed: Mapping[str, Interval], model: Any) -> NamedEffect:
     """An effect by its fitted values, in the plant's own names and units."""
-    fitted = {n: believed[f"{effect.name}.{n}"] for n in effect.parameters()}
+    keys = {n: f"{effect.name}.{n}" for n in effect.parameters()}
+    fitted = {n: believed[key] for n, key in keys.items() if key in believed}
     parameters = {name: in_own_units(effect, name, at, model) for name, at in fitted.items()}
     sentence = effect.sentence({name: at.value for name, at in parameters.items()}, model)
     with_values = effect(**{name: at.value for name, at in fitted.items()})

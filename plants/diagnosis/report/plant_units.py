@@ -4,6 +4,7 @@ Effects are declared in a reel's units. A stage declares its own; of a plant kno
 output alone `plants.models.linear_signal_path` defines the equivalents.
 """
 
+import math
 import re
 from collections.abc import Mapping
 from dataclasses import replace
@@ -11,7 +12,7 @@ from typing import Any
 
 from plants.diagnosis.interval import Interval
 from plants.diagnosis.residual.localisation import ResidualDependence, ResidualLocation
-from plants.effects import Effect, Port
+from plants.effects import Effect, Port, Role
 from plants.effects.plant_scale import PlantScale
 from plants.models.linear_signal_path import READINGS_PER_ANGLE, ARM_m
 
@@ -25,9 +26,16 @@ def in_own_units(effect: type[Effect], name: str, fitted: Interval, model: Any) 
         fitted: Its value and interval, in the declared unit.
         model: The model that was fitted; those of a reel are unchanged.
     """
-    declared = effect.parameters()[name]
-    units = {} if declared.is_phase else _units(effect.port, model)
-    size, unit = units.get(fitted.unit, (1.0, PlantScale.of(model).unit(fitted.unit)))
+    declared, scale = effect.parameters()[name], PlantScale.of(model)
+    if declared.is_phase:
+        return fitted
+    units = _units(effect.port, model)
+    size, unit = units.get(fitted.unit, (1.0, scale.unit(fitted.unit)))
+    if declared.role is Role.PERIODS:
+        # What turns by 2 pi a turn moves by so many metres, or units of a plant's output.
+        radian, length = units.get("rad", (1.0, scale.unit("rad")))
+        if length != "rad":
+            size, unit = 1.0 / (2.0 * math.pi * radian), f"1/{length}"
     if declared.low >= 0.0:
         size = abs(size)
     low, high = sorted((fitted.low * size, fitted.high * size))
@@ -46,7 +54,13 @@ def own_names(
     """
     declared = effect.parameters()
     units = {name: "" if declared[name].is_phase else declared[name].unit for name in fitted}
-    return {name: scale.parameter(name, units[name], at.unit) for name, at in fitted.items()}
+    # Periods are of a turn, 1, or of a length, 1/m.
+    return {
+        name: scale.parameter(name, units[name], at.unit)
+        if declared[name].role is not Role.PERIODS or not at.unit
+        else name.replace("per_turn", f"per_{at.unit.removeprefix('1/')}")
+        for name, at in fitted.items()
+    }
 
 
 def located_in_own_units(where: ResidualLocation, scale: PlantScale) -> ResidualLocation:
