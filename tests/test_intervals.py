@@ -43,3 +43,19 @@ def test_error_of_a_law_shifts_a_value_the_most_along_its_own_direction():
     shifted = np.abs(np.linalg.lstsq(columns.T, errors.T, rcond=None)[0][0])
     assert shifted[0] == pytest.approx(greatest_shifts(columns)[0], rel=1e-3)
     assert shifted[1:].max() < shifted[0]
+
+
+def test_records_count_by_what_they_show_of_a_value():
+    rng, shown = np.random.default_rng(4), np.array([1.0, 0.2, 0.05])
+    group = np.repeat(np.arange(3), EACH)
+    columns = np.stack([np.ones(group.size), 30.0 * shown[group]])
+    normal = columns @ columns.T
+    found, stated = [], []
+    for _ in range(400):
+        residuals = rng.standard_normal(group.size)
+        found.append(np.linalg.solve(normal, columns @ residuals))
+        left = residuals - found[-1] @ columns
+        stated.append([jackknife(columns, left, group, unequal=kind)[1] for kind in (True, False)])
+    by_share, alike = np.sqrt(np.mean(np.square(stated), axis=0))
+    assert by_share == pytest.approx(np.std(found, axis=0)[1], rel=0.3)
+    assert alike > 2.0 * by_share

@@ -44,12 +44,12 @@ def test_orders_and_sizes_of_cogging_are_found_in_the_current(records):
 
 def giving_way(w0_rad_s, inertia=3e-4, waves=((12.0, 6e-3, 1.0), (24.0, 3e-3, 2.0))):
     """A drive whose soft loop lets its speed swing with the cogging, by a third."""
-    per_s = 1e4
-    t = np.arange(round(10.0 * per_s)) / per_s
+    per_s = 4e3
+    t = np.arange(round(20.0 * per_s)) / per_s
     angle, torque = np.empty(t.size), np.empty(t.size)
     x = v = total = 0.0
     for k in range(t.size):
-        wanted = w0_rad_s if t[k] < 5.0 else -w0_rad_s
+        wanted = w0_rad_s if t[k] < 10.0 else -w0_rad_s
         total += 0.4 * (wanted - v) / per_s
         torque[k] = 0.02 * (wanted - v) + total
         pulled = sum(size * np.sin(order * x + phi) for order, size, phi in waves)

@@ -1,7 +1,13 @@
-"""Step 5: the share of what the base model leaves that each effect's direction explains."""
+"""Step 5: the share of what the base model leaves that each effect's direction explains.
+
+A base model that makes up for a missing effect by a number far from the one given is another
+machine: a friction of 700 times that of a drive hides the limit of its current. Directions are
+then looked at beside the model as given, too, and the one that explains more counts.
+"""
 
 from plants.diagnosis.constants import CONSTANTS
 from plants.diagnosis.pipeline.fit import BaseFit
+from plants.diagnosis.search.limitations import has_moved
 from plants.diagnosis.search.nameless_laws import NAMELESS
 from plants.diagnosis.search.score_context import ScoreContext
 from plants.diagnosis.search.screening import Screening, ScreeningResult, screen_effect
@@ -11,10 +17,13 @@ from plants.effects import Effect
 def screen(fitted: BaseFit) -> Screening:
     """Directions of all effects to choose from, and of the laws without a name."""
     fitter, base = fitted.fitter, fitted.models.base
-    context = ScoreContext.of(fitter, base, fitted.scale)
+    origins = (base, fitted.models.given) if has_moved(base) else (base,)
+    contexts = [ScoreContext.of(fitter, origin, fitted.scale) for origin in origins]
 
     def screened(effect: type[Effect]) -> ScreeningResult:
-        return screen_effect(effect, fitter.predictor((effect,)), context)
+        predictor = fitter.predictor((effect,))
+        directions = (screen_effect(effect, predictor, context) for context in contexts)
+        return max(directions, key=lambda direction: direction.screening_R2)
 
     declared = {e.name: screened(e) for e in fitted.choices.structural}
     if CONSTANTS.nothing >= base.J:

@@ -1,5 +1,6 @@
 """The models that were fitted, and what a decision between them rests on."""
 
+import itertools
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 
@@ -45,9 +46,10 @@ class FittedModels:
         return [summarise(fit, scale) for fit in (self.base, *self.with_effects.values())]
 
     def judged(self, fitter: ModelFitter) -> list[ModelSummary]:
-        """The summaries; a pair is eligible only where each effect's interval excludes nothing.
+        """The summaries; a model is eligible only where each effect's interval excludes nothing.
 
-        Intervals are worked out of those pairs that beat every single effect in them.
+        Intervals are worked out of those pairs that beat every single effect in them, and of the
+        single effects that leave the least until one of them is shown.
         """
         summaries = self.summaries(fitter.scale)
         singles = {s.names: s for s in summaries if len(s.names) == 1}
@@ -61,10 +63,17 @@ class FittedModels:
                 and all(r is None or beats(pair, r, CONSTANTS.one_more) for r in rivals)
             )
 
+        def is_shown(model: ModelSummary) -> bool:
+            return has_evidence(fitter, self.with_effects[model.names], self.base)
+
+        leading = sorted(
+            (s for s in singles.values() if s.named and s.eligible), key=lambda s: s.J
+        )
+        unshown = {s.names for s in itertools.takewhile(lambda s: not is_shown(s), leading)}
         return [
-            s._replace(eligible=has_evidence(fitter, self.with_effects[s.names], self.base))
+            s._replace(eligible=is_shown(s))
             if is_in_question(s)
-            else s
+            else s._replace(eligible=s.eligible and s.names not in unshown)
             for s in summaries
         ]
 

@@ -4,8 +4,13 @@
 
 J is the derivative of the residuals r by the values in prior deviations, H = J^T J, g one of G
 groups of entries that belong together: blocks of time, or whole records. Residuals may have any
-colour within a group, and a group that alone determines a value counts in full, where the sandwich
+colour within a group, and a block that alone determines a value counts in full, where the sandwich
 of White (1980) has it near zero.
+
+Records are unlike by design, and those that hardly show a value say little of it without the one
+that does. Of them d_g^2 counts c_g = min(1/w_g - 1, G - 1) times, in the place of G - 1, with the
+share w_g = 1 - (H^-1)_ii/((H - H_g)^-1)_ii of what is known that is due to the record (Busing,
+Meijer & van der Leeden 1999), and G is the sum of c_g/(1/w_g - 1).
 
 No machine follows a law exactly, which shifts values in a way that every group shares. A relative
 model error f changes a value by at most f sqrt((H^-1)_ii); f is a share of the length of what the
@@ -49,7 +54,7 @@ def intervals(
     record = fitted.predictor.index.measurement[fitted.entries]
     spread = prior * np.maximum(
         jackknife(columns, residuals, fitter.group[fitted.entries]),
-        jackknife(columns, residuals, record),
+        jackknife(columns, residuals, record, unequal=True),
     )
     explained, unexplained_length = (
         math.sqrt(max(power, 0.0) * residuals.size) for power in (base.J - model.J, model.J - 1.0)
@@ -108,7 +113,11 @@ def _deviation(free: Free, value: float) -> float:
 
 
 def jackknife(
-    columns: FloatArray, residuals: FloatArray, group: NDArray[np.int64] | NDArray[np.int32]
+    columns: FloatArray,
+    residuals: FloatArray,
+    group: NDArray[np.int64] | NDArray[np.int32],
+    *,
+    unequal: bool = False,
 ) -> FloatArray:
     """Standard errors by leaving out one group at a time, shape (values,).
 
@@ -116,15 +125,24 @@ def jackknife(
         columns: Derivative of the residuals by the values in prior deviations, (values, entries).
         residuals: Shape (entries,).
         group: Number of each entry's group, same shape.
+        unequal: Whether a group counts by the share of what is known that is due to it.
     """
+    unit = np.eye(len(columns))
     normal = columns @ columns.T
     groups = np.unique(group)
-    total = np.zeros(len(columns))
+    of_all = np.diag(np.linalg.inv(normal + unit))
+    total, count = np.zeros(len(columns)), np.zeros(len(columns))
     for n in groups:
         of_group = columns[:, group == n]
-        others = normal - of_group @ of_group.T + np.eye(len(columns))
-        moved = np.linalg.solve(others, of_group @ residuals[group == n])
-        total += np.clip(moved, -2.0, 2.0) ** 2
-    count = groups.size
-    spread: FloatArray = np.sqrt(total * (count - 1) / max(count, 1))
+        of_others = np.linalg.inv(normal - of_group @ of_group.T + unit)
+        moved = of_others @ (of_group @ residuals[group == n])
+        weight = np.full(len(columns), groups.size - 1.0)
+        expected = np.ones(len(columns))
+        if unequal:
+            known = np.clip(of_all / np.diag(of_others), 1e-12, 1.0 - 1e-12)  # by the others
+            weight = np.minimum(known / (1.0 - known), weight)
+            expected = weight * (1.0 - known) / known
+        total += weight * np.clip(moved, -2.0, 2.0) ** 2
+        count += expected
+    spread: FloatArray = np.sqrt(total / np.maximum(count, 1e-12))
     return spread

@@ -9,7 +9,7 @@ from estune.recordings.issue import DataIssue
 from plants.diagnosis.data.measured_record import MeasuredRecord
 from plants.diagnosis.data.noise import step_of, upper_rms
 from plants.diagnosis.interval import QUANTILE
-from plants.diagnosis.models.free_parameters import Free
+from plants.diagnosis.models.free_parameters import BASE, Free
 from plants.diagnosis.models.signal_scales import travels
 from plants.diagnosis.result import Limitation
 from plants.diagnosis.search.model_fitter import CandidateFit
@@ -70,12 +70,17 @@ def _of_tension(measurements: Sequence[MeasuredRecord]) -> list[Limitation]:
     return [Limitation("tension_below_zero", label, f"{said}; {remedy}", by_data=True)]
 
 
+def has_moved(base: CandidateFit) -> bool:
+    """Whether a number of the model came out further from what was given than is believed."""
+    return bool(_of_base(base, PlantScale()))
+
+
 def _of_base(base: CandidateFit, scale: PlantScale) -> list[Limitation]:
     limits = []
     for f in base.fitted.predictor.free:
         value = base.values[f.name]
         # An offset is about zero: nothing is stated of it that it could contradict.
-        if f.owner != "base" or not f.start > 0.0 or (f.low < 0.0 and f.scale == "linear"):
+        if f.owner != BASE or not f.start > 0.0 or (f.low < 0.0 and f.scale == "linear"):
             continue
         factor, name = value / f.start, scale.name(f.name)
         moved = f"{name} moved to {factor:.2g} times what was given"
