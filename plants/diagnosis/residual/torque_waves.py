@@ -100,7 +100,8 @@ class TorqueWaves(NamedTuple):
     Attributes:
         parameters: Those of `Cogging`, with their intervals.
         offset_Nm: The constant torque of the drive beside them.
-        before_A: Root mean square of the current about its mean, on data left out.
+        before_A: Root mean square of the current that inertia and friction leave, on data left
+            out.
         after_A: What the waves leave of it.
         noise_A: Noise of the current, smoothed alike.
         orders: Periods a turn, the greatest wave first.
@@ -124,9 +125,10 @@ class TorqueWaves(NamedTuple):
     def sentence(self) -> str:
         """What they explain, in plain words."""
         said = (
-            f"Over the angle it explains {self.share:.0%} of the current on data left out, "
-            f"{self.before_A:.3g} A rms about its mean, of which {self.after_A:.3g} A are left "
-            f"in slow motion, {self.after_A / self.noise_A:.2g} times its noise."
+            f"Over the angle it explains {self.share:.0%} of the current that inertia and "
+            f"friction do not, on data left out: {self.before_A:.3g} A rms, of which "
+            f"{self.after_A:.3g} A are left in slow motion, {self.after_A / self.noise_A:.2g} "
+            "times its noise."
         )
         if self.held_A is not None:
             said += f" On the held-out records {self.held_A[1]:.3g} of {self.held_A[0]:.3g} A."
@@ -158,9 +160,9 @@ def torque_waves(
         return None
     parts = _parts(motions)
     K, rate_Hz = first.newtons_per_ampere * first.drum_radius_m, first.sampling_Hz
-    laws = [CurrentLaw(orders, m, a) for m in (False, True) for a in (False, True)]
-    after, law = min((law.left_out(parts), law) for law in laws)
-    before = CurrentLaw(()).left_out(parts)
+    # What inertia and friction explain by themselves is no wave.
+    before, plain = _best((), parts)
+    after, law = _best(orders, parts)
     fitted = law.fitted(parts)
     shifts = [law.fitted(parts[:n] + parts[n + 1 :]) - fitted for n in range(len(parts))]
     error = np.sqrt((len(parts) - 1.0) / len(parts) * np.sum(np.square(shifts), axis=0))
@@ -170,9 +172,12 @@ def torque_waves(
     aside = [_motion(m, first) for m in held if m.angle_rad is not None]
     apart = None
     if aside:
-        torque = np.concatenate([m.torque_Nm for m in aside])
-        residual = np.concatenate([law.residual(m, fitted) for m in aside])
-        apart = float(torque.std()) / K, float(np.sqrt(np.mean(residual**2))) / K
+        alone = plain.fitted(parts)
+        without, residual = (
+            np.concatenate([one.residual(m, values) for m in aside])
+            for one, values in ((plain, alone), (law, fitted))
+        )
+        apart = math.sqrt(_power(without)) / K, math.sqrt(_power(residual)) / K
     return TorqueWaves(
         _parameters(orders, fitted, error),
         -float(fitted[0]),
@@ -183,6 +188,12 @@ def torque_waves(
         orders,
         apart,
     )
+
+
+def _best(orders: tuple[float, ...], parts: list[TorqueMotion]) -> tuple[float, CurrentLaw]:
+    """The law of some waves that predicts data left out best, and what it leaves, N m rms."""
+    laws = [CurrentLaw(orders, m, a) for m in (False, True) for a in (False, True)]
+    return min((law.left_out(parts), law) for law in laws)
 
 
 def _motion(m: MeasuredRecord, b: BaseNumbers) -> TorqueMotion:
