@@ -10,7 +10,6 @@ from enum import StrEnum
 from typing import Any
 
 import numpy as np
-from scipy.stats import t as student
 
 from estune.core.quantities import FloatArray
 from estune.proof.trials import CONFIDENCE, GAIN, MEASURES
@@ -57,6 +56,8 @@ def gain_of(
             of a larger one they are rarer.
         scatter_min: Lower bound of the relative standard deviation of one measure.
     """
+    from scipy.special import stdtrit  # noqa: PLC0415  slow to import
+
     logs = np.log(np.array(pairs, dtype=np.float64))[:, :COUNTED]
     of = [MEASURES.index(name) for name in gained_measures(proof)]
     least, most = math.log1p(-GAIN), math.log1p(GAIN)
@@ -71,17 +72,17 @@ def gain_of(
     freedom = known + count - 1
     variance = (known * variance + ((logs - logs.mean(axis=0)) ** 2).sum(axis=0)) / freedom
     deviation = np.sqrt(np.maximum(variance, 2.0 * scatter_min**2) / count)
-    low = (
-        logs.mean(axis=0) - float(student.ppf(1.0 - 1.0 / false_alarm_pairs, freedom)) * deviation
-    )
+    low = logs.mean(axis=0) - float(stdtrit(freedom, 1.0 - 1.0 / false_alarm_pairs)) * deviation
     return Gain.LOST if (low[of] > least).all() or (low > most).any() else Gain.SUSPECT
 
 
 def _proven_scatter(proof: Mapping[str, Any]) -> tuple[int, FloatArray]:
     """Degrees of freedom of a proof, and the variances of the log ratio of one of its pairs."""
+    from scipy.special import stdtrit  # noqa: PLC0415  slow to import
+
     pairs = proof["pairs"]
     freedom = 2 * pairs - 2
-    wide = float(student.ppf(0.5 + 0.5 * CONFIDENCE, freedom))
+    wide = float(stdtrit(freedom, 0.5 + 0.5 * CONFIDENCE))
     ends = [(proof["ratios"][m]["low"], proof["ratios"][m]["high"]) for m in MEASURES[:COUNTED]]
     half = 0.5 * np.log([high / low for low, high in ends])
     return freedom, pairs * (half / wide) ** 2

@@ -12,7 +12,6 @@ from datetime import UTC, datetime
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.stats import t as student
 
 from estune.core.gains import Gains
 from estune.core.quantities import FloatArray
@@ -278,11 +277,13 @@ def _trial(rig: Rig, about: RigDescription, request: TrialRequest, *, on: bool) 
 
 def _ratios(on: FloatArray, off: FloatArray) -> dict[str, MeasuredRatio]:
     """Geometric means of with over without; intervals from the scatter of the repeats."""
+    from scipy.special import stdtrit  # noqa: PLC0415  slow to import
+
     ons, offs = np.log(on), np.log(off)
     repeats = len(ons)
     variance = 0.5 * (ons.var(axis=0, ddof=1) + offs.var(axis=0, ddof=1))
     middle = ons.mean(axis=0) - offs.mean(axis=0)
-    wide = float(student.ppf(0.5 + 0.5 * CONFIDENCE, 2 * repeats - 2))
+    wide = float(stdtrit(2 * repeats - 2, 0.5 + 0.5 * CONFIDENCE))
     half = wide * np.sqrt(2.0 * variance / repeats)
     columns = np.exp([middle, middle - half, middle + half]).T
     return {

@@ -31,7 +31,7 @@ def measure_distortion(
     parts: list[SegmentSpectra], kind: str, line_Hz: float
 ) -> HarmonicDistortion | None:
     """Distortion on the unexcited even or odd lines."""
-    from scipy.stats import f  # noqa: PLC0415  slow to import
+    from scipy.special import fdtrc  # noqa: PLC0415  slow to import
 
     free = [getattr(part.segment, kind) for part in parts]
     if not any(lines.size for lines in free):
@@ -45,7 +45,7 @@ def measure_distortion(
     # Without noise, everything above rounding is distortion.
     rounding = n * float(np.abs(excited).max() * 1e-12) ** 2
     if floor > rounding:
-        chance = float(f.sf(power / floor, 2 * n, 2 * n * (periods - 1)))
+        chance = float(fdtrc(2 * n, 2 * n * (periods - 1), power / floor))
     else:
         chance = 0.0 if power > rounding else 1.0
     order = np.argsort(np.concatenate(free), kind="stable")

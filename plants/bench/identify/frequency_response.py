@@ -45,10 +45,10 @@ class FrequencyResponse:
 
     def radius(self, probability: float = 0.95) -> FloatArray:
         """Radius of the confidence circle about each response, shape (lines,)."""
-        from scipy.stats import f  # noqa: PLC0415  slow to import
+        from scipy.special import fdtri  # noqa: PLC0415  slow to import
 
         check_probability(probability)
-        return np.asarray(np.sqrt(self.variance * f.ppf(probability, 2, self.degrees)))
+        return np.asarray(np.sqrt(self.variance * fdtri(2, self.degrees, probability)))
 
     def magnitude_band(self, probability: float = 0.95) -> tuple[FloatArray, FloatArray]:
         """Bounds of the magnitude within the confidence circles."""

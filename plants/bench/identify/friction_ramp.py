@@ -72,7 +72,7 @@ def fit_friction(records: Sequence[RampRecord], confidence: float = 0.95) -> Fri
         InvalidInput: no record; too few samples below or above the Stribeck velocity; or a static
             friction that is not significantly above the Coulomb friction.
     """
-    from scipy.stats import t as t_distribution  # noqa: PLC0415  slow to import
+    from scipy.special import stdtrit  # noqa: PLC0415  slow to import
 
     if not records:
         raise InvalidInput("no ramp record was given; one or more are needed")
@@ -86,7 +86,7 @@ def fit_friction(records: Sequence[RampRecord], confidence: float = 0.95) -> Fri
     # Each record's first count takes one degree of freedom, beside the parameters.
     freedom = sum(error.size - 1 for error, _ in parts) - len(NAMES)
     covariance = _covariance(parts, freedom)
-    width = float(t_distribution.ppf(0.5 + 0.5 * confidence, freedom))
+    width = float(stdtrit(freedom, 0.5 + 0.5 * confidence))
     fitted = dict(zip(NAMES, np.exp(point).tolist(), strict=True))
     deviations = dict(zip(NAMES, np.sqrt(np.diag(covariance)).tolist(), strict=True))
     if width * deviations["excess_Nm"] > 1.0 or width * deviations["stribeck_rad_s"] > 1.0:

@@ -136,7 +136,7 @@ def fit_second_order(
         InvalidInput: the coherence at the peak is too low, the resonance or the gauge mode lies
             outside the excited band, there are too few lines, or the fit does not converge.
     """
-    from scipy.stats import chi2, norm  # noqa: PLC0415  slow to import
+    from scipy.special import chdtrc, ndtri  # noqa: PLC0415  slow to import
 
     check_probability(probability)
     fitted = gauge == "fit"
@@ -156,7 +156,7 @@ def fit_second_order(
     _check_inside(model, response, covariance, fitted=fitted)
     residual = problem.residual(solution)
     squares, freedom = 2.0 * float(np.sum(np.abs(residual) ** 2)), 2 * lines - unknowns
-    chance = float(chi2.sf(squares, freedom))
+    chance = float(chdtrc(freedom, squares))
     misfit = squares / freedom
     if chance < MISFIT_P_VALUE:
         covariance = covariance * misfit
@@ -164,7 +164,7 @@ def fit_second_order(
         model=model,
         covariance=covariance,
         probability=probability,
-        quantile=float(norm.ppf(0.5 + probability / 2.0)),
+        quantile=float(ndtri(0.5 + probability / 2.0)),
         misfit=misfit,
         misfit_p_value=chance,
         frequency_Hz=response.frequency_Hz,

@@ -71,7 +71,7 @@ def running_mean(values: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 def check_settled(excitation: BroadbandExcitation, parts: list[SegmentSpectra]) -> None:
     """Checks that the first period differs from the others no more than by noise."""
-    from scipy.stats import f  # noqa: PLC0415  slow to import
+    from scipy.special import fdtrc  # noqa: PLC0415  slow to import
 
     periods = parts[0].periods
     if periods < 3:
@@ -84,7 +84,7 @@ def check_settled(excitation: BroadbandExcitation, parts: list[SegmentSpectra]) 
     size = float(np.sum(np.abs(rest) ** 2))
     if first <= NEGLIGIBLE**2 * size:  # without noise, any difference is significant
         return
-    if among == 0.0 or f.sf(first / among, 2 * n, 2 * n * (periods - 2)) < UNSETTLED_P_VALUE:
+    if among == 0.0 or fdtrc(2 * n, 2 * n * (periods - 2), first / among) < UNSETTLED_P_VALUE:
         share = 100.0 * math.sqrt((first - among) / size)
         raise InvalidInput(
             f"the first evaluated period differs from the later ones by {share:.2g} % of the "

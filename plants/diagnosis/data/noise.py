@@ -29,7 +29,7 @@ def upper_rms(signal: FloatArray) -> float:
     The lower quartile of the lines there is taken, corrected by what the quartile of a
     chi-squared spectrum is below its mean.
     """
-    from scipy.stats import chi2  # noqa: PLC0415  slow to import
+    from scipy.special import gammaincinv  # noqa: PLC0415  slow to import
 
     # A second difference keeps the leakage of slow, large motion below the noise.
     power, width = _spectrum(np.diff(signal, 2), average="mean")
@@ -39,7 +39,7 @@ def upper_rms(signal: FloatArray) -> float:
     quarter = 0.25  # modes and lines may exceed it
     segments = max(1.0, 2.0 * signal.size / _segment(signal.size) - 1.0)
     freedom = 2.0 * segments * 0.9  # half overlapping Hann segments: 0.9 of independent ones
-    share = float(chi2.ppf(quarter, freedom)) / freedom
+    share = 2.0 * float(gammaincinv(0.5 * freedom, quarter)) / freedom  # of chi-squared
     return float(np.sqrt(0.5 * np.quantile(upper, quarter) / share))
 
 
