@@ -76,10 +76,10 @@ def test_dead_time_is_searched_again_with_the_poles_that_were_added():
     [(-3.0, 1.2), (-2.5, 0.8, -1.0), (-2.7, -0.05, -2.2, -0.3), (-1.0, -4.0, -2.0, -0.1, -6.0, 2)],
 )
 def test_coordinates_of_a_polynomial_are_those_it_was_made_from(coordinates):
-    found = coordinates_of(difference_polynomial(coordinates))
+    (found,) = coordinates_of(difference_polynomial(coordinates)[np.newaxis])
     pairs = [sorted(zip(c[::2], c[1::2], strict=False)) for c in (found, coordinates)]
     assert np.allclose(*pairs)
-    assert coordinates_of(np.array([-1e-3, 0.3, 0.7])) is None
+    assert coordinates_of(np.array([[-1e-3, 0.3, 0.7]])) == [None]
 
 
 def test_models_drawn_where_poles_are_close_scatter_as_the_covariance_says():

@@ -43,8 +43,8 @@ def drawn_models(fit: LoopFit, factor: FloatArray, count: int, seed: int) -> tup
     steps = normal @ factor.T
     A, slopes = difference_polynomial(model.coordinates), _slopes(np.array(model.coordinates))
     found = list[LoopModel]()
-    for step in steps:
-        poles = coordinates_of(A + step[: model.order] @ slopes)
+    coordinates = coordinates_of(A + steps[:, : model.order] @ slopes)
+    for step, poles in zip(steps, coordinates, strict=True):
         if poles is not None:
             moved = model.with_parameters(model.parameters + step)
             found.append(moved._replace(coordinates=poles))

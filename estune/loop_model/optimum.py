@@ -214,10 +214,10 @@ class RegionSearch:
         from scipy.optimize import minimize  # noqa: PLC0415  slow to import
 
         found = minimize(
-            self._objective,
+            self._objective_with_slopes,
             start,
             method="SLSQP",
-            jac=lambda x: self._slopes(x, self._objective),
+            jac=True,
             bounds=list(zip(self.low, self.high, strict=True)),
             constraints={
                 "type": "ineq",
@@ -229,6 +229,11 @@ class RegionSearch:
         x = np.clip(found.x, self.low, self.high)
         kept = bool(self._excess(x).max() < TOLERANCE)
         return Optimum(x, self.predicted(x), feasible=kept)
+
+    def _objective_with_slopes(self, x: FloatArray) -> tuple[float, FloatArray]:
+        # Nearly every point whose value is asked for has its slopes asked for next.
+        slopes = self._slopes(x, self._objective)
+        return self._objective(x), slopes
 
     def _slopes(self, x: FloatArray, values: Callable[[FloatArray], Any]) -> FloatArray:
         """Slopes of values along each coordinate, shape (..., n), all points predicted at once."""

@@ -110,19 +110,34 @@ def difference_polynomial(coordinates: Sequence[float] | FloatArray) -> FloatArr
     return product
 
 
-def coordinates_of(polynomial: FloatArray) -> tuple[float, ...] | None:
-    """Coordinates of the poles of a polynomial in powers of 1 - q^-1, the constant first.
+def coordinates_of(polynomials: FloatArray) -> list[tuple[float, ...] | None]:
+    """Coordinates of the poles of polynomials in powers of 1 - q^-1, the constants first.
 
     None where a pole has none: outside the unit circle, or real and not above zero.
+
+    Args:
+        polynomials: Shape (polynomials, poles + 1), the last coefficients not zero.
     """
-    d = np.roots(polynomial[::-1]).astype(complex)
-    log_poles = -np.log1p(-d)
-    if d.size < polynomial.size - 1 or not np.all(log_poles.real < 0.0):
+    count, poles = polynomials.shape[0], polynomials.shape[1] - 1
+    companion = np.zeros((count, poles, poles))
+    companion[:, 1:, :-1] = np.eye(poles - 1)
+    companion[:, :, -1] = -polynomials[:, :-1] / polynomials[:, -1:]
+    d = np.linalg.eigvals(companion).astype(complex)
+    with np.errstate(divide="ignore"):
+        log_poles = -np.log1p(-d)
+    return [_coordinates(*row) for row in zip(d.tolist(), log_poles.tolist(), strict=True)]
+
+
+def _coordinates(d: list[complex], log_poles: list[complex]) -> tuple[float, ...] | None:
+    """Coordinates of poles by their 1 - p and the logarithms of p."""
+    if not all(s.real < 0.0 for s in log_poles):
         return None
-    if np.any(np.abs(log_poles.imag[d.imag == 0.0]) > 0.0):
+    single = [s for s, at in zip(log_poles, d, strict=True) if at.imag == 0.0]
+    if any(s.imag != 0.0 for s in single):
         return None
-    real = np.sort(-log_poles.real[d.imag == 0.0]).tolist()
-    pairs = [(abs(s), -s.real / abs(s)) for s in log_poles[d.imag > 0.0]]
+    real = sorted(-s.real for s in single)
+    swinging = [s for s, at in zip(log_poles, d, strict=True) if at.imag > 0.0]
+    pairs = [(abs(s), -s.real / abs(s)) for s in swinging]
     pairs += [
         (math.sqrt(p * q), (p + q) / (2.0 * math.sqrt(p * q)))
         for p, q in zip(real[:-1:2], real[1::2], strict=False)

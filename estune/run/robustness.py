@@ -179,12 +179,14 @@ class Verdict(NamedTuple):
         broken: Limits that the initial gains break and the confirmed ones keep, in words; empty
             where there are none.
         loop: The identified loop; None where nothing was judged.
+        claim: What is claimed of the confirmed gains; None where nothing was judged.
         limits: Whether the confirmed gains keep the limits.
     """
 
     fault: str = ""
     broken: str = ""
     loop: IdentifiedLoop | None = None
+    claim: Claim | None = None
     limits: LimitVerdict = LimitVerdict()
 
 
@@ -205,11 +207,11 @@ def verdict_on(run: TuningRun, change: Change | None) -> Verdict:
         start = claim_from(loop, plan, rig, plan.start)
         broken = plan.limits.broken_by(start.margins) if start.margins else ""
     if not (change.is_decrease or broken):
-        return Verdict(loop=loop)
+        return Verdict(loop=loop, claim=claimed)
     records = loop.undisturbed(run.recent_records)
     expected_N = loop.expected_response(plan, rig, gains)
     fault = not_robust(records, plan, claimed, gains, rig, expected_N=expected_N)
-    return Verdict(fault, broken, loop, limit_verdict(plan, claimed, gains, records))
+    return Verdict(fault, broken, loop, claimed, limit_verdict(plan, claimed, gains, records))
 
 
 def not_robust(

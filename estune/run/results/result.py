@@ -142,4 +142,6 @@ def from_tuning(tuning: TuningRun) -> TuneResult:
     )
     if verdict.loop is not None:
         result.__dict__["identified"] = verdict.loop  # the cached property
+        if result.gains == session.candidate:
+            result.__dict__["claim"] = verdict.claim  # as above
     return result
