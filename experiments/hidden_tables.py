@@ -2,14 +2,14 @@
 
 import math
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Sequence
 from itertools import pairwise
 from statistics import median
 from typing import NamedTuple
 
 from matplotlib.figure import Figure
 
-from experiments.hidden_scores import Row
+from experiments.hidden_scores import Held, Row
 
 BINS = (0.0, 0.05, 0.2, 0.5, 0.8, 0.95, 1.0)
 """Edges of the probabilities whose frequencies are compared."""
@@ -187,9 +187,9 @@ def show(rows: list[Row]) -> None:
     for row in of(rows, "left_out"):
         if row.wrong_name:
             print(f"  {row.seed} {row.truth[0]}: {row.verdict} {' + '.join(row.found)}")
-    print("\nintervals that hold the truth\n")
-    for name, holds in sorted(_by_parameter(rows)):
-        print(f"  {name:40s} {sum(holds):3d} of {len(holds)}")
+    print()
+    right = [row for row in rows if row.right]
+    show_intervals([one for row in right for one in (*row.intervals, *row.calibrations)])
     for row in rows:
         if row.error:
             print(f"\n{row.variant} {row.seed}: {row.error.strip().splitlines()[-1]}")
@@ -200,10 +200,16 @@ def _show_confidence(rows: list[Row]) -> None:
         print(f"  {name:28s} {count:4d} of {number:4d}  {low:.3f} to {high:.3f}")
 
 
-def _by_parameter(rows: list[Row]) -> Iterator[tuple[str, list[bool]]]:
-    found: dict[str, list[bool]] = {}
-    for row in rows:
-        if row.right:
-            for one in (*row.intervals, *row.calibrations):
-                found.setdefault(one.name, []).append(one.holds)
-    yield from found.items()
+def show_intervals(stated: Sequence[Held]) -> None:
+    """Prints how many intervals of each parameter hold the truth, and how wide they are.
+
+    Half the median width is given in times the median error.
+    """
+    print("intervals that hold the truth; half of one, in times the median error\n")
+    for name in sorted({one.name for one in stated}):
+        of_name = [one for one in stated if one.name == name]
+        size = [max(abs(one.true), 1e-300) for one in of_name]
+        error = median([abs(o.value - o.true) / s for o, s in zip(of_name, size, strict=True)])
+        half = median([0.5 * (o.high - o.low) / s for o, s in zip(of_name, size, strict=True)])
+        held = sum(one.holds for one in of_name)
+        print(f"  {name:40s} {held:3d} of {len(of_name):3d} {half / max(error, 1e-300):8.1f}")

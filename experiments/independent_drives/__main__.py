@@ -13,13 +13,17 @@ tie with what is hidden, are honest. Seeds are in `seeds.md`.
 
 import tempfile
 import time
+from collections.abc import Iterator, Mapping
+from dataclasses import astuple
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 import plants
 from estune.errors import InvalidInput
+from experiments.hidden_scores import Held
+from experiments.hidden_tables import show_intervals
 from experiments.independent_drives.drives import KINDS, UNDECLARED, draw
 from experiments.independent_drives.logs import Logger
 from experiments.results import Target, at_least, at_most, command_line, print_results
@@ -39,7 +43,7 @@ class DriveCase(NamedTuple):
         judged: `right`, `part`, `unknown` or `wrong`.
         ratio: Prediction error of the model without effects, in noise floors.
         left: Of the model that is believed.
-        inside: Share of inertia and viscous friction that lie in their intervals.
+        held: Intervals of inertia, viscous friction and the sizes of effects that are there.
         cpu_s: CPU time of the diagnosis.
     """
 
@@ -49,7 +53,7 @@ class DriveCase(NamedTuple):
     judged: str
     ratio: float
     left: float
-    inside: float
+    held: tuple[Held, ...]
     cpu_s: float
 
 
@@ -78,30 +82,55 @@ def diagnose(kind: str, case: int, seed: int, folder: Path) -> DriveCase:
         model = load_model(folder / "model.toml")
         found = plants.explain(model, folder / "logs", columns=logger.columns)
     except InvalidInput as error:
-        return DriveCase(hidden, log, f"refused: {error}", "wrong", *(float("nan"),) * 4)
+        nan = float("nan")
+        return DriveCase(hidden, log, f"refused: {error}", "wrong", nan, nan, (), nan)
     names = {effect.name for effect in found.effects}
     said = f"{found.verdict} {' + '.join(sorted(names or found.ambiguous))}".strip()
     took = time.process_time() - begun
     judged = judge(drive.hidden, found.verdict, names, set(found.ambiguous))
-    inside = inside_of(found, drive.numbers)
-    return DriveCase(
-        hidden, log, said, judged, found.before.ratio, found.after.ratio, inside, took
-    )
+    held = (*held_of_base(found, drive.numbers), *held_of_effects(found, drive.numbers))
+    return DriveCase(hidden, log, said, judged, found.before.ratio, found.after.ratio, held, took)
 
 
-def inside_of(found: Diagnosis, numbers: Any) -> float:
-    """Share of the base numbers whose intervals hold the truth."""
+SIZES = {
+    "backlash": ("play_rad", "play"),
+    "bent_viscous_friction": ("bend_Nms2", "quadratic"),
+    "coulomb_friction": ("torque_Nm", "dry"),
+    "current_lag": ("lag_s", "lag"),
+    "current_saturation": ("limit_A", "limit"),
+    "dead_time": ("delay_s", "dead_time"),
+    "dahl_hysteresis": ("torque_Nm", "dry"),
+    "link_gravity": ("torque_Nm", "gravity"),
+    "load_friction": ("load_share", "gear_share"),
+    "stribeck_friction": ("coulomb_Nm", "dry"),
+    "torque_ripple": ("amplitude_Nm", "ripple1"),
+}
+"""The size of an effect by the number of `drive.c` that it stands for."""
+
+
+def held_of_effects(found: Diagnosis, numbers: Mapping[str, float]) -> Iterator[Held]:
+    """Intervals of the sizes of effects that are there."""
+    for effect in found.effects:
+        parameter, number = SIZES.get(effect.name, ("", ""))
+        at, true = effect.parameters.get(parameter), numbers.get(number, 0.0)
+        if at is not None and true:
+            yield Held(f"{effect.name}.{parameter}", true, at.value, at.low, at.high)
+
+
+def held_of_base(found: Diagnosis, numbers: Mapping[str, float]) -> list[Held]:
+    """Intervals of the base numbers."""
     inertia = numbers["inertia"] + numbers["load_inertia"]
     viscous = numbers["viscous"] + numbers["load_viscous"]
     true = {
         **dict.fromkeys(("inertia_kg_m2", "mass_kg"), inertia),
         **dict.fromkeys(("viscous_friction_Nms", "viscous_friction_Ns_m"), viscous),
     }
-    own = {one.name: one.with_effects for one in found.calibrations if one.name in true}
-    held = [
-        own[name].low <= value <= own[name].high for name, value in true.items() if name in own
+    own = {one.name: one.with_effects for one in found.calibrations}
+    return [
+        Held(name, value, own[name].value, own[name].low, own[name].high)
+        for name, value in true.items()
+        if name in own
     ]
-    return float(np.mean(held)) if held else float("nan")
 
 
 def main() -> int:
@@ -121,8 +150,15 @@ def main() -> int:
             rows[f"{kind} {n}"] = one = diagnose(kind, n, options.seed0, Path(place))
         if not options.json:
             print(f"{kind} {n}: {one.judged}: {one.hidden}: {one.said}", flush=True)
+    if not options.json:
+        print()
+        show_intervals([one for row in rows.values() for one in row.held])
+    cases = {
+        name: row._asdict() | {"held": [astuple(one) for one in row.held]}
+        for name, row in rows.items()
+    }
     return print_results(
-        {"cases": {name: row._asdict() for name, row in rows.items()}},
+        {"cases": cases},
         targets(list(rows.values())),
         as_json=options.json,
         tables=True,
