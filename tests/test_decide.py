@@ -1,8 +1,13 @@
 """Decision between fitted models: shares of power, families, nameless laws, probabilities."""
 
+import math
+from types import SimpleNamespace
+
+import numpy as np
 import pytest
 
-from plants.diagnosis.result import ModelSummary
+from plants.diagnosis.result import ModelSummary, SearchStep
+from plants.diagnosis.search.conclusion import Conclusion, apart_of, verdict_sentence
 from plants.diagnosis.search.decide import (
     decide,
     effect_probabilities,
@@ -132,3 +137,19 @@ def test_laws_of_a_family_with_as_many_values_are_rivals(J, tied):
 def test_fuller_law_that_does_no_better_is_no_rival_of_the_simpler():
     simple, full = (model(name, 1.0, n, family="friction") for name, n in (("f", 1), ("g", 2)))
     assert decide(base(20.0), [simple, full]).verdict == "named"
+
+
+def test_tie_says_how_little_its_predictions_differ():
+    fits = [fitted_with(residuals) for residuals in ([1.0, -1.0, 1.0], [1.2, -0.8, 0.8])]
+    assert apart_of(*fits) == pytest.approx(0.2)
+    assert math.isnan(apart_of(fits[0]))
+    steps = (SearchStep("", 3e-3, 1e-3, 3.0), SearchStep("coulomb_friction", 1e-3, 1e-3, 1.0))
+    tied = ("coulomb_friction", "load_friction")
+    conclusion = Conclusion("ambiguous", (), tied=tied, apart=0.2)
+    said = verdict_sentence("ambiguous", conclusion, (), steps, "rad")
+    assert "coulomb_friction from load_friction, whose predictions of them differ by 0.2" in said
+
+
+def fitted_with(residuals):
+    left = np.array(residuals)
+    return SimpleNamespace(fitted=SimpleNamespace(entries=np.arange(left.size), residuals=left))

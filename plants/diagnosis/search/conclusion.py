@@ -4,6 +4,8 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
+import numpy as np
+
 from plants.diagnosis.constants import CONSTANTS
 from plants.diagnosis.result import (
     Candidate,
@@ -35,6 +37,8 @@ class Conclusion(NamedTuple):
         verdict: The verdict.
         stages: The base model, then the models believed with one effect more each.
         tied: Slugs the records do not distinguish, best first; empty unless `ambiguous`.
+        apart: How far the predictions of the first two of these differ, rms in noise floors; nan
+            where they are not tied.
         like: What an unexplained error looks like, in words, or empty.
         rest: What the error left looks like, in words, or empty.
         reason: Why a leading model is not believed, or empty.
@@ -46,6 +50,7 @@ class Conclusion(NamedTuple):
     verdict: Verdict
     stages: tuple[CandidateFit, ...]
     tied: tuple[str, ...] = ()
+    apart: float = math.nan
     like: str = ""
     rest: str = ""
     reason: str = ""
@@ -91,8 +96,17 @@ def conclude(fitter: ModelFitter, models: FittedModels) -> Conclusion:
     return conclusion._replace(
         stages=_stages(models, decision.best),
         tied=tuple(names) if decision.verdict == "ambiguous" else (),
+        apart=apart_of(*(models.with_effects[slugs] for slugs in rivals[:2])),
         rest=_rest(models, decision, others),
     )
+
+
+def apart_of(first: CandidateFit, second: CandidateFit | None = None) -> float:
+    """Root mean square of what two fits predict otherwise, in noise floors; nan of one alone."""
+    if second is None or not np.array_equal(first.fitted.entries, second.fitted.entries):
+        return math.nan
+    difference = first.fitted.residuals - second.fitted.residuals
+    return float(np.sqrt(np.mean(difference**2)))
 
 
 def _reason(
@@ -205,7 +219,13 @@ def verdict_sentence(
     falls = f"the prediction error falls from {error}, to {after.ratio:.2g} times the noise floor"
     if verdict == "ambiguous":
         tied = " from ".join(conclusion.tied)
-        return f"These records do not distinguish {tied}; with {titles} {falls}."
+        alike = ""
+        if math.isfinite(conclusion.apart):
+            alike = (
+                f", whose predictions of them differ by {conclusion.apart:.2g} times the noise "
+                "floor"
+            )
+        return f"These records do not distinguish {tied}{alike}; with {titles} {falls}."
     sentences = " ".join(effect.sentence for effect in effects)
     if verdict == "incomplete":
         remainder = (
