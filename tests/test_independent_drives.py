@@ -26,3 +26,21 @@ def test_current_limit_is_found_though_a_friction_made_up_for_it(tmp_path):
     assert limit.value == pytest.approx(drive.numbers["limit"], rel=0.03)
     # Only one of the records reaches the limit: the other says nothing of it.
     assert limit.low < drive.numbers["limit"] < limit.high < 1.2 * limit.low
+
+
+def test_gravity_of_a_link_points_where_the_encoder_says(tmp_path):
+    """Records with zeros of their own shift the phase of a wave with them, which is no angle."""
+    drive = draw("link", 1, 3002)
+    rng = np.random.default_rng([3002, 1, 1, *b"link"])
+    logger = Logger.drawn("link", rng)
+    logger.write(drive, tmp_path, rng)
+    d = plants.explain(
+        load_model(tmp_path / "model.toml"),
+        tmp_path / "logs",
+        columns=logger.columns,
+        effects=["link_gravity"],
+    )
+    phase = d.effects[0].parameters["phase_rad"].value
+    told = d.effects[0].effect.phase_rad
+    assert told == phase
+    assert np.cos(phase - drive.numbers["gravity_angle"]) > 0.99

@@ -1,12 +1,15 @@
 """Step 7: 95 % confidence intervals of the numbers of the model that is believed."""
 
+import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from plants.diagnosis.interval import Interval
 from plants.diagnosis.pipeline.compare import EffectComparison
 from plants.diagnosis.search.intervals import intervals as fitted_intervals
-from plants.effects import Cogging, MainsInterference, Quantisation
+from plants.diagnosis.search.validation import ModelStage
+from plants.effects import Cogging, MainsInterference, Quantisation, Role
+from plants.effects.plant_scale import PlantScale
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -29,7 +32,32 @@ def intervals(compared: EffectComparison) -> StatedIntervals:
     believed = dict(base)
     if last is not first:
         believed = dict(fitted_intervals(last.fitter, last.fit, first.fit))
+        believed |= _where_first_reads_zero(believed, last)
     return StatedIntervals(base, believed | _beside_the_fit(compared))
+
+
+def _where_first_reads_zero(
+    believed: Mapping[str, Interval], last: ModelStage
+) -> dict[str, Interval]:
+    """Phases of waves along a drive where the encoder of the first record reads zero.
+
+    Each record has a zero of its own, with which the phase of all may be shifted: sin(N (theta -
+    z_n) + phi) has the phase phi - N z_0 there. A reel's waves count from where it is taut.
+    """
+    zero = last.fit.values.get("encoder_zero_rad[0]")
+    if zero is None or PlantScale.of(last.fitter.model.model).has_cable:
+        return {}
+    shifted = {}
+    for effect in last.fit.effects:
+        periods = [believed[f"{effect.name}.{n}"].value for n in effect.named(Role.PERIODS)]
+        for name in effect.named(Role.PHASE):
+            at = believed[f"{effect.name}.{name}"]
+            turned = at.value - (periods or [1.0])[0] * zero
+            by = math.remainder(turned, 2.0 * math.pi) - at.value
+            shifted[f"{effect.name}.{name}"] = replace(
+                at, value=at.value + by, low=at.low + by, high=at.high + by
+            )
+    return shifted
 
 
 def _beside_the_fit(compared: EffectComparison) -> dict[str, Interval]:
