@@ -136,8 +136,8 @@ def diagnosis(**changes) -> Diagnosis:
                 block("force", "balance of forces", 0.11, 0.06, 2),
             ),
             sentence=(
-                "What the model leaves unexplained in the cable and gauge is 12 times the noise. "
-                "63 % of it depends only on the direction of motion"
+                "What the refitted model leaves unexplained in the cable and gauge is 12 times "
+                "the noise. 63 % of it depends only on the direction of motion"
             ),
         ),
         calibrations=(

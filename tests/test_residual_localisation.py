@@ -57,7 +57,7 @@ def test_complete_model_has_no_residual():
     result = localise_effects()
     assert {block.name for block in result.blocks} == {"force", "gauge"}
     assert all(0.5 < block.ratio < 1.2 for block in result.blocks)
-    assert "Nothing that the model" in result.sentence
+    assert "Nothing that the refitted model" in result.sentence
 
 
 FORCES = "balance of forces"
@@ -154,4 +154,4 @@ def test_localisation_as_json():
         json.dumps(localise_effects(CoulombFriction(0.03)).to_json(), allow_nan=False)
     )
     assert (data["block"], data["regime"]) == ("force", data["blocks"][0]["regime"])
-    assert data["sentence"].startswith("What the model leaves")
+    assert data["sentence"].startswith("What the refitted model leaves")

@@ -289,12 +289,11 @@ def _of_blocks(blocks: Sequence[Block]) -> str:
     first = blocks[0]
     if not first.is_above_noise:
         return (
-            "Nothing that the model leaves unexplained is above the noise; the most is in the "
-            f"{first.title}, {first.ratio:.2g} times the noise."
+            "Nothing that the refitted model leaves unexplained is above the noise; the most is "
+            f"in the {first.title}, {first.ratio:.2g} times the noise."
         )
-    sentence = (
-        f"What the model leaves unexplained in the {first.title} is {first.ratio:.2g} times "
-    )
+    sentence = f"What the refitted model leaves unexplained in the {first.title} is "
+    sentence += f"{first.ratio:.2g} times "
     sentence += f"the noise, mostly {first.band}. " if first.band else "the noise. "
     regime = first.regime
     if regime is None:
