@@ -26,9 +26,11 @@ white.
 - `fitting` leaves out excitations that spoil the fit of the steps, and records that the others
   contradict, up to a quarter: those whose prediction by a fit without them is worse than three
   times the worst of theirs.
-- `plant_error` bounds what the true plant may differ from G by, in each band; `intervals` holds
-  the uncertainty of the parameters; `claim` says what of the loop is known, or which band is
-  not, and `excitation` how large a multisine on the setpoint would make it known.
+- `damping` is the posterior mean of what the records do not tell from zero.
+- `plant_error` bounds what the true plant may differ from G by, in each band; `agreement` finds
+  gains whose trials show another loop; `intervals` holds the uncertainty of the parameters;
+  `claim` says what of the loop is known, or which band is not, and `excitation` how large a
+  multisine on the setpoint would make it known.
 - `optimum`, `drawn_optima`, `limit_price`, `prediction`, `sampled_loop`: the best gains within
   limits, by the model.
 
@@ -37,8 +39,9 @@ What is guaranteed
 
 Margins are claimed only of a loop that the identified one predicts, with two trials near its
 gains, and whose plant is known wherever the controller's gain times the plant's error matters
-against |1 + L|. The upper end of the interval of Ms contains that error. It is a statement on
-the linear part at the amplitude of the records. A mode whose damping is below 2 % is bounded as
+against |1 + L|. The upper end of the interval of Ms contains that error, and Ms by the trials of
+each gains that no model of all explains. It is a statement on the linear part at the amplitude of
+the records. A mode whose damping is below 2 % is bounded as
 far as the records resolve it.
 
 Choices that are not obvious

@@ -13,6 +13,7 @@ import numpy as np
 
 from estune.core.gains import Gains
 from estune.core.quantities import FloatArray
+from estune.loop_model.agreement import contradicting_sensitivities
 from estune.loop_model.intervals import PredictedMargins, predict_with_intervals
 from estune.loop_model.loop_fit import LoopFit
 from estune.loop_model.plant_error import ErrorMargin, error_margin, plant_error, unknown_band
@@ -85,7 +86,8 @@ def claim(
 ) -> Claim:
     """The claims that the fit allows about the loop with these gains.
 
-    The end of the interval of Ms contains what the error of the plant may add to it.
+    The interval of Ms contains what the error of the plant may add to it, and Ms by the trials of
+    each gains that contradict the fit (`agreement`).
 
     Args:
         fit: The identified loop.
@@ -112,10 +114,15 @@ def claim(
         reason = _unknown(fit, margin, settings.sampling_Hz)
         reason = reason or (check.fault(trial, gains) if check and check.costs else "")
         if not reason:
-            margins = _widened(predict_with_intervals(fit, trial, gains), margin)
+            others = contradicting_sensitivities(fit, records, gains, settings)
+            margins = _widened(predict_with_intervals(fit, trial, gains), margin, others)
             if math.isfinite(margins.sensitivity.high):
                 return Claim(margins, "", misfit)
             reason = "the records leave open whether the loop is stable with these gains"
+            if math.inf in others:
+                reason = (
+                    f"no one model explains the trials of all gains: {unexplained(fit.misfit)}"
+                )
     return Claim(None, reason, misfit)
 
 
@@ -129,9 +136,13 @@ def _unknown(fit: LoopFit, margin: ErrorMargin, sampling_Hz: float) -> str:
     return f"nothing is known {band}: the records do not excite it"
 
 
-def _widened(margins: PredictedMargins, margin: ErrorMargin) -> PredictedMargins:
+def _widened(
+    margins: PredictedMargins, margin: ErrorMargin, others: Sequence[float]
+) -> PredictedMargins:
+    """The margins with an interval of Ms that holds other values, too."""
     Ms = margins.sensitivity
-    return margins._replace(sensitivity=Ms._replace(high=max(Ms.high, margin.sensitivity)))
+    low, high = min((Ms.low, *others)), max(Ms.high, margin.sensitivity, *others)
+    return margins._replace(sensitivity=Ms._replace(low=low, high=high))
 
 
 def unexplained(misfit: float) -> str:

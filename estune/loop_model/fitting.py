@@ -6,6 +6,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from estune.core.quantities import FloatArray
+from estune.loop_model.damping import with_mean_damping
 from estune.loop_model.friction import fit_with_friction
 from estune.loop_model.friction_motion import friction_of, less_friction
 from estune.loop_model.identification import (
@@ -271,6 +272,7 @@ def _shortened(record: LoopRecord, samples: int) -> LoopRecord:
 
 
 def _summarised(records: Sequence[LoopRecord], signals: FitSignals, found: PoleFit) -> LoopFit:
+    found = with_mean_damping(signals, found)
     at = Solution.at(signals, found.coordinates, found.dead, found.noise)
     model = LoopModel(tuple(at.coordinates.tolist()), tuple(at.numerator.tolist()), found.dead)
     left = Residuals(
