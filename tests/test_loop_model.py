@@ -21,6 +21,8 @@ from estune.loop_model.poles import pair_coordinates, polynomial
 from estune.loop_model.prediction import StepTrial, predict, predictions
 from estune.loop_model.records import LoopRecord
 from estune.trial.profiles import StepProfile
+from estune.tuners.model_convergence import SearchedLoop, model_convergence
+from estune.tuners.search_space import SearchSpace
 from experiments.loop_claims import true_sensitivity
 from experiments.sample_efficiency.problems import step_trial
 from plants.effects import CoulombFriction, EyeletFriction
@@ -258,3 +260,29 @@ def test_predictions_of_several_loops_are_those_of_each():
         np.testing.assert_allclose(found, alone, rtol=1e-9)
     assert predictions([exact], trial, gains) == predictions([exact] * 3, trial, gains)
     assert predictions(models, trial, [GAINS]) == predictions(models, trial, [GAINS] * 3)
+
+
+@pytest.mark.parametrize(("is_white", "said"), [(True, ""), (False, "leaves 0.1% of the step")])
+def test_remaining_improvement_names_what_the_model_leaves_unexplained(is_white, said):
+    plant = linear()
+    records = [record_of(plant, g, n) for n, g in enumerate(around(GAINS, 2))]
+    fit = fit_loop(records, SAMPLING_HZ, COST.settling_time_s)
+    fit = fit._replace(is_white=is_white, misfits=(0.001, 0.001))
+    space = SearchSpace.around(GAINS)
+
+    def search(model):
+        at = np.array(space.coordinates(space.start))
+        return RegionSearch(
+            model,
+            trial_of(plant),
+            RobustnessLimits(),
+            lambda x: space.gains(space.point(tuple(x.tolist()))),
+            at - 0.5,
+            at + 0.5,
+        )
+
+    start = np.array(space.coordinates(space.start))
+    loop = SearchedLoop(fit, search, search(fit.model).minimise([start]), None)
+    condition = model_convergence(loop, space, [], seed=1).condition
+    assert said in condition
+    assert bool(said) == ("unexplained" in condition)

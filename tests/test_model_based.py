@@ -23,7 +23,8 @@ from estune.trial import Outcome, TrialRequest
 from estune.trial.loop_records import loop_signals
 from estune.trial.profiles import LoadStepProfile, StepProfile
 from experiments.loop_claims import true_sensitivity
-from plants.effects import CoulombFriction, EyeletFriction
+from experiments.loop_claims.truth import TrueLoop, constrained_optimum
+from plants.effects import CableStiffening, CoulombFriction, EyeletFriction
 
 
 def tune(target, **settings):
@@ -225,6 +226,19 @@ def test_friction_is_identified_and_the_limits_are_kept_and_claimed():
     assert truth <= 1.65
     assert result.claim.margins.sensitivity.low <= truth <= result.claim.margins.sensitivity.high
     assert result.tuned.metrics.overshoot <= 0.06
+
+
+@pytest.mark.nightly
+def test_remaining_improvement_is_bounded_or_names_what_the_model_leaves():
+    reel = plants.reference_reel() + CableStiffening(0.05)
+    result = tune(reel)
+    estimate = result.plan.convergence(result.session.tuner_state)
+    loop = TrueLoop(reel, result.plan.cost)
+    here = loop.at(result.gains)
+    start = np.log(result.gains.as_tuple())
+    best = constrained_optimum(loop, [start], 1.6, max(here.overshoot, 0.05), 300)[1]
+    left = 1.0 - best.cost / here.cost
+    assert left < estimate.remaining_improvement or "unexplained" in result.message
 
 
 def test_friction_in_the_eyelet_leaves_no_claim_and_says_why():

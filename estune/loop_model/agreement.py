@@ -22,7 +22,8 @@ from estune.loop_model.friction_motion import friction_force, less_friction
 from estune.loop_model.identification import PoleFit, improve
 from estune.loop_model.least_squares import FitSignals, Solution, signals_of
 from estune.loop_model.loop_fit import LoopFit
-from estune.loop_model.model import LoopModel, robustness
+from estune.loop_model.margins import robustness
+from estune.loop_model.model import LoopModel
 from estune.loop_model.records import LoopRecord
 
 CHANCE = 1e-3

@@ -70,7 +70,7 @@ def _condition(loop: SearchedLoop, space: SearchSpace) -> str:
     within = []
     if space.at_bound(space.point(tuple(loop.optimum.coordinates.tolist()))):
         within.append("within the bounds of the search")
-    if loop.surface is not None:
-        left = f"{loop.fit.misfit:.1%}"
+    left = f"{loop.fit.misfit:.1%}"
+    if not loop.fit.is_white and left != "0.0%":
         within.append(f"by a model that leaves {left} of the step unexplained")
     return " and ".join(within)

@@ -128,6 +128,7 @@ def main() -> int:
     parser.add_argument("--random", type=int, default=30, help="random loops, and modes")
     parser.add_argument("--noise", type=float, default=0.03, help="noise of the cost, as a share")
     parser.add_argument("--only", choices=list(KINDS), help="only plants of this kind")
+    parser.add_argument("--plant", default="", help="only plants with this in their names")
     options = parser.parse_args()
     quick = options.quick
     seeds = range(options.seed0, options.seed0 + (1 if quick else options.seeds))
@@ -137,6 +138,7 @@ def main() -> int:
     cases = [case for kind in kinds for case in KINDS[kind](count, options.seed0)]
     if quick:
         cases = [*cases[1:7:2], cases[8]]
+    cases = [case for case in cases if options.plant in case.name]
     rows = []
     for number, case in enumerate(cases, 1):
         print(f"{case.name}, {number} of {len(cases)}", file=sys.stderr, flush=True)
