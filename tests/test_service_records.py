@@ -18,7 +18,7 @@ from estune.core.pidf import ControllerSettings
 from estune.errors import InvalidInput
 from estune.loop_model.optimum import RobustnessLimits
 from estune.loop_model.prediction import predict
-from estune.recordings.loop_log import LoopLog
+from estune.recordings.loop_log import LoopLog, read_loop_log
 from estune.service_records.advice import advise
 from estune.service_records.identification import ServicePart, identify
 from estune.service_records.replay import replay
@@ -258,6 +258,22 @@ def test_advised_experiment_is_as_long_as_the_wanted_interval_needs(busy):
     )
     rough, fine = (advise(loop, found.trial, REEL.start, aim) for aim in (0.1, 0.05))
     assert fine.share > rough.share or fine.duration_s > 3.0 * rough.duration_s
+
+
+@pytest.mark.parametrize(
+    "header",
+    [
+        ("Time [s]", "SP (°C)", "PV (°C)", "OP %"),
+        ("t", "Setpoint [1/min]", "Speed [1/min]", "Controller output (%)"),
+        ("Timestamp", "loop1.SP", "loop1.PV", "loop1.OUT"),
+    ],
+)
+def test_columns_are_found_by_names_with_units_in_brackets(tmp_path, header):
+    rows = [",".join(header), *(f"{0.1 * k},{k % 7},{k % 5},{k % 3}" for k in range(40))]
+    (tmp_path / "log.csv").write_text("\n".join(rows))
+    found = read_loop_log(tmp_path / "log.csv")
+    assert set(found.sources) == {"time", "setpoint", "measurement", "effort"}
+    assert found.sampling_Hz == pytest.approx(10.0)
 
 
 def test_logs_that_show_nothing_start_no_tuning(tmp_path):

@@ -4,6 +4,7 @@ The loop may be any: the units are the file's own. What `read_recording` reads a
 a reel.
 """
 
+import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import NamedTuple
@@ -25,9 +26,15 @@ NAMES = {
         *("measurement", "measured", "pv", "process value", "process variable", "actual"),
         *("feedback", "tension", "temperature", "speed", "velocity", "position", "angle", "y"),
     ),
-    "effort": ("effort", "output", "mv", "control", "control output", "manipulated variable", "u"),
+    "effort": (
+        *("effort", "output", "out", "op", "co", "mv", "control", "control output"),
+        *("controller output", "manipulated variable", "u"),
+    ),
 }
 """Names of channels, without unit, by which each column is found; the first that fits."""
+
+_BRACKETED = re.compile(r"\s*[\[(][^\[\]()]*[\])]\s*$")
+"""What stands in brackets at the end of a name: its unit, whichever it is."""
 
 COLUMNS = tuple(NAMES)
 """Columns of a log; effort may be missing, time where the rate is stated."""
@@ -125,9 +132,10 @@ def _channel(raw: RawFile, column: str, source: str | None) -> Channel | None:
 
 def _bare(name: str) -> str:
     """A channel's name without folder and unit, in small letters."""
-    last = name.replace(".", "/").rpartition("/")[2].replace(" ", "_")
+    without = _BRACKETED.sub("", name)  # before the folder: units have a "/"
+    last = without.replace(".", "/").rpartition("/")[2].strip().replace(" ", "_")
     stem, _, unit = last.rpartition("_")
-    words = stem if stem and (find_unit(unit) or unit == "degC") else last
+    words = stem if stem and (find_unit(unit) or unit == "degC" or not unit.isalnum()) else last
     return words.replace("_", " ").lower()
 
 
