@@ -8,12 +8,7 @@ import pytest
 
 from plants.diagnosis.result import ModelSummary, SearchStep
 from plants.diagnosis.search.conclusion import Conclusion, apart_of, verdict_sentence
-from plants.diagnosis.search.decide import (
-    decide,
-    effect_probabilities,
-    family_probabilities,
-    probabilities,
-)
+from plants.diagnosis.search.decide import decide, probabilities, summed
 
 NOTHING = frozenset[str]()
 
@@ -110,20 +105,24 @@ def test_probabilities_sum_to_one_and_favour_fewer_values():
     p = probabilities(base(20.0), models)
     assert sum(p.values()) == pytest.approx(1.0)
     assert p[frozenset("a")] > 0.9 > p[frozenset("b")] > p[frozenset("c")]
-    assert family_probabilities(models, p)["a"] == pytest.approx(p[frozenset("a")])
+    assert summed((m.families, p[m.names]) for m in models)["a"] == pytest.approx(
+        p[frozenset("a")]
+    )
 
 
 def test_sums_over_families_count_every_model_with_one():
     models = [model("a", 1.0, 1), model("a+b", 1.0, 1)]
-    found = family_probabilities(models, probabilities(base(20.0), models))
+    p = probabilities(base(20.0), models)
+    found = summed((m.families, p[m.names]) for m in models)
     assert found["a"] == pytest.approx(1.0, abs=1e-3)
 
 
 def test_rivals_of_one_family_share_its_probability():
     members = [model(name, 2.0, family="friction") for name in ("simple", "full")]
     p = probabilities(base(100.0), members)
-    assert family_probabilities(members, p)["friction"] == pytest.approx(1.0)
-    assert effect_probabilities(members, p) == pytest.approx({"simple": 0.5, "full": 0.5})
+    assert summed((m.families, p[m.names]) for m in members)["friction"] == pytest.approx(1.0)
+    own = summed((m.names, p[m.names]) for m in members)
+    assert own == pytest.approx({"simple": 0.5, "full": 0.5})
 
 
 @pytest.mark.parametrize(("J", "tied"), [(1.05, True), (3.0, False)])

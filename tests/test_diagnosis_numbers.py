@@ -1,7 +1,9 @@
 """The numbers that decide in the diagnosis are found in its source, and can be replaced."""
 
+import numpy as np
+
 from experiments.diagnosis_numbers.numbers import numbers, replaced
-from plants.diagnosis.checks import units
+from plants.diagnosis.checks import inner_loop, units
 from plants.diagnosis.constants import CONSTANTS
 from plants.diagnosis.result import ModelSummary
 from plants.diagnosis.search.decide import decide
@@ -24,12 +26,18 @@ def test_number_of_the_table_is_replaced_while_the_context_lasts():
     assert decide(BASE, []).verdict == "unknown"
 
 
+def test_number_with_a_name_is_replaced_while_the_context_lasts():
+    number = next(n for n in numbers() if n.name == "checks/units.py:PLAUSIBLE")
+    with replaced(number, 2.0 * number.value):
+        assert vars(units)["PLAUSIBLE"] == 2.0 * number.value
+    assert vars(units)["PLAUSIBLE"] == number.value
+
+
 def test_number_in_a_comparison_is_replaced_while_the_context_lasts():
-    number = next(n for n in numbers() if "ratio < 20.0" in n.text and n.value == 20.0)
-    edges = [n for n in numbers() if n.text == number.text]
-    assert len(edges) == 2
-    upper = max(edges, key=lambda n: int(n.name.rpartition(":")[2]))
-    assert units._is_far(30.0)
-    with replaced(upper, 40.0):
-        assert not units._is_far(30.0)
-    assert units._is_far(30.0)
+    number = next(n for n in numbers() if "share >= 0.98" in n.text)
+    command = np.arange(100.0)
+    motion = command + 20.0 * (-1.0) ** command  # explains two thirds of it
+    assert inner_loop._gain(command, motion) is None
+    with replaced(number, 0.5 * number.value):
+        assert inner_loop._gain(command, motion) is not None
+    assert inner_loop._gain(command, motion) is None

@@ -59,6 +59,7 @@ NIGHTLY = {
     "margin_watch",
     "paper",
     "platform_tracking",
+    "reference_answers",
     "remedies",
     "sample_efficiency",
     "scale",

@@ -15,7 +15,7 @@ import sys
 import tempfile
 from collections import defaultdict
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from pathlib import Path
 from typing import Any, NamedTuple
 from unittest import mock
@@ -23,13 +23,9 @@ from unittest import mock
 import numpy as np
 
 import plants
-from estune.recordings.column_map import AS_NAMED, ColumnMap
 from estune.support.blas import one_blas_thread
-from experiments import hidden_machines
+from experiments.diagnosis_numbers.cases import CASES, Case, case_of
 from experiments.diagnosis_numbers.numbers import FOLDER, Number, numbers, replaced
-from experiments.hidden_scores import choice, measurement, model
-from experiments.independent_drives.drives import draw
-from experiments.independent_drives.logs import Logger
 from experiments.results import command_line, print_results
 from plants.diagnosis.models.diagnosed_model import diagnosed
 from plants.diagnosis.pipeline.check import check
@@ -41,28 +37,9 @@ from plants.diagnosis.pipeline.screen import screen
 from plants.diagnosis.progress import silent
 from plants.diagnosis.search import least_squares, model_fitter, validation
 from plants.diagnosis.search.effect_choices import EffectChoices
-from plants.models.model_file import load_model
 
-CASES = (
-    *("servo 1", "none 20000", "two 20000", "plain 20001", "link 2", "outside 20000"),
-    *("unloaded 20000", "spindle 1", "left_out 20000", "plain 20002", "stage 5"),
-    *("none_no_encoder 20000", "noise5 20000", "wrong_base 20000", "none 20001", "two 20001"),
-    *("steps_only 20000", "none_unloaded 20000", "outside 20001", "stage 20000", "plain 20003"),
-)
-"""Kinds with the seed of a hidden machine, or the number of an independent drive."""
-DRIVES, DRIVE_SEED = ("servo", "stage", "spindle", "link"), 3000
-STEPS = ("check", "noise", "fit", "screen", "compare")
 FITTED_WITH = ("prediction/", "models/", "search/least_squares.py")
 """What a fit is made with: with numbers of these each fit is made anew."""
-
-
-class Case(NamedTuple):
-    """What a diagnosis is asked."""
-
-    model: Any
-    records: Any
-    effects: list[str] | None
-    columns: ColumnMap
 
 
 class Said(NamedTuple):
@@ -73,28 +50,22 @@ class Said(NamedTuple):
     used: dict[str, frozenset[tuple[str, int]]]
 
 
-def case_of(name: str, folder: Path) -> Case:
-    """A case by its name; a drive writes its files into a folder."""
-    kind, number = name.split()
-    if kind in DRIVES and int(number) < 100:
-        rng = np.random.default_rng([DRIVE_SEED, int(number), 1, *kind.encode()])
-        logger = Logger.drawn(kind, rng)
-        logger.write(draw(kind, int(number), DRIVE_SEED), folder, rng)
-        return Case(load_model(folder / "model.toml"), folder / "logs", None, logger.columns)
-    drawn, secret = hidden_machines.draw(int(number), kind)
-    records = [measurement(record) for record in drawn.records]
-    return Case(model(drawn), records, choice(drawn, secret), AS_NAMED)
-
-
 def diagnose(case: Case, known: dict[str, Any], stop: Callable[[str, Any], bool]) -> Said | None:
-    """Runs the steps that are not known; None where one says that nothing will change."""
-    values, used = dict(known), {}
+    """Runs the steps that are not known; None where one says that nothing will change.
+
+    The functions used are listed only where no step is known: that takes time.
+    """
+    values, used, first = dict(known), {}, not known
 
     def step(name: str, of: Callable[[], Any]) -> Any:
-        if name not in values:
-            with functions_entered() as entered:
-                values[name] = of()
-            used[name] = frozenset(entered)
+        if name in values:
+            return values[name]
+        watched: AbstractContextManager[set[tuple[str, int]]] = (
+            functions_entered() if first else nullcontext(set())
+        )
+        with watched as entered:
+            values[name] = of()
+        used[name] = frozenset(entered)
         return values[name]
 
     logged = step("read", lambda: read(case.records, case.model, case.columns))
@@ -124,9 +95,16 @@ def functions_entered() -> Iterator[set[tuple[str, int]]]:
         if event == "call":
             entered.add((frame.f_code.co_filename, frame.f_code.co_firstlineno))
 
+    with profiled(note):
+        yield entered
+
+
+@contextmanager
+def profiled(note: Callable[[Any, str, Any], None]) -> Iterator[None]:
+    """Calls a function at each call and return meanwhile."""
     sys.setprofile(note)
     try:
-        yield entered
+        yield
     finally:
         sys.setprofile(None)
 
@@ -214,12 +192,20 @@ def measure(name: str, todo: list[Number]) -> Iterator[dict[str, Any]]:
 
 def functions_of(name: str) -> list[str]:
     """Functions of the room that a call enters, as file:line."""
+    entered: set[tuple[str, int, str]] = set()
+
+    def note(frame: Any, event: str, _: Any) -> None:
+        code = frame.f_code
+        # Comprehensions and lambdas are parts of a function.
+        if event == "call" and not code.co_name.startswith("<"):
+            entered.add((code.co_filename, code.co_firstlineno, code.co_qualname))
+
     with tempfile.TemporaryDirectory() as place:
         case = case_of(name, Path(place))
-        with functions_entered() as entered:
+        with profiled(note):
             plants.explain(case.model, case.records, effects=case.effects, columns=case.columns)
-    inside = [(path, line) for path, line in entered if Path(path).is_relative_to(FOLDER)]
-    return [f"{Path(path).relative_to(FOLDER)}:{line}" for path, line in sorted(inside)]
+    inside = sorted(at for at in entered if Path(at[0]).is_relative_to(FOLDER))
+    return [f"{Path(path).relative_to(FOLDER)}:{line} {name}" for path, line, name in inside]
 
 
 def table(rows: list[dict[str, Any]], known: list[Number]) -> dict[str, Any]:

@@ -1,7 +1,8 @@
 """The numbers that decide in `plants.diagnosis`, found in its source, and what replaces them.
 
-A number decides if it stands in a comparison, or in the table `constants.py`. Left out are 0, 1, 2
-and 0.5, guards of a division (1e-6 and less), and what is only shown: `report` and the pages.
+A number decides if it stands in the table `constants.py`, under a name of its own at the top of a
+module, or in a comparison. Left out are 0, 1, 2 and 0.5, guards of a division (1e-6 and less), and
+what is only shown or planned: `report`, `improvement` and `experiments`.
 """
 
 import ast
@@ -28,7 +29,7 @@ class Number(NamedTuple):
     """A number that decides.
 
     Attributes:
-        name: Name in the table, or `file:line:column`.
+        name: Name in the table, `file:name`, or `file:line:column`.
         value: The value.
         text: The line of source, or empty.
         uses: Functions that use it, as (file, first line), outermost of nested ones.
@@ -80,6 +81,8 @@ def numbers() -> list[Number]:
     """All numbers that decide, those of the table first."""
     sources = _sources()
     uses: dict[str, set[tuple[str, int]]] = {name: set() for name in CONSTANTS._fields}
+    named = {name: (s.path, value) for s in sources for name, value in _named(s.tree)}
+    uses |= {name: set() for name in named}
     compared = []
     for source in sources:
         for node in ast.walk(source.tree):
@@ -88,14 +91,29 @@ def numbers() -> list[Number]:
                 continue
             if isinstance(node, ast.Attribute) and node.attr in uses and _of_table(node):
                 uses[node.attr].add(function)
+            elif isinstance(node, ast.Name) and node.id in named:
+                uses[node.id].add(function)
             elif _is_compared(source, node):
                 assert isinstance(node, ast.Constant)  # noqa: S101  for the types
                 line = source.path.read_text(encoding="utf-8").splitlines()[node.lineno - 1]
                 place = f"{source.path.relative_to(FOLDER)}:{node.lineno}:{node.col_offset}"
                 number = Number(place, node.value, line.strip(), frozenset([function]))  # type: ignore[arg-type]
                 compared.append(number)
-    table = [Number(n, getattr(CONSTANTS, n), "", frozenset(at)) for n, at in uses.items()]
-    return [*table, *compared]
+    table = [Number(n, getattr(CONSTANTS, n), "", frozenset(uses[n])) for n in CONSTANTS._fields]
+    own = [
+        Number(f"{path.relative_to(FOLDER)}:{name}", value, "", frozenset(uses[name]))
+        for name, (path, value) in named.items()
+    ]
+    return [*table, *own, *compared]
+
+
+def _named(tree: ast.Module) -> Iterator[tuple[str, float]]:
+    """Numbers with a name at the top of a module."""
+    for node in tree.body:
+        if isinstance(node, ast.Assign) and isinstance(node.value, ast.Constant):
+            (target,), value = node.targets, node.value.value
+            if isinstance(target, ast.Name) and type(value) in (int, float):
+                yield target.id, value  # type: ignore[misc]
 
 
 def _of_table(node: ast.Attribute) -> bool:
@@ -112,17 +130,24 @@ def _is_compared(source: _Source, node: ast.AST) -> bool:
     for inner, outer in zip([node, *around], around, strict=False):
         if isinstance(outer, ast.Subscript) and outer.slice is inner:
             return False
-        if isinstance(outer, ast.Compare):
+        if isinstance(outer, ast.Compare) or _asks_a_ratio(outer):
             return True
         if isinstance(outer, ast.stmt | ast.FormattedValue):
             return False
     return False
 
 
+def _asks_a_ratio(node: ast.AST) -> bool:
+    """Whether a node is a call of `within_factor`, which compares."""
+    is_named = isinstance(node, ast.Call) and isinstance(node.func, ast.Name)
+    return is_named and node.func.id == "within_factor"  # type: ignore[attr-defined]
+
+
 @contextmanager
 def replaced(number: Number, value: float) -> Iterator[None]:
     """The diagnosis with another value of a number, as long as the context lasts."""
-    undo = _in_table(number, value) if number.in_table else _in_code(number, value)
+    replace = (_in_table, _in_modules, _in_code)[number.name.count(":")]
+    undo = replace(number, value)
     try:
         yield
     finally:
@@ -137,6 +162,17 @@ def _in_table(number: Number, value: float) -> list[tuple[object, str, object]]:
     for module in holders:
         module.CONSTANTS = changed  # type: ignore[attr-defined]
     return [(module, "CONSTANTS", before) for module in holders]
+
+
+def _in_modules(number: Number, value: float) -> list[tuple[object, str, object]]:
+    """Modules that define or import it."""
+    name = number.name.rpartition(":")[2]
+    ours = (m for n, m in sys.modules.items() if n.startswith(plants.diagnosis.__name__))
+    holders = [m for m in ours if hasattr(m, name)]
+    undo: list[tuple[object, str, object]] = [(m, name, getattr(m, name)) for m in holders]
+    for module in holders:
+        setattr(module, name, type(number.value)(value) or 1)
+    return undo
 
 
 def _in_code(number: Number, value: float) -> list[tuple[object, str, object]]:

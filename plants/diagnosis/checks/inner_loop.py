@@ -7,6 +7,7 @@ import numpy as np
 
 from estune.core.quantities import FloatArray
 from estune.recordings.issue import DataIssue
+from plants.diagnosis.checks.units import within_factor
 from plants.diagnosis.data.measured_record import MeasuredRecord
 from plants.diagnosis.data.smoothing import Smoother, proportion
 from plants.diagnosis.models.base import BaseNumbers
@@ -35,9 +36,9 @@ def inner_loop(m: MeasuredRecord, b: BaseNumbers) -> Iterator[DataIssue]:
     for title, (motion, torque_per_motion) in motions.items():
         gain = _gain(command, motion)
         # A command in proportion to the velocity may be the torque that friction needs.
-        if gain is None or 1.0 / 3.0 < torque_per_motion / gain < 3.0:
+        if gain is None or within_factor(torque_per_motion / gain, 3.0):
             continue
-        unit = next((u for u, f in UNITS.items() if 1.0 / 1.1 < gain / f < 1.1), None)
+        unit = next((u for u, f in UNITS.items() if within_factor(gain / f, 1.1)), None)
         if unit is not None:
             said = f"it is the {title} in {unit}: the setpoint of a loop inside the drive"
             remedy = "map the torque or the current, or give a [linear_plant] whose input it is"

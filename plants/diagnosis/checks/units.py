@@ -11,6 +11,12 @@ from plants.diagnosis.data.measured_record import MeasuredRecord
 from plants.diagnosis.data.smoothing import Smoother, proportion
 from plants.diagnosis.models.base import BaseNumbers
 
+MODEL_OFF = 1.6
+"""Factor by which numbers of a model may be off, so that a ratio of units is told from it: the
+least ratio of two units asked about is 17, of thousandths and degrees."""
+PLAUSIBLE = 20.0
+"""Factor up to which numbers of a model may be wrong, and no unit is asked about."""
+
 
 def mistaken_units(m: MeasuredRecord, b: BaseNumbers, rate_Hz: float) -> Iterator[DataIssue]:
     """Columns that seem to be in another unit, or of the other sign: refused where that is clear.
@@ -21,7 +27,7 @@ def mistaken_units(m: MeasuredRecord, b: BaseNumbers, rate_Hz: float) -> Iterato
     """
     if b.linear is not None:
         return
-    if _is_unit(m.sampling_Hz * 1000.0 / rate_Hz):
+    if within_factor(m.sampling_Hz * 1000.0 / rate_Hz, MODEL_OFF):
         said = f"its samples come at {m.sampling_Hz:.3g} Hz, the model's at {rate_Hz:.3g} Hz"
         yield DataIssue("refused", f"{said}: it seems to be in ms; give s", "time_s")
         return
@@ -85,14 +91,14 @@ def _issues(
     m: MeasuredRecord, by_angle: float | None, by_effort: float | None
 ) -> Iterator[DataIssue]:
     """Issues by the slopes relative to the model's; both of them depend on the tension."""
-    if by_effort is not None and _is_far(by_effort):
-        if by_angle is None or _is_far(by_angle):
+    if by_effort is not None and not within_factor(by_effort, PLAUSIBLE):
+        if by_angle is None or not within_factor(by_angle, PLAUSIBLE):
             yield _issue("tension_N", by_effort, "what the command holds", {1e-3: "kN"})
             return
         unit = m.command_column.rpartition("_")[2]
         units = {1e3: f"m{unit}", 1e-3: f"k{unit}"}
         yield _issue(m.command_column, 1.0 / by_effort, "what the tension takes", units)
-    elif by_angle is not None and _is_far(by_angle):
+    elif by_angle is not None and not within_factor(by_angle, PLAUSIBLE):
         units = {math.degrees(1.0): "degrees", 1e3: "thousandths, as mm or mrad"}
         yield _issue("angle_rad", 1.0 / by_angle, "what the model turns", units)
 
@@ -100,20 +106,20 @@ def _issues(
 def _issues_of_drive(m: MeasuredRecord, times: float) -> Iterator[DataIssue]:
     """Issues by the torque that the motion takes, relative to the command."""
     # A model may be off by 2 pi, too: it is said, and the record is used.
-    if 1.0 / 1.3 < times * 2.0 * math.pi < 1.3:
+    if within_factor(times * 2.0 * math.pi, 1.3):
         said = "its changes are 1/6.28 of what the model turns, which is the ratio of turns to rad"
         yield DataIssue("warning", f"{said}; check the unit and the inertia", "angle_rad")
-    elif _is_far(times) and times < 1.0:
+    elif not within_factor(times, PLAUSIBLE) and times < 1.0:
         unit = "thousandths, as mN m, mN or mA"
         yield _issue(m.command_column, 1.0 / times, "what the motion takes", {1e3: unit})
-    elif _is_far(times):
+    elif not within_factor(times, PLAUSIBLE):
         thousandths = "thousandths, as mm or mrad, or the command in kN"
         units = {math.degrees(1.0): "degrees", 1e3: thousandths}
         yield _issue("angle_rad", times, "what the model turns", units)
 
 
 def _issue(column: str, times: float, what: str, units: dict[float, str]) -> DataIssue:
-    near = [u for f, u in units.items() if _is_unit(times / f)]
+    near = [u for f, u in units.items() if within_factor(times / f, MODEL_OFF)]
     sentence = f"its changes are {times:.3g} times {what}"
     if not near:
         return DataIssue("warning", f"{sentence}; check the unit and the model", column)
@@ -123,13 +129,9 @@ def _issue(column: str, times: float, what: str, units: dict[float, str]) -> Dat
     return DataIssue("refused", sentence, column)
 
 
-def _is_unit(ratio: float) -> bool:
-    """Whether a ratio is one, but for what a model may be off."""
-    return 1.0 / 1.6 < ratio < 1.6
-
-
-def _is_far(ratio: float) -> bool:
-    return not 1.0 / 20.0 < ratio < 20.0
+def within_factor(ratio: float, factor: float) -> bool:
+    """Whether a ratio is one, but for a factor either way."""
+    return 1.0 / factor < ratio < factor
 
 
 def _slope(x: FloatArray, y: FloatArray) -> float | None:

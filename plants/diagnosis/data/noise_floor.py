@@ -120,18 +120,15 @@ def _alone(m: MeasuredRecord, column: FloatArray) -> tuple[float, str]:
         periods = periods_of(m.setpoint_N)
         if periods is not None and periods.samples >= FEWEST:
             found.append((_group_rms(periods.fold(column)), SOURCES[1]))
-        elif quiet := [_settled(column[hold]) for hold in holds(m.setpoint_N, FEWEST)]:
-            found.append((float(np.median(quiet)), SOURCES[2]))
+        elif quiet := [column[hold] for hold in holds(m.setpoint_N, FEWEST)]:
+            # Of each stretch the second half: by then the plant has settled.
+            settled = (c[c.size // 2 :] if c.size >= 2 * FEWEST else c for c in quiet)
+            found.append((float(np.median([spectral_rms(c) for c in settled])), SOURCES[2]))
     if not found or m.loop == "closed":
         # A controller turns the gauge's noise into motion, which the recorded current explains:
         # the upper spectrum, where the plant does not follow, may then be nearer the truth.
         found.append((upper_rms(column), SOURCES[3]))
     return min(found)
-
-
-def _settled(column: FloatArray) -> float:
-    """Noise of a stretch after the plant has settled."""
-    return spectral_rms(column[column.size // 2 :] if column.size >= 2 * FEWEST else column)
 
 
 def _group_rms(same: FloatArray) -> float:

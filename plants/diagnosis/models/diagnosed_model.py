@@ -11,6 +11,7 @@ import numpy as np
 
 from estune.core.quantities import FloatArray
 from estune.errors import InvalidInput, PlantError
+from plants.diagnosis.constants import CONSTANTS
 from plants.diagnosis.data.measured_record import MeasuredRecord
 from plants.diagnosis.models.calibration import Calibration
 from plants.diagnosis.models.free_parameters import (
@@ -20,7 +21,6 @@ from plants.diagnosis.models.free_parameters import (
     either_way,
     informed,
     positive,
-    stated,
 )
 from plants.diagnosis.models.signal_scales import signal_scale
 from plants.effects import Effect, Parameter, RecordScale
@@ -191,7 +191,8 @@ class DiagnosedModel(ABC):
     def base(self) -> list[Slot]:
         """The base-model parameters with their initial values."""
         listed = [*self._calibrations(), *self.sensors(), *self._current_sensor()]
-        known = stated(self.model)
+        known = dict(getattr(self.model, "uncertainty", ()))
+        known.setdefault("drum_inertia_kg_m2", CONSTANTS.inertia_sd)
         return [s._replace(free=informed(s.free, known.get(s.free.name))) for s in listed]
 
     def slots(self, added: Sequence[type[Effect]]) -> list[Slot]:

@@ -1,8 +1,7 @@
 """Free parameters of a fit: their ranges, and what is known of them before any record."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
 from plants.diagnosis.constants import CONSTANTS
 from plants.diagnosis.models.calibration import Calibration
@@ -11,7 +10,6 @@ BASE = "base"
 """Owner of the base-model parameters that all records share."""
 
 CALIBRATION = Calibration.name
-DRY_MASS = "drum_inertia_kg_m2"
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,8 +83,3 @@ def from_zero(name: str, unit: str, value: float, most: float) -> Free:
 def of_calibration(free: Free, name: str = "", factor: float = 1.0) -> Slot:
     """A parameter of the calibration, by its own name there."""
     return Slot(free, f"{CALIBRATION}.{name or free.name}", factor)
-
-
-def stated(model: Any) -> Mapping[str, float]:
-    """Standard deviations of the logarithm of a model's own numbers, by field."""
-    return {DRY_MASS: CONSTANTS.inertia_sd, **dict(getattr(model, "uncertainty", ()))}

@@ -164,7 +164,12 @@ class DiagnosedReel(DiagnosedModel):
         r, c = self.model, self.calibration
         lengths = [self.length(m) for m in self.measurements]
         differ = max(lengths) - min(lengths) > 0.05 * np.mean(lengths)
-        friction = max(r.viscous_friction_Nms, self._unit_friction)
+        # Friction that would damp the reel by a tenth of critical.
+        first = self.measurements[0]
+        kappa = drum_stiffness_Nm_rad(self._at(first), self.preload(first))
+        friction = max(
+            r.viscous_friction_Nms, 0.1 * math.sqrt(float(kappa) * r.drum_inertia_kg_m2)
+        )
         parameters = [
             positive("drum_inertia_kg_m2", "kg m2", r.drum_inertia_kg_m2),
             from_zero(
@@ -210,13 +215,6 @@ class DiagnosedReel(DiagnosedModel):
         )
         column = f"{len(self.effects) + len(added)}.{free.name}"
         return [*slots, Slot(free, column)]
-
-    @property
-    def _unit_friction(self) -> float:
-        """Friction that would damp the reel by a tenth of critical, N m s/rad."""
-        m = self.measurements[0]
-        kappa = drum_stiffness_Nm_rad(self._at(m), self.preload(m))
-        return float(0.1 * math.sqrt(kappa * self.model.drum_inertia_kg_m2))
 
     def sensors(self) -> list[Slot]:
         """The encoder's zero of each record, and offsets of gauges that are beside the reel's."""

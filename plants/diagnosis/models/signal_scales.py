@@ -25,7 +25,11 @@ def signal_scale(
         rates_Hz: Sampling rate of each.
     """
     moved = [current - current.mean() for current in currents]
-    velocities = [_velocity(a, rate) for a, rate in zip(angles, rates_Hz, strict=True) if a.size]
+    # Over spans so long that an encoder's steps do not make the velocity.
+    each = ((*travels(a), rate) for a, rate in zip(angles, rates_Hz, strict=True) if a.size)
+    velocities = [np.asarray(moved * (rate / span)) for moved, span, rate in each]
+    speeds = np.abs(np.concatenate(velocities)) if velocities else np.empty(0)
+    moving = speeds[speeds > 0.0]
     steps = [
         float(np.abs(np.diff(i)).max(initial=0.0)) * rate
         for i, rate in zip(currents, rates_Hz, strict=True)
@@ -36,7 +40,8 @@ def signal_scale(
         angle_rms_rad=_rms([angle - angle.mean() for angle in angles if angle.size]),
         velocity_rms_rad_s=_rms(velocities),
         velocity_max_rad_s=_max(velocities),
-        velocity_min_rad_s=_least(velocities),
+        # Below it are the slowest of the moving samples.
+        velocity_min_rad_s=float(np.quantile(moving, 0.02)) if moving.size else 0.0,
         current_max_A=_max(currents),
         current_rate_A_s=max(steps, default=0.0),
     )
@@ -54,19 +59,6 @@ def travels(angle: FloatArray) -> tuple[FloatArray, int]:
         if 2 * span >= angle.size or _rms([moved]) >= 20.0 * step:
             return moved, span
         span *= 2
-
-
-def _velocity(angle: FloatArray, rate_Hz: float) -> FloatArray:
-    """The velocity, over spans so long that an encoder's steps do not make it."""
-    moved, span = travels(angle)
-    return np.asarray(moved * (rate_Hz / span))
-
-
-def _least(parts: Sequence[FloatArray]) -> float:
-    """Speed that the slowest share of the moving samples stays below."""
-    speeds = np.abs(np.concatenate(parts)) if parts else np.empty(0)
-    moving = speeds[speeds > 0.0]
-    return float(np.quantile(moving, 0.02)) if moving.size else 0.0
 
 
 def _rms(signals: Sequence[FloatArray]) -> float:

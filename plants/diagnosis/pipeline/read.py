@@ -16,8 +16,5 @@ def read(records: Records, model: Any, columns: ColumnMap) -> FolderContents:
     """The measurements of a folder, or of the records themselves, with the issues of the files."""
     if isinstance(records, Path | str):
         return read_measurements(records, columns, drum_of(model))
-    return FolderContents(tuple(map(_measured, records)), ())
-
-
-def _measured(record: MeasuredRecord | TrialRecord) -> MeasuredRecord:
-    return record if isinstance(record, MeasuredRecord) else MeasuredRecord.of(record)
+    measured = (r if isinstance(r, MeasuredRecord) else MeasuredRecord.of(r) for r in records)
+    return FolderContents(tuple(measured), ())

@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -81,7 +80,6 @@ class PredictionData:
         return self.command.size
 
 
-@lru_cache(maxsize=16)
 def prepare_data(
     model: DiagnosedModel,
     measurements: tuple[MeasuredRecord, ...],

@@ -84,8 +84,8 @@ class Block:
 
     @property
     def is_above_noise(self) -> bool:
-        """Whether it is to be reported: its noise is known to about 10 %."""
-        return self.ratio > 1.2
+        """Whether it is to be reported: it leaves more than a model that lacks nothing may."""
+        return self.ratio**2 > CONSTANTS.floor
 
     @property
     def regime(self) -> ResidualDependence | None:

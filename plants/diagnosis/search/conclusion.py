@@ -12,17 +12,10 @@ from plants.diagnosis.result import (
     ModelSummary,
     NamedEffect,
     SearchStep,
-    Slugs,
     Verdict,
     explained_share,
 )
-from plants.diagnosis.search.decide import (
-    Decision,
-    decide,
-    effect_probabilities,
-    family_probabilities,
-    probabilities,
-)
+from plants.diagnosis.search.decide import Decision, decide, probabilities, summed
 from plants.diagnosis.search.fitted_models import FittedModels, is_named
 from plants.diagnosis.search.model_fitter import CandidateFit, ModelFitter, family_of
 from plants.diagnosis.search.nameless_laws import NAMELESS
@@ -74,7 +67,8 @@ def conclude(fitter: ModelFitter, models: FittedModels) -> Conclusion:
     base, *others = models.judged(fitter)
     decision = decide(base, others)
     p = probabilities(base, others)
-    families, effects = family_probabilities(others, p), effect_probabilities(others, p)
+    families = summed((m.families, p[m.names]) for m in others)
+    effects = summed((m.names, p[m.names]) for m in others)
     # Where no name is believed, the best of the declared effects seldom is there.
     shares = (explained_share(base.J, m.J) for m in others if m.named)
     scale = 1.0 if decision.best else (1.0 - CONSTANTS.named_share) * max(shares, default=0.0)
@@ -93,8 +87,9 @@ def conclude(fitter: ModelFitter, models: FittedModels) -> Conclusion:
     rivals = (decision.best, *decision.tied)
     common = frozenset.intersection(*rivals)
     names = dict.fromkeys(n for slugs in rivals for n in sorted(slugs - common))
+    singles = [fit for fit in models.singles if fit.names < decision.best]
     return conclusion._replace(
-        stages=_stages(models, decision.best),
+        stages=(models.base, *singles[:1], models.with_effects[decision.best]),
         tied=tuple(names) if decision.verdict == "ambiguous" else (),
         apart=apart_of(*(models.with_effects[slugs] for slugs in rivals[:2])),
         rest=_rest(models, decision, others),
@@ -120,12 +115,6 @@ def _reason(
     explained = _percent(explained_share(base.J, leading.J))
     share = f"The best of them, {titles}, explains {explained} of it"
     return f"{share}." if leading.eligible else f"{share}, but at a bound, or too small to matter."
-
-
-def _stages(models: FittedModels, slugs: Slugs) -> tuple[CandidateFit, ...]:
-    """The base model, the better single one of a pair, and the model believed."""
-    singles = [fit for fit in models.singles if fit.names < slugs]
-    return (models.base, *singles[:1], models.with_effects[slugs])
 
 
 def _rest(models: FittedModels, decision: Decision, others: Sequence[ModelSummary]) -> str:

@@ -98,7 +98,7 @@ def _supported(
     """The best model, or of a pair the best without the family that is rather not there."""
     if best is None or len(best.families) < 2:
         return best
-    known = family_probabilities(models, p)
+    known = summed((m.families, p[m.names]) for m in models)
     doubtful = min(best.families, key=lambda family: known[family])
     if known[doubtful] >= CONSTANTS.second:
         return best
@@ -157,17 +157,8 @@ def probabilities(base: Model, models: Sequence[Model]) -> Mapping[Slugs, float]
     return {m.names: w / sum(weight) for m, w in zip(all_, weight, strict=True)}
 
 
-def effect_probabilities(models: Sequence[Model], p: Mapping[Slugs, float]) -> dict[str, float]:
-    """Probability that each effect is there, members of a family apart."""
-    return _totals((m.names, p[m.names]) for m in models)
-
-
-def family_probabilities(models: Sequence[Model], p: Mapping[Slugs, float]) -> dict[str, float]:
-    """Probability that each family is there."""
-    return _totals((m.families, p[m.names]) for m in models)
-
-
-def _totals(listed: Iterable[tuple[Slugs, float]]) -> dict[str, float]:
+def summed(listed: Iterable[tuple[Slugs, float]]) -> dict[str, float]:
+    """Probability that each effect, or each family, is there: the sum over models that have it."""
     total: dict[str, float] = defaultdict(float)
     for names, probability in listed:
         for name in names:

@@ -248,7 +248,10 @@ class _Slope(NamedTuple):
             known: Derivatives and residuals of what is known, shape (2, moves).
         """
         normal = columns @ columns.T + np.diag(known[0] ** 2)
-        size = _lengths(np.diag(normal))
+        squares = np.diag(normal)
+        # Below 1e-9 of the greatest length a derivative does nothing: its value stays.
+        dead = squares <= 1e-18 * max(float(squares.max(initial=0.0)), 1e-300)
+        size = np.where(dead, np.inf, np.sqrt(np.where(dead, 1.0, squares)))
         scaled = normal / size / size[:, None]
         pull = -(columns @ residuals + known[0] * known[1]) / size
         return cls(scale, size, scaled, pull, *np.linalg.eigh(scaled))
@@ -285,14 +288,6 @@ class _Slope(NamedTuple):
         moved = values.copy()
         moved[scale.moves] = after
         return moved
-
-
-def _lengths(squares: FloatArray) -> FloatArray:
-    """Lengths of columns; infinite where one is nothing beside the others, so that it stays."""
-    # Below 1e-9 of the greatest, a derivative does nothing.
-    dead = squares <= 1e-18 * max(float(squares.max(initial=0.0)), 1e-300)
-    lengths: FloatArray = np.where(dead, np.inf, np.sqrt(np.where(dead, 1.0, squares)))
-    return lengths
 
 
 def _solution(

@@ -9,10 +9,10 @@ from estune.recordings.issue import DataIssue
 from plants.diagnosis.data.measured_record import MeasuredRecord
 from plants.diagnosis.data.noise import step_of, upper_rms
 from plants.diagnosis.interval import QUANTILE
-from plants.diagnosis.models.free_parameters import BASE, Free
+from plants.diagnosis.models.free_parameters import BASE
 from plants.diagnosis.models.signal_scales import travels
 from plants.diagnosis.result import Limitation
-from plants.diagnosis.search.model_fitter import CandidateFit
+from plants.diagnosis.search.model_fitter import CandidateFit, edges
 from plants.effects.plant_scale import PlantScale
 
 
@@ -84,27 +84,25 @@ def _of_base(base: CandidateFit, scale: PlantScale) -> list[Limitation]:
             continue
         factor, name = value / f.start, scale.name(f.name)
         moved = f"{name} moved to {factor:.2g} times what was given"
-        if f.scale == "log" and min(value / f.low, f.high / value) < 1.001:
+        if f.scale == "log" and edges(f, value):
             said = f"{moved}, the limit of the fit; check the units and signs of the columns"
             label = f"{name} at its bound"
             limits.append(Limitation("base_parameter_at_bound", label, said, by_data=True))
-        elif f.prior is None:
+            continue
+        if f.prior is None:
             # A friction is often no more than a guess.
             usual = 2.0 if f.scale == "log" else 5.0
             if not 1.0 / usual < factor < usual:
                 said = f"{moved}; check it: it may compensate for an effect that the model lacks"
                 limits.append(Limitation("base_parameter_moved", f"{name} x{factor:.2g}", said))
-        elif (beyond := _distance(f, value)) > QUANTILE:
-            known = f"{f.prior / (1.0 if f.scale == 'log' else f.start):.0%}"
+            continue
+        apart, unit = (math.log(factor), 1.0) if f.scale == "log" else (value - f.start, f.start)
+        beyond = abs(apart) / f.prior  # standard deviations of what is known
+        if beyond > QUANTILE:
+            known = f"{f.prior / unit:.0%}"
             said = f"{moved}, {beyond:.1f} standard deviations of {known}; check it first"
             limits.append(Limitation("base_parameter_moved", f"{name} x{factor:.2g}", said))
     return limits
-
-
-def _distance(f: Free, value: float) -> float:
-    """Distance of a value from what is known of it, in standard deviations."""
-    apart = math.log(value / f.start) if f.scale == "log" else value - f.start
-    return abs(apart) / (f.prior or math.inf)
 
 
 def _of_motion(measurements: Sequence[MeasuredRecord]) -> list[Limitation]:

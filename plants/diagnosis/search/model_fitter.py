@@ -54,21 +54,21 @@ class CandidateFit:
     def own_values(self) -> int:
         """Number of the effects' values that are not at a bound."""
         listed = zip(self.fitted.predictor.free, self.fitted.values.tolist(), strict=True)
-        return sum(f.owner in self.names and not _edges(f, value) for f, value in listed)
+        return sum(f.owner in self.names and not edges(f, value) for f, value in listed)
 
     def at_bound(self, effect: type[Effect]) -> bool:
         """Whether an effect's size, or the length of its wave, is the most it can be."""
         waves = {f"{effect.name}.{name}" for name in effect.named(Role.PERIODS)}
         listed = zip(self.fitted.predictor.free, self.fitted.values.tolist(), strict=True)
         for f, value in listed:
-            at = _edges(f, value)
+            at = edges(f, value)
             belongs = f.owner == effect.name and (f.neutral is not None or f.name in waves)
             if belongs and at and f.neutral not in at:
                 return True
         return False
 
 
-def _edges(free: Free, value: float) -> list[float]:
+def edges(free: Free, value: float) -> list[float]:
     """The bounds that a value is at."""
     return [edge for edge in (free.low, free.high) if math.isclose(value, edge, rel_tol=1e-6)]
 
