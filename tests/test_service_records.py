@@ -241,6 +241,20 @@ def test_suggestion_minimises_the_cost_it_is_given(busy, cost):
     assert costs[0] < costs[1]
 
 
+def test_gains_that_none_were_stated_against_follow_from_the_effort(busy):
+    found = suggest(busy._replace(gains=None))
+    assert found.exit_code == 0
+    assert pytest.approx(REEL.start.P, rel=1e-3) == found.in_use.P
+    assert found.remarks()[0].startswith("The gains that ran follow from the logged effort")
+
+
+def test_a_tuning_from_logs_of_earlier_gains_reads_them_from_the_effort(busy, tmp_path):
+    write(tmp_path / "log.csv", busy.parts[0])
+    live = replace(REEL.start, P=1.3 * REEL.start.P)
+    known = start_for(f"records:{tmp_path}", REEL.plant.describe("reel", live))
+    assert true_sensitivity(REEL.plant, known.gains) <= 1.65
+
+
 def test_a_tuning_from_logs_keeps_the_cost_and_the_limits_of_its_run(busy, tmp_path):
     write(tmp_path / "log.csv", busy.parts[0])
     rig = REEL.plant.describe("reel", REEL.start)

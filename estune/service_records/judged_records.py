@@ -115,6 +115,9 @@ class JudgedRecords:
     def remarks(self) -> list[str]:
         """What limits the statements, and what to do about it, a sentence each."""
         remarks = []
+        if self.replay is not None and self.replay.stated is None:
+            sentence = self.replay.sentence()
+            remarks.append(f"{sentence[0].upper()}{sentence[1:]}.")
         if self.judgement.can_tell and self.judgement.unseen:
             remarks.append(
                 f"Nothing is known {self.judgement.unseen}: the records do not excite it, and a "

@@ -70,6 +70,11 @@ class Replay(NamedTuple):
         return self.ran is None or self.stated_error <= 2.0 * self.ran_error or not self._apart
 
     @property
+    def contradicts(self) -> bool:
+        """Whether other gains ran than those stated, or none that are known."""
+        return not (self.agrees or (self.stated is None and self.explained))
+
+    @property
     def explained(self) -> bool:
         """Whether some gains explain the effort."""
         return self.ran is not None and self.ran_error <= FITS

@@ -120,7 +120,7 @@ def suggest(
     judgement = judge(loop, in_use, margins, margin)
     better = recommend(loop, trial, in_use, limits) if judgement.can_tell else None
     verdict: Verdict = "cannot tell"
-    if worst is not None and not worst.agrees:
+    if worst is not None and worst.contradicts:
         verdict = "other gains ran"
     elif judgement.can_tell:
         verdict = "change" if better and _worthwhile(margins, better, limits) else "keep"

@@ -36,9 +36,10 @@ def start_from(source: str) -> StartRule | Literal["model"]:
         source: "model" for the optimum of the rig's own linear model, "run:FOLDER" for the gains
             of a run, "law:FOLDER" for the law over cable length of a sweep, or of the tuned runs
             in a folder that have the cost, limits and tuner of the latest, or "records:FOLDER" for
-            the gains that `estune.suggest` recommends by logs of the rig in service, at its live
-            gains unless their metadata name others. A law is used within its lengths only; runs
-            at fewer than three lengths give the gains of the one nearest in length.
+            the gains that `estune.suggest` recommends by logs of the rig in service, at the gains
+            that their metadata name or the logged effort shows, else its live ones. A law is used
+            within its lengths only; runs at fewer than three lengths give the gains of the one
+            nearest in length.
 
     Raises:
         InvalidInput: the source is none of these.
@@ -74,7 +75,12 @@ def _by_records(
             f"{folder} is sampled at {rate:.6g} Hz, {rig.name} at "
             f"{rig.controller.sampling_Hz:.6g} Hz; give logs of the loop at the rig's own rate"
         )
-    stated = {log.name: log.gains or rig.gains for log in logs.logs}
+    # A logged effort shows the gains that ran, which need not be those of now.
+    stated = {
+        log.name: log.gains or rig.gains
+        for log in logs.logs
+        if log.gains or "effort" not in log.sources
+    }
     found = suggest(
         logs._replace(controller=rig.controller),
         gains=stated,
