@@ -1,10 +1,10 @@
 """Does a change of the code leave the answers of the diagnosis as they were?
 
-Command: `python -m experiments.reference_answers --into FILE`, then with `--against FILE`.
+Command: `python -m experiments.reference_answers --against FILE`.
 Target: the same verdicts and names as in the file, and values within 1e-6 of them.
 
-Cases are those of `experiments.diagnosis_numbers`, of development seeds. The file is written by
-the code before the change, and compared with the answers of the code after it.
+Cases are those of `experiments.diagnosis_numbers`, of development seeds. The code before the
+change writes the file, with `--into FILE`.
 """
 
 import json
