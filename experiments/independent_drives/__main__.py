@@ -101,11 +101,11 @@ SIZES = {
     "dead_time": ("delay_s", "dead_time"),
     "dahl_hysteresis": ("torque_Nm", "dry"),
     "link_gravity": ("torque_Nm", "gravity"),
-    "load_friction": ("load_share", "gear_share"),
     "stribeck_friction": ("coulomb_Nm", "dry"),
     "torque_ripple": ("amplitude_Nm", "ripple1"),
 }
-"""The size of an effect by the number of `drive.c` that it stands for."""
+"""The size of an effect by the number of `drive.c` that it stands for. Load friction has none: there it
+is a share of what the gear passes on, in the model one of the motor's torque."""
 
 
 def held_of_effects(found: Diagnosis, numbers: Mapping[str, float]) -> Iterator[Held]:
