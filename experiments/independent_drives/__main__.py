@@ -104,8 +104,11 @@ SIZES = {
     "stribeck_friction": ("coulomb_Nm", "dry"),
     "torque_ripple": ("amplitude_Nm", "ripple1"),
 }
-"""The size of an effect by the number of `drive.c` that it stands for. Load friction has none: there it
-is a share of what the gear passes on, in the model one of the motor's torque."""
+"""The size of an effect by the number of `drive.c` that it stands for.
+
+Load friction has none: there it is a share of what the gear passes on, in the model of the motor's
+torque.
+"""
 
 
 def held_of_effects(found: Diagnosis, numbers: Mapping[str, float]) -> Iterator[Held]:
