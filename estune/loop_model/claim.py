@@ -108,7 +108,8 @@ def claim(
     elif not fit.responds:
         reason = "the measurement does not follow the effort within a trial"
     elif not math.isfinite(predict(fit.model, trial, gains).cost):
-        reason = "the identified loop is unstable with these gains"
+        what = "the identified loop is unstable with these gains"
+        reason = what if fit.is_white else f"{what}; {unexplained(fit.misfit)}"
     else:
         margin = error_margin(fit, plant_error(fit, records), gains, settings)
         reason = _unknown(fit, margin, settings.sampling_Hz)
