@@ -119,7 +119,7 @@ def test_journal_of_version_0_1_0_is_read_and_replayed(tmp_path):
     assert result.verdict.complete
     assert [e.number for e in result.entries] == list(range(24))
     # The run repeated now gives the proposals and costs of then, up to the last bits, in
-    # which processors differ.
+    # which processors differ. How many repeats confirm them may change with the version.
     now = api.tune(
         *(ArithmeticRig(),),
         tuner="otis",
@@ -132,7 +132,9 @@ def test_journal_of_version_0_1_0_is_read_and_replayed(tmp_path):
     then, today = (
         np.array([[*e.gains.as_tuple(), e.cost] for e in tuned.entries]) for tuned in (result, now)
     )
-    np.testing.assert_allclose(today, then, rtol=1e-12)
+    both = min(len(then), len(today))
+    assert both > sum(entry.phase != "confirm" for entry in result.entries)
+    np.testing.assert_allclose(today[:both], then[:both], rtol=1e-12)
 
 
 LATER = (*journal.VERSIONS, "ALTER TABLE trial ADD COLUMN weather TEXT; DELETE FROM run WHERE 0")

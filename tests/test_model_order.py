@@ -79,7 +79,7 @@ def test_coordinates_of_a_polynomial_are_those_it_was_made_from(coordinates):
     (found,) = coordinates_of(difference_polynomial(coordinates)[np.newaxis])
     pairs = [sorted(zip(c[::2], c[1::2], strict=False)) for c in (found, coordinates)]
     assert np.allclose(*pairs)
-    assert coordinates_of(np.array([[-1e-3, 0.3, 0.7]])) == [None]
+    assert coordinates_of(np.array([[-1e-3, 0.3, 0.7], [0.01, 0.99, 0.0]])) == [None, None]
 
 
 def test_models_drawn_where_poles_are_close_scatter_as_the_covariance_says():

@@ -116,16 +116,23 @@ def coordinates_of(polynomials: FloatArray) -> list[tuple[float, ...] | None]:
     None where a pole has none: outside the unit circle, or real and not above zero.
 
     Args:
-        polynomials: Shape (polynomials, poles + 1), the last coefficients not zero.
+        polynomials: Shape (polynomials, poles + 1).
     """
     count, poles = polynomials.shape[0], polynomials.shape[1] - 1
-    companion = np.zeros((count, poles, poles))
+    # The last coefficient is the product of the poles: where nothing can be divided by it, a pole
+    # is zero, or decays so far within a sample that the product underflows.
+    magnitudes = np.abs(polynomials)
+    nonzero = magnitudes[:, -1] > np.finfo(float).tiny * magnitudes.max(axis=1)
+    companion = np.zeros((int(nonzero.sum()), poles, poles))
     companion[:, 1:, :-1] = np.eye(poles - 1)
-    companion[:, :, -1] = -polynomials[:, :-1] / polynomials[:, -1:]
+    companion[:, :, -1] = -polynomials[nonzero, :-1] / polynomials[nonzero, -1:]
     d = np.linalg.eigvals(companion).astype(complex)
     with np.errstate(divide="ignore"):
         log_poles = -np.log1p(-d)
-    return [_coordinates(*row) for row in zip(d.tolist(), log_poles.tolist(), strict=True)]
+    found: list[tuple[float, ...] | None] = [None] * count
+    for index, *row in zip(np.flatnonzero(nonzero), d.tolist(), log_poles.tolist(), strict=True):
+        found[index] = _coordinates(*row)
+    return found
 
 
 def _coordinates(d: list[complex], log_poles: list[complex]) -> tuple[float, ...] | None:

@@ -25,6 +25,7 @@ from estune.run.session import (
     next_request,
     predict_next,
     with_excitation,
+    with_recorded_repeat,
 )
 from estune.run.start import first_record_fault
 from estune.run.trial_quality import check_noise
@@ -168,9 +169,10 @@ def replay(plan: Plan, description: RigDescription, journal: Journal) -> TuningR
     replayed, session = snapshot.read(journal, plan, tuning.entries)
     tuning.session = session or tuning.session
     for entry in entries[replayed:]:
-        request = next_request(tuning.session)
-        requested = request and (request.trial_id, request.gains.as_tuple())
-        if requested != (entry.trial_id, entry.gain_values):
+        recorded = entry.trial_id, entry.gain_values
+        if _requested(tuning.session) != recorded:
+            tuning.session = with_recorded_repeat(tuning.session, entry.gains)
+        if (requested := _requested(tuning.session)) != recorded:
             raise JournalError(
                 f"{journal.folder}: trial {entry.trial_id} with {entry.gains} is not what the "
                 f"plan asks for ({requested}); the journal is of another version or was changed"
@@ -180,6 +182,12 @@ def replay(plan: Plan, description: RigDescription, journal: Journal) -> TuningR
     if tuning.first_record is not None:
         adopt_first(tuning, tuning.first_record)
     return tuning
+
+
+def _requested(session: Session) -> tuple[str, tuple[float, ...]] | None:
+    """Trial and gains that the session asks for next."""
+    request = next_request(session)
+    return None if request is None else (request.trial_id, request.gains.as_tuple())
 
 
 def session_after(tuning: TuningRun, entry: JournalEntry, journal: Journal) -> Session:

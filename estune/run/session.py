@@ -359,6 +359,19 @@ def _after_excitation(session: Session, record: LoopRecord | None) -> dict[str, 
     return changed
 
 
+def with_recorded_repeat(session: Session, gains: Gains) -> Session:
+    """The session whose confirmation repeats these gains next; unchanged where they are not in it.
+
+    The statistic that ends a confirmation may be another in the version that ran these trials; the
+    repeats that it asked for are repeats all the same.
+    """
+    repeats = session.confirmation
+    if repeats is None or gains not in repeats.gains:
+        return session
+    recorded = repeats._replace(recorded=repeats.gains.index(gains))
+    return replace(session, confirmation=recorded)
+
+
 def _known_costs(session: Session) -> tuple[float, ...]:
     """Costs of the initial gains before the confirmation that count as repeats of theirs."""
     return session.baseline if session.plan.is_predicted(session.tuner_state) else ()

@@ -24,7 +24,7 @@ import numpy as np
 
 import plants
 from estune.support.blas import one_blas_thread
-from experiments.diagnosis_numbers.cases import CASES, Case, case_of
+from experiments.diagnosis_numbers.cases import CASES, DiagnosisCase, case_of
 from experiments.diagnosis_numbers.numbers import FOLDER, Number, numbers, replaced
 from experiments.results import command_line, print_results
 from plants.diagnosis.models.diagnosed_model import diagnosed
@@ -50,7 +50,9 @@ class Said(NamedTuple):
     used: dict[str, frozenset[tuple[str, int]]]
 
 
-def diagnose(case: Case, known: dict[str, Any], stop: Callable[[str, Any], bool]) -> Said | None:
+def diagnose(
+    case: DiagnosisCase, known: dict[str, Any], stop: Callable[[str, Any], bool]
+) -> Said | None:
     """Runs the steps that are not known; None where one says that nothing will change.
 
     The functions used are listed only where no step is known: that takes time.
@@ -125,7 +127,9 @@ def fits_made_once(made: dict[Any, Any]) -> Iterator[None]:
         yield
 
 
-def changes(case: Case, number: Number, factor: float, first: Said, made: dict[Any, Any]) -> str:
+def changes(
+    case: DiagnosisCase, number: Number, factor: float, first: Said, made: dict[Any, Any]
+) -> str:
     """The answer with another value of a number, or the same."""
     steps = [name for name, entered in first.used.items() if entered & number.uses]
     if not steps:

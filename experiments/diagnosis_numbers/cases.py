@@ -22,7 +22,7 @@ CASES = (
 DRIVES, DRIVE_SEED = ("servo", "stage", "spindle", "link"), 3000
 
 
-class Case(NamedTuple):
+class DiagnosisCase(NamedTuple):
     """What a diagnosis is asked."""
 
     model: Any
@@ -31,14 +31,16 @@ class Case(NamedTuple):
     columns: ColumnMap
 
 
-def case_of(name: str, folder: Path) -> Case:
+def case_of(name: str, folder: Path) -> DiagnosisCase:
     """A case by its name; a drive writes its files into a folder."""
     kind, number = name.split()
     if kind in DRIVES and int(number) < 100:
         rng = np.random.default_rng([DRIVE_SEED, int(number), 1, *kind.encode()])
         logger = Logger.drawn(kind, rng)
         logger.write(draw(kind, int(number), DRIVE_SEED), folder, rng)
-        return Case(load_model(folder / "model.toml"), folder / "logs", None, logger.columns)
+        return DiagnosisCase(
+            load_model(folder / "model.toml"), folder / "logs", None, logger.columns
+        )
     drawn, secret = hidden_machines.draw(int(number), kind)
     records = [measurement(record) for record in drawn.records]
-    return Case(model(drawn), records, choice(drawn, secret), AS_NAMED)
+    return DiagnosisCase(model(drawn), records, choice(drawn, secret), AS_NAMED)
