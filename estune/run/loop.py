@@ -170,9 +170,11 @@ def replay(plan: Plan, description: RigDescription, journal: Journal) -> TuningR
     tuning.session = session or tuning.session
     for entry in entries[replayed:]:
         recorded = entry.trial_id, entry.gain_values
-        if _requested(tuning.session) != recorded:
+        requested = _requested(tuning.session)
+        if requested != recorded:
             tuning.session = with_recorded_repeat(tuning.session, entry.gains)
-        if (requested := _requested(tuning.session)) != recorded:
+            requested = _requested(tuning.session)
+        if requested != recorded:
             raise JournalError(
                 f"{journal.folder}: trial {entry.trial_id} with {entry.gains} is not what the "
                 f"plan asks for ({requested}); the journal is of another version or was changed"
