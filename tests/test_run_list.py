@@ -78,6 +78,24 @@ def test_runs_are_laid_over_each_other_labelled_and_deleted_by_keyboard(chromium
     assert all(one["who"].endswith("on the live page") for one in actions)
 
 
+@needs_browser
+def test_list_that_changes_leaves_the_focus_where_it_is_and_sorts(chromium, runs):
+    server = PageServer(folder_views(runs))
+    try:
+        with opened(chromium, server.address) as page:
+            box = page.get_by_label("Lay first over the shown run")
+            box.focus()
+            for name in NAMES:  # the focused row among them
+                write_labels(runs / name, Labels(("cold",)))
+            expect(page.locator("#views td", has_text="cold")).to_have_count(len(NAMES))
+            expect(box).to_be_focused()
+            for first in ("first", "third"):
+                page.get_by_role("button", name="name").press("Enter")
+                expect(page.locator("#views tbody tr").first).to_contain_text(first)
+    finally:
+        server.close()
+
+
 def test_labels_and_deletion_are_refused_without_the_key_and_without_the_name(runs):
     server = PageServer(folder_views(runs), may_command=True)
     key = server.address.partition("#key=")[2]

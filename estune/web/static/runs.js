@@ -64,41 +64,57 @@ export class RunTable {
     };
     const shown = this.rows.filter((row) => words.every((word) => text(row).includes(word))).sort(order);
     $("views").querySelectorAll("th:has(button)").forEach((th, n) => th.setAttribute("aria-sort", COLUMNS[n][0] !== this.by ? "none" : this.falling ? "descending" : "ascending"));
-    const drawn = new Map(), part = this.all ? shown : shown.slice(0, DRAWN_MAX);
+    const part = this.all ? shown : shown.slice(0, DRAWN_MAX);
     $("all-views").hidden = part.length === shown.length;
     $("all-views").textContent = `Show all ${shown.length}`;
-    $("views").querySelector("tbody").replaceChildren(...part.map((row) => {
-      const content = JSON.stringify([row, row.name === this.current, this.laidOver.has(row.name), this.laidOver.size < LAID_OVER_MAX]);
-      const kept = this.drawn.get(row.name), tr = kept?.content === content ? kept.tr : this.made(row);
-      drawn.set(row.name, { content, tr });
-      return tr;
-    }));
-    this.drawn = drawn;
+    this.drawn = new Map(part.map((row) => [row.name, this.filled(this.drawn.get(row.name) ?? this.made(row.name), row)]));
+    place($("views").querySelector("tbody"), [...this.drawn.values()].map(({ tr }) => tr));
     const empty = COLUMNS.map(([key]) => this.rows.every((row) => row[key] == null || row[key].length === 0));
     for (const { cells } of $("views").querySelectorAll("tr"))
       empty.forEach((none, n) => { if (cells[n].hidden !== none) cells[n].hidden = none; });
   }
 
-  // A row of the table.
-  made(row) {
-    const tr = Object.assign(document.createElement("tr"), { className: row.stale ? "stale" : "" });
-    COLUMNS.forEach(([key, , form], n) => {
-      const cell = Object.assign(tr.insertCell(), { className: key === "Ms" ? "whole" : "" });
-      if (n) return cell.append(form(row[key], row));
-      const link = Object.assign(document.createElement("a"), { href: `?view=${encodeURIComponent(row.name)}`, textContent: row.name });
-      if (row.name === this.current) link.setAttribute("aria-current", "page");
-      cell.append(link);
-    });
-    const box = Object.assign(document.createElement("input"), { type: "checkbox", checked: this.laidOver.has(row.name) });
-    box.setAttribute("aria-label", `Lay ${row.name} over the shown run`);
-    box.disabled = row.name === this.current || (!box.checked && this.laidOver.size >= LAID_OVER_MAX);
+  // A row of the table that shows nothing yet.
+  made(name) {
+    const tr = document.createElement("tr"), cells = COLUMNS.map(([key]) => Object.assign(tr.insertCell(), { className: key === "Ms" ? "whole" : "" }));
+    const link = Object.assign(document.createElement("a"), { href: `?view=${encodeURIComponent(name)}`, textContent: name });
+    cells[0].append(link);
+    const box = Object.assign(document.createElement("input"), { type: "checkbox" });
+    box.setAttribute("aria-label", `Lay ${name} over the shown run`);
     box.addEventListener("change", () => {
-      this.laidOver[box.checked ? "add" : "delete"](row.name);
+      this.laidOver[box.checked ? "add" : "delete"](name);
       this.draw();
-      $("views").querySelector(`[aria-label="${CSS.escape(box.getAttribute("aria-label"))}"]`)?.focus();
       this.onLaidOver([...this.laidOver]);
     });
     tr.insertCell().append(box);
-    return tr;
+    return { tr, cells, link, box, content: "" };
   }
+
+  // The row with what it is to show, in the elements that it has.
+  filled(drawn, row) {
+    const shown = row.name === this.current, laid = this.laidOver.has(row.name), full = this.laidOver.size >= LAID_OVER_MAX;
+    const content = JSON.stringify([row, shown, laid, full]);
+    if (drawn.content === content) return drawn;
+    const { tr, cells, link, box } = drawn;
+    tr.className = row.stale ? "stale" : "";
+    COLUMNS.forEach(([key, , form], n) => { if (n) cells[n].textContent = form(row[key], row); });
+    if (shown) link.setAttribute("aria-current", "page");
+    else link.removeAttribute("aria-current");
+    box.checked = laid;
+    box.disabled = shown || (!laid && full);
+    return Object.assign(drawn, { content });
+  }
+}
+
+// Puts rows into a table in this order. A row in its place is not taken out: it would lose the
+// focus, and with it the next key of somebody who works by keyboard.
+function place(body, rows) {
+  const wanted = new Set(rows), focused = document.activeElement;
+  for (const row of [...body.rows]) if (!wanted.has(row)) row.remove();
+  let next = body.firstElementChild;
+  for (const row of rows) {
+    if (row === next) next = next.nextElementSibling;
+    else body.insertBefore(row, next);
+  }
+  if (focused !== document.activeElement && body.contains(focused)) focused.focus();
 }
