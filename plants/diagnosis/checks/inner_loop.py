@@ -40,9 +40,9 @@ def inner_loop(m: MeasuredRecord, b: BaseNumbers) -> Iterator[DataIssue]:
             continue
         unit = next((u for u, f in UNITS.items() if within_factor(gain / f, 1.1)), None)
         if unit is not None:
-            said = f"it is the {title} in {unit}: the setpoint of a loop inside the drive"
+            sentence = f"it is the {title} in {unit}: the setpoint of a loop inside the drive"
             remedy = "map the torque or the current, or give a [linear_plant] whose input it is"
-            yield DataIssue("refused", f"{said}, no torque; {remedy}", m.command_column)
+            yield DataIssue("refused", f"{sentence}, no torque; {remedy}", m.command_column)
             return
 
 
@@ -51,6 +51,6 @@ def _gain(command: FloatArray, motion: FloatArray) -> float | None:
     # The motion may come up to 2 % of the record after the command.
     delays = {round(d) for d in np.linspace(0.0, 0.02 * command.size, 8)}
     tried = [proportion(command[: command.size - late], motion[late:]) for late in delays]
-    slope, share = max(tried, key=lambda one: one[1] if one[0] > 0.0 else 0.0)
+    slope, share = max(tried, key=lambda fitted: fitted[1] if fitted[0] > 0.0 else 0.0)
     # A loop that follows to a tenth of its command explains 0.99; a torque accelerates, too.
     return 1.0 / slope if slope > 0.0 and share >= 0.98 else None

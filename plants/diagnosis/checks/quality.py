@@ -41,8 +41,8 @@ def check(
     usable = []
     for m in kept:
         numbers = BaseNumbers.of(model, m)
-        found = _issues(m, numbers, rate_Hz, step_rad)
-        own = [replace(issue, source=m.source or m.name) for issue in found]
+        listed = _issues(m, numbers, rate_Hz, step_rad)
+        own = [replace(issue, source=m.source or m.name) for issue in listed]
         issues += own
         if not any(issue.level == "refused" for issue in own):
             usable.append(m)
@@ -106,9 +106,9 @@ def _issues(
     yield from frozen_angle(m.angle_rad, m.tension_N, per_N, step_rad)
     late = shift_between(m.angle_rad, m.tension_N)
     if late:
-        said = f"it comes {abs(late)} samples {'after' if late > 0 else 'before'} angle_rad"
+        sentence = f"it comes {abs(late)} samples {'after' if late > 0 else 'before'} angle_rad"
         remedy = "the channels are not of the same moments; align them"
-        yield DataIssue("warning", f"{said}: {remedy}", "tension_N")
+        yield DataIssue("warning", f"{sentence}: {remedy}", "tension_N")
 
 
 def _too_short(m: MeasuredRecord, b: BaseNumbers) -> Iterator[DataIssue]:

@@ -64,8 +64,8 @@ def _constant_runs(readings: FloatArray) -> list[slice]:
 def _frozen(column: str, samples: int, still: list[slice], when: str) -> Iterator[DataIssue]:
     if still:
         lengths = [run.stop - run.start for run in still]
-        said = f"the readings stand still for {max(lengths)} samples{when}"
-        sentence = f"{said}; check the sensor and its cable"
+        duration = f"the readings stand still for {max(lengths)} samples{when}"
+        sentence = f"{duration}; check the sensor and its cable"
         yield _fault(sum(lengths) / samples, column, still[0].start + 1, sentence)
 
 
@@ -96,11 +96,11 @@ def shift_between(leader: FloatArray, follower: FloatArray) -> int:
     if n < 8 * most or not (np.ptp(leader) > 0.0 and np.ptp(follower) > 0.0):
         return 0
     x = leader[most : n - most]
-    left = np.empty(2 * most + 1)
+    unexplained = np.empty(2 * most + 1)
     for shift in range(-most, most + 1):
         y = follower[most + shift : n - most + shift]
-        left[shift + most] = 1.0 - np.corrcoef(x, y)[0, 1] ** 2
-    best = int(left.argmin()) - most
+        unexplained[shift + most] = 1.0 - np.corrcoef(x, y)[0, 1] ** 2
+    best = int(unexplained.argmin()) - most
     inside = 2 <= abs(best) < most
     # A shift is believed that leaves less than a tenth of what there is without one.
-    return best if inside and left.min() < 0.09 * left[most] else 0
+    return best if inside and unexplained.min() < 0.09 * unexplained[most] else 0

@@ -28,8 +28,8 @@ def mistaken_units(m: MeasuredRecord, b: BaseNumbers, rate_Hz: float) -> Iterato
     if b.linear is not None:
         return
     if within_factor(m.sampling_Hz * 1000.0 / rate_Hz, MODEL_OFF):
-        said = f"its samples come at {m.sampling_Hz:.3g} Hz, the model's at {rate_Hz:.3g} Hz"
-        yield DataIssue("refused", f"{said}: it seems to be in ms; give s", "time_s")
+        sentence = f"its samples come at {m.sampling_Hz:.3g} Hz, the model's at {rate_Hz:.3g} Hz"
+        yield DataIssue("refused", f"{sentence}: it seems to be in ms; give s", "time_s")
         return
     effort = m.command_A(b.newtons_per_ampere) * b.newtons_per_ampere
     smoother = Smoother.slow(m.duration_s, m.sampling_Hz)
@@ -83,8 +83,9 @@ def _reversed(
     column = "tension_N" if all(backward) else "angle_rad"
     if by_effort is None or (backward[1] and not backward[0]):
         column = m.command_column
-    said = "it moves the other way than the model says: its sign seems to be reversed"
-    yield DataIssue("refused", f"{said}; change the sign of {column} or of what it moves", column)
+    sentence = "it moves the other way than the model says: its sign seems to be reversed"
+    remedy = f"change the sign of {column} or of what it moves"
+    yield DataIssue("refused", f"{sentence}; {remedy}", column)
 
 
 def _issues(
@@ -107,8 +108,8 @@ def _issues_of_drive(m: MeasuredRecord, times: float) -> Iterator[DataIssue]:
     """Issues by the torque that the motion takes, relative to the command."""
     # A model may be off by 2 pi, too: it is said, and the record is used.
     if within_factor(times * 2.0 * math.pi, 1.3):
-        said = "its changes are 1/6.28 of what the model turns, which is the ratio of turns to rad"
-        yield DataIssue("warning", f"{said}; check the unit and the inertia", "angle_rad")
+        sentence = "its changes are 1/6.28 of what the model turns, the ratio of turns to rad"
+        yield DataIssue("warning", f"{sentence}; check the unit and the inertia", "angle_rad")
     elif not within_factor(times, PLAUSIBLE) and times < 1.0:
         unit = "thousandths, as mN m, mN or mA"
         yield _issue(m.command_column, 1.0 / times, "what the motion takes", {1e3: unit})

@@ -72,10 +72,10 @@ class MeasuredRecord:
         columns = ("time_s", "setpoint_N", "current_A", "flags")
         same = {name: getattr(record, name) for name in (*names, *columns)}
         read = {name: getattr(record, name) for name in OUTPUTS}
-        there: dict[str, Any] = {
+        outputs: dict[str, Any] = {
             n: None if c is None or not c.any() else c for n, c in read.items()
         }
-        return cls(name=record.trial_id, source=record.trial_id, **same, **there)
+        return cls(name=record.trial_id, source=record.trial_id, **same, **outputs)
 
     @property
     def samples(self) -> int:
@@ -94,8 +94,8 @@ class MeasuredRecord:
 
     def channel(self, name: str) -> FloatArray | None:
         """A column of `CHANNELS` by its name, or None where it is missing."""
-        found: FloatArray | None = getattr(self, name)
-        return found
+        column: FloatArray | None = getattr(self, name)
+        return column
 
     @property
     def command_column(self) -> str:

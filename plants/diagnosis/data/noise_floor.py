@@ -115,20 +115,20 @@ def _alone(m: MeasuredRecord, column: FloatArray) -> tuple[float, str]:
     """The noise of a channel from its own record alone, and its source."""
     if m.samples < FEWEST:
         return _differences_rms(column), SOURCES[3]
-    found: list[tuple[float, str]] = []
+    estimates: list[tuple[float, str]] = []
     if m.setpoint_N is not None:
         periods = periods_of(m.setpoint_N)
         if periods is not None and periods.samples >= FEWEST:
-            found.append((_group_rms(periods.fold(column)), SOURCES[1]))
+            estimates.append((_group_rms(periods.fold(column)), SOURCES[1]))
         elif quiet := [column[hold] for hold in holds(m.setpoint_N, FEWEST)]:
             # Of each stretch the second half: by then the plant has settled.
             settled = (c[c.size // 2 :] if c.size >= 2 * FEWEST else c for c in quiet)
-            found.append((float(np.median([spectral_rms(c) for c in settled])), SOURCES[2]))
-    if not found or m.loop == "closed":
+            estimates.append((float(np.median([spectral_rms(c) for c in settled])), SOURCES[2]))
+    if not estimates or m.loop == "closed":
         # A controller turns the gauge's noise into motion, which the recorded current explains:
         # the upper spectrum, where the plant does not follow, may then be nearer the truth.
-        found.append((upper_rms(column), SOURCES[3]))
-    return min(found)
+        estimates.append((upper_rms(column), SOURCES[3]))
+    return min(estimates)
 
 
 def _group_rms(same: FloatArray) -> float:
@@ -147,15 +147,15 @@ def _differences_rms(column: FloatArray) -> float:
 
 def _repeats(measurements: Sequence[MeasuredRecord]) -> dict[tuple[int, str], float]:
     """Noise by measurement and channel, of trials run twice or more."""
-    found = {}
+    rms_of = {}
     for same in _repeated(measurements):
         for name in CHANNELS[1:]:
             columns = [measurements[n].channel(name) for n in same]
             known = [column for column in columns if column is not None]
             if len(known) == len(same):
                 rms = _group_rms(np.stack(known))
-                found.update(dict.fromkeys(((n, name) for n in same), rms))
-    return found
+                rms_of.update(dict.fromkeys(((n, name) for n in same), rms))
+    return rms_of
 
 
 def unrepeated(measurements: Sequence[MeasuredRecord]) -> tuple[dict[str, FloatArray], ...]:
@@ -164,7 +164,7 @@ def unrepeated(measurements: Sequence[MeasuredRecord]) -> tuple[dict[str, FloatA
     Scaled to a single run; nan where a command was not repeated. Besides noise it holds the
     response to disturbance forces, however slow.
     """
-    found: tuple[dict[str, FloatArray], ...] = tuple({} for _ in measurements)
+    deviations: tuple[dict[str, FloatArray], ...] = tuple({} for _ in measurements)
     for n, m in enumerate(measurements):
         periods = None if m.setpoint_N is None else periods_of(m.setpoint_N)
         if periods is None or m.loop != "open":
@@ -175,9 +175,9 @@ def unrepeated(measurements: Sequence[MeasuredRecord]) -> tuple[dict[str, FloatA
         for name in m.outputs:
             column = m.channel(name)
             if column is not None:
-                found[n][name] = np.full(m.samples, np.nan)
+                deviations[n][name] = np.full(m.samples, np.nan)
                 again = column[begin + lag : end + lag] - column[begin:end]
-                found[n][name][begin:end] = again / math.sqrt(2.0)
+                deviations[n][name][begin:end] = again / math.sqrt(2.0)
     for same in _repeated(measurements):
         for name in measurements[same[0]].outputs if measurements[same[0]].loop == "open" else ():
             columns = [measurements[n].channel(name) for n in same]
@@ -186,9 +186,9 @@ def unrepeated(measurements: Sequence[MeasuredRecord]) -> tuple[dict[str, FloatA
                 deviation = (known - known.mean(axis=0)) * math.sqrt(len(same) / (len(same) - 1.0))
                 # An encoder may be zeroed before each run.
                 deviation -= deviation.mean(axis=1, keepdims=True)
-                for n, one in zip(same, deviation, strict=True):
-                    found[n][name] = one
-    return found
+                for n, deviation_of_run in zip(same, deviation, strict=True):
+                    deviations[n][name] = deviation_of_run
+    return deviations
 
 
 def _repeated(measurements: Sequence[MeasuredRecord]) -> list[list[int]]:
@@ -202,18 +202,18 @@ def _repeated(measurements: Sequence[MeasuredRecord]) -> list[list[int]]:
 
 def _same_setpoints(measurements: Sequence[MeasuredRecord], group: list[int]) -> list[list[int]]:
     """Splits a group into those with equal setpoints, two or more of each."""
-    found: list[tuple[FloatArray, list[int]]] = []
+    groups: list[tuple[FloatArray, list[int]]] = []
     for n in group:
         setpoint = measurements[n].setpoint_N
         assert setpoint is not None  # noqa: S101  groups are made of records that have one
         same = SAME * max(float(np.abs(setpoint).max()), 1e-300)
-        for first, members in found:
+        for first, members in groups:
             if np.abs(setpoint - first).max() <= same:
                 members.append(n)
                 break
         else:
-            found.append((setpoint, [n]))
-    return [members for _, members in found if len(members) > 1]
+            groups.append((setpoint, [n]))
+    return [members for _, members in groups if len(members) > 1]
 
 
 def _pooled(name: str, records: Sequence[dict[str, Noise]], samples: Sequence[int]) -> Noise:

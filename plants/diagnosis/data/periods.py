@@ -48,8 +48,8 @@ def periods_of(setpoint: FloatArray) -> Periods | None:
     same = SAME * float(np.ptp(setpoint))
     for lag in sorted(_likely_lags(setpoint - setpoint.mean())):
         equal = np.abs(setpoint[lag:] - setpoint[:-lag]) <= same
-        found = max(runs(equal), key=lambda run: run.stop - run.start, default=slice(0, 0))
-        first, length = found.start, found.stop - found.start
+        longest = max(runs(equal), key=lambda run: run.stop - run.start, default=slice(0, 0))
+        first, length = longest.start, longest.stop - longest.start
         whole = setpoint[first : first + lag]
         # A hold has any period.
         if length >= lag and whole.std() >= 0.3 * spread:
@@ -73,8 +73,8 @@ def _likely_lags(x: FloatArray) -> list[int]:
     likeness = correlate(x, x, method="fft")[n - 1 :] / np.arange(n, 0, -1)
     lags = np.arange(8, n // 2 + 1)
     peak = likeness[lags] >= np.maximum(likeness[lags - 1], likeness[lags + 1])
-    found = lags[peak]
-    return [int(lag) for lag in found[np.argsort(-likeness[found])][:40]]
+    peaks = lags[peak]
+    return [int(lag) for lag in peaks[np.argsort(-likeness[peaks])][:40]]
 
 
 def runs(true: NDArray[np.bool_]) -> list[slice]:

@@ -76,12 +76,12 @@ def _steps(setpoint: FloatArray | None) -> int | None:
 def _signs(m: MeasuredRecord) -> dict[str, float]:
     smoother = Smoother.slow(m.duration_s, m.sampling_Hz)
     effort = "current_A" if m.current_A is not None else "setpoint_N"
-    found = {}
-    for one, other in (("tension_N", effort), ("tension_N", "angle_rad"), ("angle_rad", effort)):
-        x, y = m.channel(one), m.channel(other)
+    correlations = {}
+    for name, cause in (("tension_N", effort), ("tension_N", "angle_rad"), ("angle_rad", effort)):
+        x, y = m.channel(name), m.channel(cause)
         if x is None or y is None:
             continue
         slope, share = proportion(smoother.sampled(y, 1.0), smoother.sampled(x, 1.0))
         if share > 0.0:
-            found[f"{one} by {other}"] = math.copysign(math.sqrt(share), slope)
-    return found
+            correlations[f"{name} by {cause}"] = math.copysign(math.sqrt(share), slope)
+    return correlations

@@ -54,7 +54,7 @@ def read_measurements(
     folder = Path(folder)
     if not folder.exists():
         raise InvalidInput(f"{folder} does not exist; give a folder of records")
-    found: dict[str, MeasuredRecord] = {}
+    records: dict[str, MeasuredRecord] = {}
     findings: list[DataIssue] = []
     sources: list[ColumnSource] = []
     for result in _read_all(folder, column_map, drum):
@@ -62,21 +62,21 @@ def read_measurements(
             findings.append(result)
         elif isinstance(result, ColumnSource):
             sources.append(result)
-        elif result.name not in found:
-            found[result.name] = result
-        elif _same(result, found[result.name]):
-            first = found[result.name].source
+        elif result.name not in records:
+            records[result.name] = result
+        elif _same(result, records[result.name]):
+            first = records[result.name].source
             sentence = f"trial {result.name} was read from {first} already; this copy is left out"
             findings.append(DataIssue("warning", sentence, source=result.source))
         else:
             name = f"{result.name} ({result.source})"
-            found[name] = replace(result, name=name)
-    if not found:
+            records[name] = replace(result, name=name)
+    if not records:
         listed = "; ".join(str(f) for f in findings if f.level == "refused")
         what = listed or f"it holds no {', '.join(formats())} or run"
         raise InvalidInput(f"{folder} has no record that can be used: {what}")
-    records = tuple(found[name] for name in sorted(found))
-    return FolderContents(records, tuple(findings), tuple(sources))
+    by_name = tuple(records[name] for name in sorted(records))
+    return FolderContents(by_name, tuple(findings), tuple(sources))
 
 
 def drum_of(model: Any) -> Drum:
@@ -85,8 +85,8 @@ def drum_of(model: Any) -> Drum:
     return Drum(*(getattr(model, name, None) for name in names))
 
 
-def _same(one: MeasuredRecord, other: MeasuredRecord) -> bool:
-    columns = ([np.asarray(m.channel(name)) for m in (one, other)] for name in OUTPUTS)
+def _same(first: MeasuredRecord, second: MeasuredRecord) -> bool:
+    columns = ([np.asarray(m.channel(name)) for m in (first, second)] for name in OUTPUTS)
     return all(np.array_equal(a, b) for a, b in columns)
 
 

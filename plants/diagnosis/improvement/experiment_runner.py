@@ -60,24 +60,25 @@ class ExperimentRunner:
 
     def run(self, experiments: Sequence[Experiment]) -> tuple[str, ...]:
         """Runs experiments one after the other; each record is on disk before the next begins."""
-        for one in experiments:
-            self.done.add(one.profile)
-            self.say(f"running {one.title} ({one.profile.duration_s:.3g} s)")
-            file = TrialFile(f"{self._number:02d}-{one.name}", one.profile, why=one.title)
+        for experiment in experiments:
+            self.done.add(experiment.profile)
+            self.say(f"running {experiment.title} ({experiment.profile.duration_s:.3g} s)")
+            name, profile = f"{self._number:02d}-{experiment.name}", experiment.profile
+            file = TrialFile(name, profile, why=experiment.title)
             file.write(self.folder / "trials")
-            record = self.trial(one.name, self.about.gains, one.profile)
+            record = self.trial(experiment.name, self.about.gains, experiment.profile)
             write_record(record, self.folder / "data")
             if record.outcome is Outcome.DONE:
                 self.records.append(MeasuredRecord.of(record))
             else:
                 why = record.reason or record.outcome.sentence
-                self.remarks.append(f"{one.name} was left out: {why}")
-        return tuple(one.name for one in experiments)
+                self.remarks.append(f"{experiment.name} was left out: {why}")
+        return tuple(experiment.name for experiment in experiments)
 
     def new_experiments(self, count: int) -> list[Experiment]:
         """Candidate experiments that have not been run yet, spread over the list."""
-        left = [one for one in candidate_experiments(self.about) if one.profile not in self.done]
-        return left[:: max(1, len(left) // count)][:count] if left else []
+        remaining = [e for e in candidate_experiments(self.about) if e.profile not in self.done]
+        return remaining[:: max(1, len(remaining) // count)][:count] if remaining else []
 
     def trials(self, name: str, gains: Gains, repeats: int) -> list[TrialRecord]:
         """Trials of some gains on the rig's own step."""

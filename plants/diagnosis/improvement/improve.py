@@ -198,18 +198,18 @@ def _diagnose_rounds(
     named: set[tuple[str, ...]] = set()
     while True:
         lab.say(f"explaining {len(lab.records)} records")
-        found = explain(model, lab.records, effects=effects, rig=lab.about, progress=progress)
-        done.append(ImprovementRound(names, found))
-        lab.say(found.heading())
-        if found.verdict == "none" or len(done) == rounds:
+        diagnosis = explain(model, lab.records, effects=effects, rig=lab.about, progress=progress)
+        done.append(ImprovementRound(names, diagnosis))
+        lab.say(diagnosis.heading())
+        if diagnosis.verdict == "none" or len(done) == rounds:
             return done
-        new = _new_experiments(lab, found)
-        if found.verdict in ("named", "incomplete"):
-            effects_now = tuple(one.name for one in found.effects)
+        new = _new_experiments(lab, diagnosis)
+        if diagnosis.verdict in ("named", "incomplete"):
+            effects_now = tuple(effect.name for effect in diagnosis.effects)
             if model is given and effects_now in named:
                 return done  # more records have not changed the answer
             named.add(effects_now)
-            model = found.augmented
+            model = diagnosis.augmented
         elif model is given and not new:
             return done
         else:
@@ -218,14 +218,14 @@ def _diagnose_rounds(
         names = lab.run(new)
 
 
-def _new_experiments(lab: ExperimentRunner, found: Diagnosis) -> list[Experiment]:
+def _new_experiments(lab: ExperimentRunner, diagnosis: Diagnosis) -> list[Experiment]:
     """Experiments that validate the effects found, or the one that would decide, if not run."""
-    if found.verdict in ("named", "incomplete"):
+    if diagnosis.verdict in ("named", "incomplete"):
         return lab.new_experiments(2)
-    if found.next_experiment is None or found.next_experiment.trial.profile in lab.done:
+    if diagnosis.next_experiment is None or diagnosis.next_experiment.trial.profile in lab.done:
         return []
-    trial = found.next_experiment.trial
-    return [Experiment(trial.name, found.next_experiment.sentence, trial.profile)]
+    trial = diagnosis.next_experiment.trial
+    return [Experiment(trial.name, diagnosis.next_experiment.sentence, trial.profile)]
 
 
 def _selected_model(last: ImprovementRound) -> Any:
@@ -234,12 +234,12 @@ def _selected_model(last: ImprovementRound) -> Any:
     A model whose own numbers leave nothing keeps them: what the records hardly determine, as the
     offsets of drive and gauge beside each other, would else be worse.
     """
-    found = last.diagnosis
-    model = found.augmented
-    if found.verdict in ("none", "unknown"):
-        explained = found.given.ratio**2 <= CONSTANTS.floor
-        model = found.model if explained else found.base_model
-    noise = found.noise.channels.get("tension_N")
+    diagnosis = last.diagnosis
+    model = diagnosis.augmented
+    if diagnosis.verdict in ("none", "unknown"):
+        explained = diagnosis.given.ratio**2 <= CONSTANTS.floor
+        model = diagnosis.model if explained else diagnosis.base_model
+    noise = diagnosis.noise.channels.get("tension_N")
     if noise is None or not is_dataclass(model) or isinstance(model, type):
         return model
     if isinstance(model, MountedModel):

@@ -10,8 +10,8 @@ def page(improvement: Improvement) -> Page:
     """The page of an improvement: its costs, then the pages of its parts as sections."""
     diagnosis = diagnosis_page.page(improvement.diagnosis)
     rounds = [
-        (", ".join(one.experiments) or "all records anew", one.diagnosis.heading())
-        for one in improvement.rounds
+        (", ".join(round_.experiments) or "all records anew", round_.diagnosis.heading())
+        for round_ in improvement.rounds
     ]
     costs = [
         Table(COLUMNS, improvement.rows(), numeric=(1, 2, 3)),

@@ -102,8 +102,8 @@ class Improvement:
 
     def heading(self) -> str:
         """The effects added and the last verdict in one line."""
-        found = ", ".join(self.added) or "no effect"
-        return f"{self.rig.name}: {found} added; then {self.diagnosis.heading()}"
+        names = ", ".join(self.added) or "no effect"
+        return f"{self.rig.name}: {names} added; then {self.diagnosis.heading()}"
 
     @property
     def conclusion(self) -> str:
@@ -114,14 +114,14 @@ class Improvement:
         own, reached = by_label[OWN], by_label.get(REACHED, by_label[OWN])
         tuned = by_label.get(TUNED)
         if reached is own:
-            said = "no gains of the model could be reached from the rig's own"
+            gained = "no gains of the model could be reached from the rig's own"
         elif reached.measured + QUANTILE * math.hypot(own.error, reached.error) < own.measured:
-            said = f"the model's gains cut the measured cost by {_cut(own, reached)}"
+            gained = f"the model's gains cut the measured cost by {_cut(own, reached)}"
         else:
-            said = "the model's gains do not cut the measured cost beyond its error"
+            gained = "the model's gains do not cut the measured cost beyond its error"
         if tuned is None:
-            return f"{said}; tuning on the rig found nothing better"
-        return f"{said}; tuning on the rig cut it by {_cut(own, tuned)} in all"
+            return f"{gained}; tuning on the rig found nothing better"
+        return f"{gained}; tuning on the rig cut it by {_cut(own, tuned)} in all"
 
     def rows(self) -> tuple[tuple[str, ...], ...]:
         """The costs as the cells of a table with `COLUMNS`."""
@@ -146,9 +146,9 @@ class Improvement:
     def __repr__(self) -> str:
         """Heading, rounds, table and remarks as plain text."""
         lines = [self.heading()]
-        for n, one in enumerate(self.rounds, 1):
-            names = ", ".join(one.experiments) or "all records anew"
-            lines.append(f"round {n} ({names}): {one.diagnosis.heading()}")
+        for n, round_ in enumerate(self.rounds, 1):
+            names = ", ".join(round_.experiments) or "all records anew"
+            lines.append(f"round {n} ({names}): {round_.diagnosis.heading()}")
         if self.costs:
             lines += TextTable(COLUMNS, self.rows()).lines()
         return "\n".join(filter(None, [*lines, *self.remarks, self.conclusion]))
@@ -160,8 +160,8 @@ class Improvement:
             "effects": list(self.added),
             "verdict": self.diagnosis.verdict,
             "rounds": [
-                {"experiments": list(one.experiments), "diagnosis": one.diagnosis.to_json()}
-                for one in self.rounds
+                {"experiments": list(round_.experiments), "diagnosis": round_.diagnosis.to_json()}
+                for round_ in self.rounds
             ],
             "costs": [
                 {

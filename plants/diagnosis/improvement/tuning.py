@@ -137,7 +137,7 @@ def approach_of(model: Plant, trials: Sequence[TrialRecord], about: RigDescripti
 
     def distance(approach: Approach) -> float:
         plant = ApproachedPlant(model, approach)
-        runs = [simulate(plant, about.gains, step, noise_N=one) for one in noise]
+        runs = [simulate(plant, about.gains, step, noise_N=noise_N) for noise_N in noise]
         if any(run.diverged_at is not None for run in runs):
             return math.inf
         columns = ("tension_N", "effort_N")
@@ -187,11 +187,11 @@ def _approach(lab: ExperimentRunner, goal: Gains, cost: StepCost, most: float) -
     reached = lab.about.gains
     for gains in way(reached, goal):
         lab.say(f"trying {gains}")
-        found = lab.costs(lab.trials("approach", gains, 1), cost)[0]
-        if not found <= most:
+        measured = lab.costs(lab.trials("approach", gains, 1), cost)[0]
+        if not measured <= most:
             lab.remarks.append(
-                f"{gains}, on the way to those tuned on the model, cost {found:.4g} on the rig, "
-                f"its own {most:.4g}: it was tuned from {reached}"
+                f"{gains}, on the way to those tuned on the model, cost {measured:.4g} on the "
+                f"rig, its own {most:.4g}: it was tuned from {reached}"
             )
             break
         reached = gains

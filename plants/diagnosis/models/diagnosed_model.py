@@ -268,12 +268,12 @@ class DiagnosedModel(ABC):
         return [*((type(e), e) for e in self.effects), *((cls, None) for cls in added)]
 
     def _of_effect(
-        self, cls: type[Effect], slug: str, name: str, p: Parameter, given: float | None
+        self, cls: type[Effect], slug: str, name: str, p: Parameter, value: float | None
     ) -> Free:
         """An effect's parameter with the model's value, or one of the size of the data."""
         start, high = cls.start(name, self.sizes)
-        low, high = p.low, max(high, given if given is not None else p.low)
-        start = given if given is not None else start
+        low, high = p.low, max(high, value if value is not None else p.low)
+        start = value if value is not None else start
         return Free(
             name=f"{slug}.{name}",
             unit=p.unit,

@@ -45,9 +45,9 @@ def draw_gap(ax: Axes, d: DiagnosisResult) -> Axes:
     floor = [s.floor for s in d.steps]
     ax.bar(at, gaps, width=0.5, color=[ORANGE, *[BLUE] * (len(gaps) - 1)], zorder=2)
     for x, gap, step in zip(at, gaps, d.steps, strict=True):
-        said = f"{si(gap, d.written_unit)}\n{step.ratio:.3g}x floor"
+        label = f"{si(gap, d.written_unit)}\n{step.ratio:.3g}x floor"
         ax.annotate(
-            said, (x, gap), (0, 3), textcoords="offset points", ha="center", fontsize=8
+            label, (x, gap), (0, 3), textcoords="offset points", ha="center", fontsize=8
         )  # fmt: skip
     ax.step([-0.5, *(at + 0.5)], [floor[0], *floor], where="pre", label="noise floor", **NOISE)
     ax.set_xticks(at, names)

@@ -30,7 +30,7 @@ def to_json(d: DiagnosisResult) -> dict[str, Any]:
         "heading": summary.heading(d),
         "verdict": d.verdict,
         "sentence": d.sentence,
-        "effects": [_effect(found, type(found.effect), d) for found in d.effects],
+        "effects": [_effect(named, type(named.effect), d) for named in d.effects],
         "ambiguous": d.ambiguous,
         "candidates": [_candidate(c, d) for c in d.candidates],
         **{f"gap_{name}_{unit}": e.gap for name, e in errors.items()},
@@ -42,7 +42,7 @@ def to_json(d: DiagnosisResult) -> dict[str, Any]:
         "not_excited": d.not_excited,
         "ruled_out": d.ruled_out,
         "next_experiment": d.next_experiment and _trial(d.next_experiment),
-        "declared": [_effect(found, declared[found.name], d) for found in d.declared],
+        "declared": [_effect(named, declared[named.name], d) for named in d.declared],
         "hold_out": d.hold_out and _hold_out(d.hold_out, unit),
         "calibrations": {c.name: _fields(c, "name") for c in d.calibrations},
         "steps": [_step(step, unit) for step in d.steps],
@@ -61,12 +61,12 @@ def _fields(value: Any, without: str = "") -> dict[str, Any]:
 
 
 def _effect(
-    found: NamedEffect | DeclaredEffect, effect: type[Effect], d: DiagnosisResult
+    named: NamedEffect | DeclaredEffect, effect: type[Effect], d: DiagnosisResult
 ) -> dict[str, Any]:
     """An effect of a class; its parameters by names that end in the plant's own units."""
-    names = own_names(effect, found.parameters, PlantScale.of(d.base_model))
-    parameters = {names[name]: at for name, at in found.parameters.items()}
-    return _fields(found, "effect") | {"parameters": parameters}
+    names = own_names(effect, named.parameters, PlantScale.of(d.base_model))
+    parameters = {names[name]: at for name, at in named.parameters.items()}
+    return _fields(named, "effect") | {"parameters": parameters}
 
 
 def _candidate(c: Candidate, d: DiagnosisResult) -> dict[str, Any]:

@@ -78,9 +78,9 @@ def _traces(d: DiagnosisResult) -> list[Block]:
 def _remedies(d: DiagnosisResult) -> list[Block]:
     offers = d.remedies()
     table = html_page.Table(remedies.COLUMNS, remedies.rows(offers), ())
-    told = [Paragraph(text) for text in remedies.sentences(d, offers)]
+    sentences = [Paragraph(text) for text in remedies.sentences(d, offers)]
     if not offers:
-        return [*told]
+        return [*sentences]
     return [
         Paragraph(
             "Ratios with the remedy to without, at the same gains, predicted with the model found "
@@ -91,7 +91,7 @@ def _remedies(d: DiagnosisResult) -> list[Block]:
         ),
         table,
         html_page.Table(remedies.WORK_COLUMNS, remedies.work_rows(offers), ()),
-        *told,
+        *sentences,
     ]
 
 

@@ -70,8 +70,8 @@ def heading(d: DiagnosisResult) -> str:
         error += f" → {_in(d.after.gap, d)}"
     first = "".join(f"{limit.label}; " for limit in d.limitations)
     first = f"WITH RESERVATION, {first.removesuffix('; ')}. " if first else ""
-    told = f"{what}; prediction error {error}, noise floor {_in(d.floor, d)}"
-    return f"{first}{_HEADINGS[d.verdict]}: {told}"
+    finding = f"{what}; prediction error {error}, noise floor {_in(d.floor, d)}"
+    return f"{first}{_HEADINGS[d.verdict]}: {finding}"
 
 
 def sentences(d: DiagnosisResult) -> tuple[str, ...]:
@@ -256,24 +256,24 @@ def _percent(value: float) -> str:
     return f"{100.0 * value:.1f} %" if math.isfinite(value) else "-"
 
 
-def _interval(it: Interval) -> tuple[str, str, str]:
+def _interval(fitted: Interval) -> tuple[str, str, str]:
     """Value, interval and unit, to the digits that the interval determines."""
-    places = _places(it)
-    value, low, high = (_rounded(v, places) for v in (it.value, it.low, it.high))
-    return value, f"{low} to {high}", it.unit
+    places = _places(fitted)
+    value, low, high = (_rounded(v, places) for v in (fitted.value, fitted.low, fitted.high))
+    return value, f"{low} to {high}", fitted.unit
 
 
-def _with_half_width(it: Interval) -> str:
+def _with_half_width(fitted: Interval) -> str:
     """A value with the half width of its interval."""
-    places = _places(it)
-    half = max(abs(it.high - it.value), abs(it.value - it.low))
-    value = _rounded(it.value, places)
+    places = _places(fitted)
+    half = max(abs(fitted.high - fitted.value), abs(fitted.value - fitted.low))
+    value = _rounded(fitted.value, places)
     return f"{value} ± {_rounded(half, places)}" if math.isfinite(half) else value
 
 
-def _places(it: Interval) -> int | None:
+def _places(fitted: Interval) -> int | None:
     """Decimals that two digits of the interval's width take; None where it has none."""
-    width = it.high - it.low
+    width = fitted.high - fitted.low
     if not (math.isfinite(width) and width > 0.0):
         return None
     return 1 - math.floor(math.log10(width))

@@ -131,8 +131,8 @@ class Fit:
         turning = ResidualOverAngle(from_start[self.chosen], self.residual)
         # A period must fit twice into the angles seen; of 512 cells a quarter are told apart.
         cells = 512
-        found = per_turn([turning], span / cells, 2.0)
-        period = 2.0 * math.pi / found[0] if found else span
+        orders = per_turn([turning], span / cells, 2.0)
+        period = 2.0 * math.pi / orders[0] if orders else span
         phase = np.nan_to_num(2.0 * np.pi * from_start / period)
         wave = self.spread(np.column_stack([np.cos(phase), np.sin(phase)]))
         # Mean of the maximum of so many exponential draws, two degrees of freedom each.

@@ -82,8 +82,8 @@ class CurrentLaw(NamedTuple):
 
     def residual(self, m: TorqueMotion, fitted: FloatArray) -> FloatArray:
         """What it leaves of the torque, N m."""
-        left: FloatArray = self.torque_Nm(m) - self.columns(m) @ fitted
-        return left
+        unexplained: FloatArray = self.torque_Nm(m) - self.columns(m) @ fitted
+        return unexplained
 
     def left_out(self, parts: list[TorqueMotion]) -> float:
         """Root mean square of what is left in each part by a fit to the others, N m."""
@@ -124,15 +124,18 @@ class TorqueWaves(NamedTuple):
     @property
     def sentence(self) -> str:
         """What they explain, in plain words."""
-        said = (
+        sentence = (
             f"Over the angle it explains {self.share:.0%} of the current that inertia and "
             f"friction do not, on data left out: {self.before_A:.3g} A rms, of which "
             f"{self.after_A:.3g} A are left in slow motion, {self.after_A / self.noise_A:.2g} "
             "times its noise."
         )
         if self.held_A is not None:
-            said += f" On the held-out records {self.held_A[1]:.3g} of {self.held_A[0]:.3g} A."
-        return f"{said} The motion itself is not predicted: short predictions stay as they are."
+            before_A, after_A = self.held_A
+            sentence += f" On the held-out records {after_A:.3g} of {before_A:.3g} A."
+        return (
+            f"{sentence} The motion itself is not predicted: short predictions stay as they are."
+        )
 
 
 def torque_waves(
@@ -174,8 +177,8 @@ def torque_waves(
     if aside:
         alone = plain.fitted(parts)
         without, residual = (
-            np.concatenate([one.residual(m, values) for m in aside])
-            for one, values in ((plain, alone), (law, fitted))
+            np.concatenate([tried.residual(m, values) for m in aside])
+            for tried, values in ((plain, alone), (law, fitted))
         )
         apart = math.sqrt(_power(without)) / K, math.sqrt(_power(residual)) / K
     return TorqueWaves(
@@ -227,22 +230,22 @@ def _orders(motions: Sequence[TorqueMotion]) -> tuple[float, ...]:
     extent = max(float(np.ptp(m.angle_rad)) for m in motions)
     angle = np.concatenate([m.angle_rad for m in motions])
 
-    def left(orders: Sequence[float]) -> FloatArray:
+    def residual_of(orders: Sequence[float]) -> FloatArray:
         law = CurrentLaw(tuple(orders))
         fitted = law.fitted(motions)
         return np.concatenate([law.residual(m, fitted) for m in motions])
 
     orders: tuple[float, ...] = ()
-    residual = left(orders)
+    residual = residual_of(orders)
     for _ in range(WAVES):
-        found = per_turn([ResidualOverAngle(angle, residual)], 0.0, 3.0)
-        if not found:
+        best = per_turn([ResidualOverAngle(angle, residual)], 0.0, 3.0)
+        if not best:
             break
-        tried = {(*orders, found[0]): left((*orders, found[0]))}
+        tried = {(*orders, best[0]): residual_of((*orders, best[0]))}
         # Over a turn, the next whole number is meant that takes off nearly as much.
         if extent >= 0.9 * 2.0 * math.pi:
-            whole = (*orders, float(round(found[0])))
-            tried[whole] = left(whole)
+            whole = (*orders, float(round(best[0])))
+            tried[whole] = residual_of(whole)
         gained = {added: _power(residual) - _power(rest) for added, rest in tried.items()}
         # The last tried is the whole number.
         most, (last, gain) = max(gained.values()), list(gained.items())[-1]

@@ -202,8 +202,8 @@ def verdict_sentence(
         return f"These records show no missing effect: the prediction error is {error}."
     if verdict == "unknown":
         like = f"It looks like {conclusion.like}." if conclusion.like else ""
-        said = f"No declared effect explains the prediction error, {error}."
-        return " ".join(filter(None, (said, conclusion.reason, like)))
+        unexplained = f"No declared effect explains the prediction error, {error}."
+        return " ".join(filter(None, (unexplained, conclusion.reason, like)))
     titles = " and ".join(effect.title for effect in effects)
     falls = f"the prediction error falls from {error}, to {after.ratio:.2g} times the noise floor"
     if verdict == "ambiguous":

@@ -9,7 +9,7 @@ from estune.recordings.issue import DataIssue
 from plants.diagnosis.data.measured_record import MeasuredRecord
 from plants.diagnosis.data.noise import step_of, upper_rms
 from plants.diagnosis.interval import QUANTILE
-from plants.diagnosis.models.free_parameters import BASE
+from plants.diagnosis.models.free_parameters import BASE, Free
 from plants.diagnosis.models.signal_scales import travels
 from plants.diagnosis.result import Limitation
 from plants.diagnosis.search.model_fitter import CandidateFit, edges
@@ -26,20 +26,20 @@ def limitations(
     limits = []
     refused = len(_refused(findings))
     if refused:
-        said = f"{refused} of {refused + len(measurements)} records were refused"
+        finding = f"{refused} of {refused + len(measurements)} records were refused"
         most = most_refused(measurements, findings)
-        remedy = f"{said}; correct them and run again"
-        limits.append(Limitation("records_refused", said, remedy, by_data=most))
+        remedy = f"{finding}; correct them and run again"
+        limits.append(Limitation("records_refused", finding, remedy, by_data=most))
     if scale.has_cable:
         limits += _of_tension(measurements)
     limits += [*_of_base(last, scale), *_of_motion(measurements)]
     if scale.has_cable and all(m.angle_rad is None for m in measurements):
-        said = (
+        finding = (
             "no record has an angle: effects of cable and gauge cannot be distinguished from "
             "effects of the drum, and the inertia is known only relative to the stiffness given; "
             "record angle_rad"
         )
-        limits.append(Limitation("no_encoder", "no encoder", said))
+        limits.append(Limitation("no_encoder", "no encoder", finding))
     first = "base_parameter_moved"
     return tuple(sorted(limits, key=lambda limit: (not limit.by_data, limit.kind != first)))
 
@@ -64,10 +64,10 @@ def _of_tension(measurements: Sequence[MeasuredRecord]) -> list[Limitation]:
     share = float(np.mean(low))
     if share < 0.01:
         return []
-    said = f"{share:.0%} of the tensions read are below zero, and a cable cannot push"
+    finding = f"{share:.0%} of the tensions read are below zero, and a cable cannot push"
     remedy = "check the sign and the zero of tension_N"
     label = "tension below zero"
-    return [Limitation("tension_below_zero", label, f"{said}; {remedy}", by_data=True)]
+    return [Limitation("tension_below_zero", label, f"{finding}; {remedy}", by_data=True)]
 
 
 def has_moved(base: CandidateFit) -> bool:
@@ -76,33 +76,37 @@ def has_moved(base: CandidateFit) -> bool:
 
 
 def _of_base(base: CandidateFit, scale: PlantScale) -> list[Limitation]:
-    limits = []
-    for f in base.fitted.predictor.free:
-        value = base.values[f.name]
-        # An offset is about zero: nothing is stated of it that it could contradict.
-        if f.owner != BASE or not f.start > 0.0 or (f.low < 0.0 and f.scale == "linear"):
-            continue
-        factor, name = value / f.start, scale.name(f.name)
-        moved = f"{name} moved to {factor:.2g} times what was given"
-        if f.scale == "log" and edges(f, value):
-            said = f"{moved}, the limit of the fit; check the units and signs of the columns"
-            label = f"{name} at its bound"
-            limits.append(Limitation("base_parameter_at_bound", label, said, by_data=True))
-            continue
-        if f.prior is None:
-            # A friction is often no more than a guess.
-            usual = 2.0 if f.scale == "log" else 5.0
-            if not 1.0 / usual < factor < usual:
-                said = f"{moved}; check it: it may compensate for an effect that the model lacks"
-                limits.append(Limitation("base_parameter_moved", f"{name} x{factor:.2g}", said))
-            continue
+    """Numbers of the model that moved; an offset is about zero, and nothing is stated of it."""
+    stated = (
+        (f, base.values[f.name])
+        for f in base.fitted.predictor.free
+        if f.owner == BASE and f.start > 0.0 and (f.low >= 0.0 or f.scale == "log")
+    )
+    limits = (_of_parameter(f, value, scale.name(f.name)) for f, value in stated)
+    return [limit for limit in limits if limit is not None]
+
+
+def _of_parameter(f: Free, value: float, name: str) -> Limitation | None:
+    """A number that moved further from the one given than is believed."""
+    factor = value / f.start
+    moved = f"{name} moved to {factor:.2g} times what was given"
+    if f.scale == "log" and edges(f, value):
+        sentence = f"{moved}, the limit of the fit; check the units and signs of the columns"
+        label = f"{name} at its bound"
+        return Limitation("base_parameter_at_bound", label, sentence, by_data=True)
+    if f.prior is None:
+        usual = 2.0 if f.scale == "log" else 5.0  # a friction is often no more than a guess
+        if 1.0 / usual < factor < usual:
+            return None
+        sentence = f"{moved}; check it: it may compensate for an effect that the model lacks"
+    else:
         apart, unit = (math.log(factor), 1.0) if f.scale == "log" else (value - f.start, f.start)
-        beyond = abs(apart) / f.prior  # standard deviations of what is known
-        if beyond > QUANTILE:
-            known = f"{f.prior / unit:.0%}"
-            said = f"{moved}, {beyond:.1f} standard deviations of {known}; check it first"
-            limits.append(Limitation("base_parameter_moved", f"{name} x{factor:.2g}", said))
-    return limits
+        deviations = abs(apart) / f.prior
+        if deviations <= QUANTILE:
+            return None
+        known = f"{f.prior / unit:.0%}"
+        sentence = f"{moved}, {deviations:.1f} standard deviations of {known}; check it first"
+    return Limitation("base_parameter_moved", f"{name} x{factor:.2g}", sentence)
 
 
 def _of_motion(measurements: Sequence[MeasuredRecord]) -> list[Limitation]:
@@ -119,15 +123,15 @@ def _of_motion(measurements: Sequence[MeasuredRecord]) -> list[Limitation]:
     times = sorted([int((going & (moved > 0)).sum()), int((going & (moved < 0)).sum())])
     # A winch motor that is turned one way slips back for 0.05 of the time, by its cogging.
     if ways[0] < 0.02 * ways[1] or times[0] < 0.1 * times[1]:
-        said = (
+        sentence = (
             "all motion is in one direction: dry friction cannot be distinguished from an offset "
             "of the force; record motion both ways"
         )
-        limits.append(Limitation("one_direction", "one direction of motion", said))
+        limits.append(Limitation("one_direction", "one direction of motion", sentence))
     if np.mean(np.abs(moved) < 0.1 * size) < 0.01:
-        said = (
+        sentence = (
             "no motion is slow: friction at low speed cannot be identified; record slow motion "
             "and standstill"
         )
-        limits.append(Limitation("no_slow_motion", "no slow motion", said))
+        limits.append(Limitation("no_slow_motion", "no slow motion", sentence))
     return limits
