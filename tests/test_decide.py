@@ -74,8 +74,17 @@ def test_second_effect_needs_a_large_share_of_what_the_first_leaves(J, best):
 
 @pytest.mark.parametrize(("values", "best"), [(2, {"a", "b"}), (5, {"a"})])
 def test_second_effect_is_named_only_if_it_is_rather_there_than_not(values, best):
-    pair = model("a+b", 5.0, values)
+    pair = model("a+b", 7.0, values)
     assert decide(base(2000.0), [model("a", 30.0), pair]).best == best
+
+
+def test_second_effect_beside_a_far_greater_one_is_named_where_it_explains_the_rest():
+    """Gravity of 1.9 N m and friction of 0.12 N m, of which 5 % of gravity would be enough."""
+    singles = [model("gravity", 34.0, 2), model("friction", 8300.0)]
+    for left, best in ((1.4, {"gravity", "friction"}), (9.0, {"gravity"})):
+        pair = model("gravity+friction", left, 3)
+        rival = model("gravity+bend", 20.0, 3)
+        assert decide(base(8450.0), [*singles, pair, rival]).best == best
 
 
 def test_law_with_fewer_values_that_does_about_as_well_is_likelier():

@@ -112,6 +112,13 @@ def test_step_is_found_in_rounded_readings_only():
         assert step_of(readings) == pytest.approx(step, rel=1e-6)
 
 
+@pytest.mark.parametrize(("counts", "decimals"), [(4096, 2), (8192, 3), (10_000, 3)])
+def test_step_of_an_encoder_is_found_in_degrees_with_few_decimals(counts, decimals):
+    turned = np.random.default_rng(4).integers(-2 * counts, 2 * counts, 3000)
+    written = np.round(turned * 360.0 / counts, decimals)
+    assert step_of(written) == pytest.approx(360.0 / counts, rel=1e-4)
+
+
 @pytest.mark.parametrize("period_s", [1.0, 2.5])
 def test_period_equals_that_of_the_excitation(period_s):
     period_s = round(period_s * RATE) / RATE

@@ -13,6 +13,7 @@ from plants import reference_reel
 from plants.bench.identify.excitation import Band, chirp, multisine
 from plants.bench.identify.open_loop import open_loop_record
 from plants.diagnosis.checks.quality import check
+from plants.diagnosis.checks.sensors import faults
 from plants.diagnosis.data.measured_record import MeasuredRecord
 from plants.effects import CoulombFriction
 from tests.support_measurements import open_loop
@@ -246,6 +247,17 @@ def test_encoder_of_a_drum_that_friction_holds_is_not_at_the_end_of_its_range():
     held = MeasuredRecord.of(rig.run(TrialRequest("r", 0, rig.describe().gains, sines)))
     assert np.unique(held.angle_rad).size == 2
     assert findings(replace(held, rig=GOOD.rig)) == ()
+
+
+def test_drive_that_sticks_is_no_broken_sensor():
+    # It rests for a second, and goes on from where it stood.
+    t = np.arange(4000) / 500.0
+    moving = (t % 2.0) > 1.0
+    angle = np.cumsum(np.where(moving, np.sin(2.0 * np.pi * t) ** 2, 0.0)) / 500.0
+    angle += np.where(moving, 1e-3 * np.random.default_rng(1).standard_normal(t.size), 0.0)
+    assert not list(faults("angle_rad", angle))
+    frozen = np.where((t > 3.2) & (t < 3.6), angle[1600], angle)
+    assert ["stand still" in fault.sentence for fault in faults("angle_rad", frozen)] == [True]
 
 
 @pytest.mark.parametrize(("share", "level"), [(0.2, "warning"), (0.8, "refused")])

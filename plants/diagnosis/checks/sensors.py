@@ -12,12 +12,23 @@ from plants.diagnosis.data.periods import runs
 
 def faults(column: str, readings: FloatArray) -> Iterator[DataIssue]:
     """The faults of a sensor's readings, shape (samples,)."""
-    if upper_rms(readings) > step_of(readings):  # else readings rest on a step of the converter
-        yield from _at_rail(column, readings)
-        ends = (readings.min(), readings.max())
-        still = [run for run in _constant_runs(readings) if readings[run.start] not in ends]
+    step = step_of(readings)
+    if upper_rms(readings) > step:  # else readings rest on a step of the converter
+        still = _constant_runs(readings)
+        if column == "angle_rad":  # of a drive that friction holds, anywhere
+            still = [run for run in still if _jumps(readings, run.stop, step)]
+        else:
+            yield from _at_rail(column, readings)
+            ends = (readings.min(), readings.max())
+            still = [run for run in still if readings[run.start] not in ends]
         yield from _frozen(column, readings.size, still, "")
     yield from _dropouts(column, readings)
+
+
+def _jumps(readings: FloatArray, at: int, step: float) -> bool:
+    """Whether a position has gone on while its reading stood still, unlike one that was held."""
+    after = np.abs(np.diff(readings[at - 1 : at + 2]))
+    return after.size == 2 and bool(after[0] > 3.0 * max(after[1], step))
 
 
 def frozen_angle(

@@ -1,11 +1,16 @@
 """Noise of a signal without its lines and drift, and its rounding step."""
 
+import math
+
 import numpy as np
 
 from estune.core.quantities import FloatArray
 
 FEWEST = 64
 """Fewest samples of a spectrum."""
+WRITTEN = 0.15
+"""Deviation of a reading from counts of a converter, in steps, due to the decimals it is written
+with: 0.11 of angles in degrees with two decimals of an encoder with 4096 counts a turn."""
 
 
 def spectral_rms(deviation: FloatArray) -> float:
@@ -46,18 +51,23 @@ def upper_rms(signal: FloatArray) -> float:
 def step_of(signal: FloatArray) -> float:
     """The step that readings are whole multiples of, or 0 where there is none.
 
-    Of two values, as of a drum that moves by one count, it is their distance at the most.
+    Of two values, as of a drum that moves by one count, it is their distance at the most. Counts
+    that were written in degrees with a few decimals are multiples only to within these.
     """
     distinct = np.unique(signal)
     gaps = np.diff(distinct)
-    gaps = gaps[gaps > 1e-9 * np.abs(distinct).max()]
+    gaps = np.sort(gaps[gaps > 1e-9 * np.abs(distinct).max()])
     if gaps.size < 2:
         return float(gaps.sum())
     for divisor in (1.0, 2.0, 3.0):  # no two readings may be adjacent
-        step = float(gaps.min()) / divisor
-        steps = gaps / step
-        if np.abs(steps - np.rint(steps)).max() < 0.05:
-            return float(gaps.sum() / np.rint(steps).sum())
+        step, counts = gaps[0] / divisor, np.ones(gaps.size)
+        # Small gaps tell the step well enough for those of twice as many counts.
+        for most in 1.5 * 2.0 ** np.arange(math.ceil(math.log2(gaps[-1] / gaps[0])) + 1):
+            small = gaps[gaps <= most * gaps[0]]
+            counts = np.rint(small / step)
+            step = small.sum() / counts.sum()
+        if np.abs(gaps / step - counts).max() < WRITTEN:
+            return float(step)
     return 0.0
 
 

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 
 from plants.diagnosis.interval import Interval
 from plants.diagnosis.pipeline.compare import EffectComparison
+from plants.diagnosis.search.intervals import FIRST_ZERO
 from plants.diagnosis.search.intervals import intervals as fitted_intervals
 from plants.diagnosis.search.validation import ModelStage
 from plants.effects import Cogging, MainsInterference, Quantisation, Role
@@ -44,18 +45,21 @@ def _where_first_reads_zero(
     Each record has a zero of its own, with which the phase of all may be shifted: sin(N (theta -
     z_n) + phi) has the phase phi - N z_0 there. A reel's waves count from where it is taut.
     """
-    zero = last.fit.values.get("encoder_zero_rad[0]")
+    zero = last.fit.values.get(FIRST_ZERO)
     if zero is None or PlantScale.of(last.fitter.model.model).has_cable:
         return {}
     shifted = {}
     for effect in last.fit.effects:
-        periods = [believed[f"{effect.name}.{n}"].value for n in effect.named(Role.PERIODS)]
+        orders = [f"{effect.name}.{name}" for name in effect.named(Role.PERIODS)]
+        periods = [believed[order].value for order in orders]
         for name in effect.named(Role.PHASE):
             at = believed[f"{effect.name}.{name}"]
             turned = at.value - (periods or [1.0])[0] * zero
-            by = math.remainder(turned, 2.0 * math.pi) - at.value
+            value = math.remainder(turned, 2.0 * math.pi)
+            unlike = [0.5 * abs(zero) * (believed[n].high - believed[n].low) for n in orders]
+            half = math.hypot(0.5 * (at.high - at.low), *unlike)
             shifted[f"{effect.name}.{name}"] = replace(
-                at, value=at.value + by, low=at.low + by, high=at.high + by
+                at, value=value, low=value - half, high=value + half
             )
     return shifted
 

@@ -95,14 +95,22 @@ def _tied(best: Model, named: Sequence[Model], p: Mapping[Slugs, float]) -> tupl
 def _supported(
     best: Model | None, models: Sequence[Model], p: Mapping[Slugs, float]
 ) -> Model | None:
-    """The best model, or of a pair the best without the family that is rather not there."""
+    """The best model, or of a pair the best without the family that is rather not there.
+
+    Beside a first effect of great power any second one is improbable, for laws are not exact. It
+    is there all the same where the first alone is incomplete, and it explains as much of what that
+    leaves as any name has to.
+    """
     if best is None or len(best.families) < 2:
         return best
     known = summed((m.families, p[m.names]) for m in models)
     doubtful = min(best.families, key=lambda family: known[family])
     if known[doubtful] >= CONSTANTS.second:
         return best
-    return best_of([m for m in models if doubtful not in m.families])
+    first = best_of([m for m in models if doubtful not in m.families])
+    if first and beats(best, first, CONSTANTS.named_share, CONSTANTS.incomplete):
+        return best
+    return first
 
 
 def _is_likelier(model: Model, best: Model) -> bool:

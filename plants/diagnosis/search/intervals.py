@@ -29,12 +29,19 @@ from plants.diagnosis.constants import CONSTANTS
 from plants.diagnosis.interval import QUANTILE, Interval
 from plants.diagnosis.models.free_parameters import BASE, Free
 from plants.diagnosis.search.model_fitter import CandidateFit, ModelFitter, record_of
+from plants.effects.plant_scale import PlantScale
+
+FIRST_ZERO = "encoder_zero_rad[0]"
+"""Zero of the first record's encoder. Phases of waves along a drive are known relative to it; of a
+reel they count from where the cable is taut."""
 
 
 def intervals(
     fitter: ModelFitter, model: CandidateFit, base: CandidateFit
 ) -> Mapping[str, Interval]:
     """Values and 95 % confidence intervals of all that the records share.
+
+    Phases of waves along a drive are those at the fitted zero of the first record's encoder.
 
     Args:
         fitter: Model and records.
@@ -44,6 +51,8 @@ def intervals(
     """
     fitted = model.fitted
     moves = fitter.moves(fitted.predictor)
+    if not PlantScale.of(fitter.model.model).has_cable:
+        moves = moves[[fitted.predictor.free[n].name != FIRST_ZERO for n in moves]]
     residuals, jacobian = fitted.predictor.linearise(
         fitted.values, moves, fitted.entries, fitted.residuals
     )
