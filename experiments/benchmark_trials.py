@@ -1,32 +1,28 @@
 """How long does a simulated trial take beside hand-written C?
 
 Command: `python -m experiments.benchmark_trials`.
-Target: at most 1.5 times the C, to 1e-9 N; 1.8 times on two cores.
+Target: at most 1.5 times the C, to 1e-9 N; no effect takes more than five times the bare reel.
 
-One run on one core, except for the batch; calls that are compared are timed alternately. Times are
-medians, for the batch those of the fastest round. The trial is the reference reel with gauge mode,
-Coulomb friction, slack, current limit and dead time, 632 samples. The same equations are
-hand-written in reference_trial.c.
+Calls that are compared are timed alternately; times are medians. The trial is the reference reel
+with gauge mode, Coulomb friction, slack, current limit and dead time, 632 samples. The same
+equations are hand-written in reference_trial.c.
 """
 
 import gc
-import os
 import statistics
 import time
 from collections.abc import Callable
 from functools import partial
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
 import plants
 from estune.core import pidf
-from estune.core.cost import StepCost
 from estune.core.gains import Gains
 from estune.core.quantities import FloatArray
 from experiments.reference_trial import hand_written, reference_library
-from experiments.results import Target, at_least, at_most, command_line, print_results
+from experiments.results import at_most, command_line, print_results
 from plants.effects import EFFECTS
 from plants.models.reel import Reel
 from plants.simulation.batch import divergence_limit_N
@@ -37,15 +33,13 @@ GAINS = Gains(P=1.2, I=50.0, D=0.02, setpoint_filter_s=0.004)
 REEL = plants.reference_reel()
 FRICTION = plants.CoulombFriction(torque_Nm=0.02)
 
-TARGETS: dict[str, tuple[float, Callable[[float, float], Target]]] = {
-    "times_hand_written_C": (1.5, at_most),
-    "difference_from_C_N": (1e-9, at_most),  # the largest difference
-    "difference_from_C_when_slack_N": (1e-9, at_most),
-    "batch_speedup_two_cores": (1.8, at_least),
-    "memory_growth_MB": (2.0, at_most),  # over further batches
-    "slowest_effect_times_bare": (5.0, at_most),
+TARGETS = {
+    "times_hand_written_C": 1.5,
+    "difference_from_C_N": 1e-9,  # the largest difference
+    "difference_from_C_when_slack_N": 1e-9,
+    "slowest_effect_times_bare": 5.0,
 }
-"""Limit of each figure, and its kind."""
+"""Upper limit of each figure."""
 
 
 class Timed(NamedTuple):
@@ -56,10 +50,8 @@ class Timed(NamedTuple):
     calls: int = 1
 
 
-def alternate(
-    timed: dict[str, Timed], rounds: int, of: Callable[[list[float]], float] = statistics.median
-) -> dict[str, float]:
-    """Median time of each call, us, or another statistic of its times.
+def alternate(timed: dict[str, Timed], rounds: int) -> dict[str, float]:
+    """Median time of each call, us.
 
     The calls alternate, so that load affects all alike, and the blocks are short, so that the
     median block is not interrupted by other programs.
@@ -76,7 +68,7 @@ def alternate(
                     call()
                 times[name].append((time.perf_counter() - began) / calls * 1e6)
     gc.enable()
-    return {name: of(values) for name, values in times.items()}
+    return {name: statistics.median(values) for name, values in times.items()}
 
 
 def reference_batch(reel: Reel, noise: FloatArray) -> Batch:
@@ -128,43 +120,6 @@ def largest(difference: FloatArray) -> float:
     return float(np.abs(difference).max())
 
 
-def measure_batch(trials: int, rounds: int) -> dict[str, float]:
-    """Batches on one and two cores, and the growth of memory."""
-    reel, cost = REEL + FRICTION, StepCost(0.13, move_weight=0.2)
-    spread = np.random.default_rng(0).normal(0.0, 0.2, (trials, 4))
-    table = np.exp(spread) * GAINS.as_tuple()
-
-    def run(workers: int) -> FloatArray:
-        return plants.batch_costs(reel, table, None, cost, workers=workers)
-
-    if not np.array_equal(run(1), run(2), equal_nan=True):
-        raise SystemExit("the batch gives other costs on two cores than on one")
-    # The minimum: other load slows two threads on two cores more than one thread.
-    both = {"one": Timed(lambda: run(1)), "two": Timed(lambda: run(2))}
-    times, work = alternate(both, rounds, of=min), {}
-    for workers in (1, 2):
-        began = time.process_time()
-        run(workers)
-        work[workers] = time.process_time() - began
-    gc.collect()
-    for _ in range(20):  # creates every thread's memory pool
-        run(2)
-    before = memory_MB()
-    for _ in range(10):
-        run(2)
-    after = memory_MB()
-    return {
-        "batch_trials": float(trials),
-        "batch_one_core_s": times["one"] / 1e6,
-        "batch_two_cores_s": times["two"] / 1e6,
-        "batch_speedup_two_cores": times["one"] / times["two"],
-        "batch_work_two_cores_over_one": work[2] / work[1],
-        "memory_before_MB": before,
-        "memory_after_MB": after,
-        "memory_growth_MB": after - before,
-    }
-
-
 def measure_effects(rounds: int) -> dict[str, float]:
     """A trial with each effect of the package, and with all, relative to the bare reel."""
     reels = {"bare": REEL, "all_effects": REEL}
@@ -179,19 +134,12 @@ def measure_effects(rounds: int) -> dict[str, float]:
     return ratios | {"slowest_effect_times_bare": slowest}
 
 
-def memory_MB() -> float:
-    """Resident memory of this process."""
-    gc.collect()
-    pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1])
-    return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
-
-
 def main() -> int:
     """Measures and prints; exit code 1 if a target is missed."""
-    options = command_line(__doc__, quick="fewer repeats and smaller batches").parse_args()
-    rounds, batch = (3, 2000) if options.quick else (15, 10_000)
-    figures = measure_trial(rounds) | measure_batch(batch, rounds) | measure_effects(rounds)
-    targets = {name: kind(figures[name], limit) for name, (limit, kind) in TARGETS.items()}
+    options = command_line(__doc__, quick="fewer repeats").parse_args()
+    rounds = 3 if options.quick else 15
+    figures = measure_trial(rounds) | measure_effects(rounds)
+    targets = {name: at_most(figures[name], limit) for name, limit in TARGETS.items()}
     return print_results(figures, targets, as_json=options.json, tables=True)
 
 

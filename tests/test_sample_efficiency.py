@@ -5,33 +5,30 @@ import math
 import numpy as np
 import pytest
 
-from experiments.sample_efficiency.figures import median, quartiles
-from experiments.sample_efficiency.optimum import WARM_RATIO, search, warm_start
+from experiments.sample_efficiency.__main__ import SearchRow, median
+from experiments.sample_efficiency.optimum import search
 from experiments.sample_efficiency.problems import PROBLEMS
-from experiments.sample_efficiency.searches import SearchRow
-from experiments.sample_efficiency.trials import COLD, ETA_MAX_RATIO, Job, Spent, Trials
+from experiments.sample_efficiency.trials import ETA_MAX_RATIO, Job, Spent, Trials
 
 PROBLEM = PROBLEMS["20 Hz"]
 
 
 def row(*excess):
-    return SearchRow(Job("20 Hz", "safe_bayesian", 0.03, COLD, 1, len(excess)), excess, 0, 0.0)
+    return SearchRow(Job("20 Hz", "safe_bayesian", 1, len(excess)), excess, 0, 0.0)
 
 
 def test_optimum_is_below_all_other_points():
     best = search(PROBLEM)
     random = np.random.default_rng(2)
-    there, space = np.array(best.coordinates), PROBLEM.space()
+    there, space = np.array(best.coordinates), PROBLEM.space
     near = there + random.normal(0.0, 0.1, (2000, 4))
     far = random.uniform(space.coordinates_low, space.coordinates_high, (2000, 4))
     assert PROBLEM.costs(near).min() > best.cost * (1.0 - 1e-9)
     assert PROBLEM.costs(far).min() > best.cost
-    warm = space.coordinates(warm_start(PROBLEM, best).as_tuple())
-    assert PROBLEM.costs(np.array([warm]))[0] == pytest.approx(WARM_RATIO * best.cost, rel=0.02)
 
 
 def test_noise_of_a_trial_depends_on_its_number_only():
-    job = Job("20 Hz", "any", 0.1, COLD, 5, 3)
+    job = Job("20 Hz", "any", 5, 3)
     factors = []
     for away in (0.0, 0.2):
         trials = Trials(job)
@@ -45,7 +42,7 @@ def test_noise_of_a_trial_depends_on_its_number_only():
 
 
 def test_cost_of_an_aborted_trial_is_the_limit():
-    trials = Trials(Job("20 Hz", "any", 0.03, COLD, 5, 2))
+    trials = Trials(Job("20 Hz", "any", 5, 2))
     wild = np.array(trials.start) + 3.5
     start_cost = PROBLEM.costs(np.array([trials.start]))[0]
     assert trials(wild) == trials.limit == pytest.approx(ETA_MAX_RATIO * start_cost)
@@ -62,4 +59,3 @@ def test_first_near_and_stays_near_count_trials():
 def test_median_is_infinite_if_half_never_arrive():
     assert median([3, 7, math.inf, math.inf]) == math.inf
     assert median([3, 4, 7, math.inf]) == 5.5
-    assert quartiles([1, 2, 3, 4, math.inf]) == (2, 3, 4)

@@ -1,7 +1,7 @@
 """The algorithms compared: each calls `Trials` in a loop, in logarithms of the gains.
 
-Algorithms that do better on the log cost are given it: Py-BOBYQA, Optuna, the Gaussian process,
-SPSA and Xopt's equations. Settings other than the library's own were chosen on seeds below 100.
+Algorithms that do better on the log cost are given it: Py-BOBYQA, Optuna, the Gaussian process and
+SPSA. Settings other than the library's own were chosen on seeds below 100.
 """
 
 import math
@@ -56,34 +56,6 @@ def _tune(tuner: Tuner[Any], trials: Trials, count: int) -> None:
         record = trials.record() if records and not censored else None
         state = tuner.tell(state, Observation(cost, censored, record=record))
         trials.settle_on(trials.space.coordinates(tuner.recommend(state)))
-
-
-def bounded_extremum_seeking(trials: Trials) -> None:
-    """Bounded extremum seeking (Scheinker et al. 2022), by the equations of Xopt.
-
-    In coordinates p of -1 to 1, in pairs j of one frequency w_j from 1 to 1.75, with the step
-    dt = 2 pi/(10 max w), the feedback gain k and the oscillation size b = 0.1:
-
-        p_2j(n+1)   = p_2j(n)   + dt w_j b cos(dt n w_j + k l(n))
-        p_2j+1(n+1) = p_2j+1(n) + dt w_j b sin(dt n w_j + k l(n))
-
-    Here l is the log cost and k = 4; with its defaults, the cost itself and k = 2, it
-    diverges on most of the problems. It recommends the mean over its slowest oscillation.
-    """
-    k, b = 4.0, 0.1
-    n_parameters = len(trials.space.names)
-    low, high = np.array(trials.space.coordinates_low), np.array(trials.space.coordinates_high)
-    w = np.repeat(np.linspace(1.0, 1.75, math.ceil(n_parameters / 2)), 2)[:n_parameters]
-    dt = 2.0 * math.pi / (10.0 * w.max())
-    quarter = np.where(np.arange(n_parameters) % 2, 0.5 * math.pi, 0.0)  # sin a = cos(a - pi/2)
-    period = round(2.0 * math.pi / dt)
-    p, path = (2.0 * np.array(trials.start) - low - high) / (high - low), []
-    for n in range(trials.job.budget):
-        x = 0.5 * (p * (high - low) + low + high)
-        level = math.log(trials(x))
-        path.append(x)
-        trials.settle_on(np.mean(path[-period:], axis=0))
-        p = np.clip(p + dt * w * b * np.cos(dt * n * w + k * level - quarter), -1.0, 1.0)
 
 
 def tree_structured_parzen(trials: Trials) -> None:
@@ -207,19 +179,23 @@ RECORDED_TRIALS = 4
 OURS = ("model_based", "safe_bayesian", "phase_compensated", "least_squares_gradient")
 PUBLISHED = ("otis", "killingsworth")
 
+_PEERS: dict[str, Algorithm] = {
+    "Optuna TPE": tree_structured_parzen,
+    "Py-BOBYQA": quadratic_trust_region,
+    "CMA-ES": evolution_strategy,
+    "Nelder-Mead": nelder_mead,
+}
+FROM_THE_MODEL: dict[str, Algorithm] = {
+    f"{name} from the model": partial(after_records, peer) for name, peer in _PEERS.items()
+}
+"""Peers that take a start, from that of the identified loop."""
+
 ALGORITHMS: dict[str, Algorithm] = {
     "model_based": by_records,
     **{name: partial(by_tuner, name) for name in (*OURS[1:], *PUBLISHED)},
-    "Xopt's ES": bounded_extremum_seeking,
-    "Optuna TPE": tree_structured_parzen,
-    "Py-BOBYQA": quadratic_trust_region,
+    **_PEERS,
     "skopt GP": gaussian_process,
-    "CMA-ES": evolution_strategy,
-    "Nelder-Mead": nelder_mead,
     "SPSA": simultaneous_perturbation,
-    "TPE from the model": partial(after_records, tree_structured_parzen),
-    "BOBYQA from the model": partial(after_records, quadratic_trust_region),
-    "CMA-ES from the model": partial(after_records, evolution_strategy),
-    "Nelder-Mead from the model": partial(after_records, nelder_mead),
+    **FROM_THE_MODEL,
 }
 """The algorithms by their names in the tables."""

@@ -11,13 +11,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.optimize import differential_evolution, minimize
 
-from estune.core.gains import Gains
 from estune.tuners.search_space import Coordinates
 from experiments.sample_efficiency.problems import Problem
 
 OUT = Path("out")
-WARM_RATIO = 2.5
-"""A warm start is this many times as costly as the optimum."""
 
 
 class TrueOptimum(NamedTuple):
@@ -26,12 +23,10 @@ class TrueOptimum(NamedTuple):
     Attributes:
         coordinates: Logarithms of the gains.
         cost: Cost at the optimum, without noise.
-        start_cost: Cost of the problem's start.
     """
 
     coordinates: Coordinates
     cost: float
-    start_cost: float
 
 
 @lru_cache
@@ -39,7 +34,7 @@ def optimum(problem: Problem) -> TrueOptimum:
     """The optimum within the bounds, from the cache file if it is there."""
     file = OUT / "sample_efficiency_optima.json"
     cached: dict[str, Any] = json.loads(file.read_text()) if file.exists() else {}
-    described = f"{problem.plant} {problem.cost} {problem.start} {problem.gauge_noise}"
+    described = f"{problem.plant} {problem.cost} {problem.start}"
     key = sha256(described.encode()).hexdigest()[:16]
     if key not in cached:
         cached[key] = search(problem)
@@ -47,18 +42,17 @@ def optimum(problem: Problem) -> TrueOptimum:
         written = file.with_suffix(f".{os.getpid()}")  # another process may be reading
         written.write_text(json.dumps(cached))
         written.replace(file)
-    coordinates, cost, start_cost = cached[key]
-    return TrueOptimum(tuple(coordinates), cost, start_cost)
+    coordinates, cost = cached[key]
+    return TrueOptimum(tuple(coordinates), cost)
 
 
 def search(problem: Problem) -> TrueOptimum:
     """Differential evolution over the bounds, then Nelder-Mead until it converges."""
-    space = problem.space()
+    space = problem.space
     low, high = np.array(space.coordinates_low), np.array(space.coordinates_high)
-    smooth = problem if not problem.gauge_noise else problem.without_noise()
 
     def many(x: Any) -> Any:
-        return np.log(np.minimum(smooth.costs(x.T), 1e9))
+        return np.log(np.minimum(problem.costs(x.T), 1e9))
 
     def one(x: Any) -> float:
         return math.log(min(float(problem.costs(np.clip(x, low, high)[np.newaxis])[0]), 1e9))
@@ -77,16 +71,4 @@ def search(problem: Problem) -> TrueOptimum:
         options = {"maxfev": 600, "xatol": 1e-6, "fatol": 1e-10}
         x = minimize(one, x, method="Nelder-Mead", options=options).x
     x = np.clip(x, low, high)
-    start = np.array([space.coordinates(space.start)])
-    return TrueOptimum(tuple(x.tolist()), math.exp(one(x)), float(problem.costs(start)[0]))
-
-
-def warm_start(problem: Problem, best: TrueOptimum) -> Gains:
-    """Gains 2.5 times as costly as the optimum, on the straight line to it from the start."""
-    there = np.array(best.coordinates)
-    away = np.array(problem.space().coordinates(problem.start.as_tuple())) - there
-    shares = np.linspace(0.0, 1.0, 401)
-    costs = problem.costs(there + shares[:, np.newaxis] * away)
-    # The crossing nearest to the optimum.
-    crossed = int(np.argmax(costs >= WARM_RATIO * best.cost))
-    return Gains(*np.exp(there + shares[crossed] * away).tolist())
+    return TrueOptimum(tuple(x.tolist()), math.exp(one(x)))

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property, partial
 
 import control
@@ -17,7 +17,6 @@ from estune.loop_model.records import LoopRecord
 from estune.trial.profiles import StepProfile
 from estune.tuners.search_space import Coordinates, SearchSpace
 from plants.models.linear_plant import LinearPlant
-from plants.simulation.noise import NoiseSource
 from plants.simulation.plant import Plant
 
 SAMPLING_HZ = 632.0
@@ -26,11 +25,6 @@ DERIVATIVE_FILTER_S = 1.0 / (2.0 * math.pi * 80.0)
 EFFORT_LIMIT = 4.0  # of the linear plants, in units of their step
 BOUNDS_FACTOR = 50.0
 """Bounds of every search, over and under its start; the optima are up to 22 times away."""
-
-GAUGE_DRAWS = 64
-"""Draws of the gauge's noise in the mean cost that serves as the noise-free one."""
-
-GAUGE_SEED = 777_000  # of those draws; no search has this seed
 
 
 def step_trial(plant: Plant, cost: StepCost) -> StepTrial:
@@ -50,84 +44,45 @@ class Problem:
         build: Creates the plant.
         cost: Cost of a trial.
         start: Weak gains, five to seven times as costly as the optimum.
-        gauge_noise: Whether the plant's own measurement noise acts, instead of noise on the cost.
     """
 
     name: str
     build: Callable[[], Plant]
     cost: StepCost
     start: Gains
-    gauge_noise: bool = False
 
     @cached_property
     def plant(self) -> Plant:
         """The plant with its controller."""
         return self.build()
 
-    def space(self, start: Gains | None = None) -> SearchSpace:
-        """The search space of every algorithm, about the start or other gains."""
-        return SearchSpace.around(start or self.start, BOUNDS_FACTOR)
-
-    def costs(self, coordinates: FloatArray) -> FloatArray:
-        """Costs without noise at logarithms of the gains, shape (points, 4); inf if diverged.
-
-        With gauge noise it is the mean over many draws, because the noise moves the effort and so
-        adds to the cost.
-        """
-        gains = np.exp(coordinates)
-        if not self.gauge_noise:
-            costs = plants.batch_costs(self.plant, gains, None, self.cost, workers=1)
-            return np.where(np.isfinite(costs), costs, np.inf)
-        means = [
-            np.mean(
-                plants.batch_costs(
-                    *(self.plant, np.tile(row, (GAUGE_DRAWS, 1)), None, self.cost),
-                    seed=GAUGE_SEED,
-                    workers=1,
-                )
-            )
-            for row in gains
-        ]
-        return np.where(np.isfinite(means), means, np.inf)
-
-    def record(self, coordinates: Coordinates, seed: int, number: int) -> LoopRecord:
-        """The signals of one trial; with noise only where it is the gauge's.
-
-        The noise of the other problems' costs is not of their signals: in a record with noise the
-        expected cost, and so the optimum, would be another than the noise-free one that counts.
-        """
-        profile, rate = self.plant.profile, self.plant.controller.sampling_Hz
-        noise_N = self.plant.noise_rms_N if self.gauge_noise else 0.0
-        r = self._response(coordinates, seed, number, noise_N)
-        gains = Gains(*np.exp(coordinates).tolist())
-        index = profile.step_index(rate)
-        return LoopRecord.of_step(r.effort_N, r.tension_N, profile.step_N, index, gains)
+    @property
+    def space(self) -> SearchSpace:
+        """The search space of every algorithm, about the start."""
+        return SearchSpace.around(self.start, BOUNDS_FACTOR)
 
     @property
     def trial(self) -> StepTrial:
         """The step trial."""
         return step_trial(self.plant, self.cost)
 
-    def without_noise(self) -> "Problem":
-        """The problem without gauge noise."""
-        return replace(self, gauge_noise=False)
+    def costs(self, coordinates: FloatArray) -> FloatArray:
+        """Costs without noise at logarithms of the gains, shape (points, 4); inf if diverged."""
+        gains = np.exp(coordinates)
+        costs = plants.batch_costs(self.plant, gains, None, self.cost, workers=1)
+        return np.where(np.isfinite(costs), costs, np.inf)
 
-    def noisy_cost(self, coordinates: Coordinates, seed: int, number: int) -> float:
-        """Cost of one trial through the gauge; infinite if diverged."""
-        step, rate = self.plant.profile, self.plant.controller.sampling_Hz
-        r = self._response(coordinates, seed, number, self.plant.noise_rms_N)
-        if r.diverged_at is not None:
-            return math.inf
-        columns = r.setpoint_N, r.tension_N, r.effort_N
-        return float(self.cost.evaluate(rate, step.shape(rate), *columns))
+    def record(self, coordinates: Coordinates) -> LoopRecord:
+        """The signals of one trial, without noise.
 
-    def _response(
-        self, coordinates: Coordinates, seed: int, number: int, noise_N: float
-    ) -> plants.Response:
-        samples = self.plant.profile.samples(self.plant.controller.sampling_Hz)
-        noise = NoiseSource(seed).draw(number, samples, noise_N)
+        The noise of the costs is not of their signals: in a record with noise the expected cost,
+        and so the optimum, would be another than the noise-free one that counts.
+        """
+        profile, rate = self.plant.profile, self.plant.controller.sampling_Hz
         gains = Gains(*np.exp(coordinates).tolist())
-        return plants.simulate(self.plant, gains, noise_N=noise)
+        r = plants.simulate(self.plant, gains)
+        index = profile.step_index(rate)
+        return LoopRecord.of_step(r.effort_N, r.tension_N, profile.step_N, index, gains)
 
 
 def second_order(frequency_Hz: float, damping: float, dead_samples: float) -> LinearPlant:
@@ -191,9 +146,4 @@ _FAMILIES = (
     Problem("K-K G1", first_plant_of_2006, default_cost(20.0), Gains(1.3, 0.035, 0.8, 1.0)),
 )
 PROBLEMS = {problem.name: problem for problem in _FAMILIES}
-"""The families by name; their costs get noise of 3 % and 10 %."""
-
-GAUGE = replace(_on_reel("gauge", 0.8), gauge_noise=True)
-"""A problem with measurement noise in the loop: the reel scored through the noise of its gauge."""
-
-ALL_PROBLEMS = {**PROBLEMS, GAUGE.name: GAUGE}
+"""The families by name."""

@@ -1,15 +1,18 @@
 """Trials on a problem for one algorithm: noise, budget, recommended gains."""
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
 from estune.core.quantities import FloatArray
 from estune.loop_model.records import LoopRecord
-from estune.tuners.search_space import Coordinates, SearchSpace
-from experiments.sample_efficiency.optimum import optimum, warm_start
-from experiments.sample_efficiency.problems import ALL_PROBLEMS
+from estune.tuners.search_space import Coordinates
+from experiments.sample_efficiency.problems import PROBLEMS
+
+NOISE = 0.03
+"""Relative standard deviation of a trial's cost."""
 
 ETA_MAX_RATIO = 3.0
 """A trial this many times as costly as the start is aborted, and its cost counts as this."""
@@ -18,26 +21,11 @@ UNSAFE_RATIO = 1.5
 """A trial with a noise-free cost of more than this times the start's is unsafe."""
 
 
-COLD, WARM = "cold", "warm"
-
-
-@dataclass(frozen=True, slots=True)
-class Job:
-    """The settings of a search.
-
-    Attributes:
-        problem: Name of the problem.
-        algorithm: Name of the algorithm.
-        noise: Relative standard deviation of a trial's cost.
-        start: COLD, the problem's weak gains, or WARM, gains at 2.5 times the optimal cost.
-        seed: Of the noise, and of the algorithm's own random numbers.
-        budget: Number of trials.
-    """
+class Job(NamedTuple):
+    """A search: names of problem and algorithm, seed of noise and algorithm, number of trials."""
 
     problem: str
     algorithm: str
-    noise: float
-    start: str
     seed: int
     budget: int
 
@@ -55,15 +43,12 @@ class Trials:
 
     def __init__(self, job: Job) -> None:
         self.job = job
-        self.problem = problem = ALL_PROBLEMS[job.problem]
-        cold = job.start == COLD
-        start = problem.start if cold else warm_start(problem, optimum(problem))
-        self.space: SearchSpace = problem.space(start)
+        self.problem = PROBLEMS[job.problem]
+        self.space = self.problem.space
         self.start: Coordinates = self.space.coordinates(self.space.start)
         self.costs: list[float] = []  # without noise
-        self._noise = 1.0 + job.noise * np.random.Generator(
-            np.random.Philox(key=job.seed)
-        ).standard_normal(job.budget)
+        random = np.random.Generator(np.random.Philox(key=job.seed))
+        self._noise = 1.0 + NOISE * random.standard_normal(job.budget)
         self._start_cost = self._quiet(self.start)
         self.limit = ETA_MAX_RATIO * self._start_cost
         self._last = self.start
@@ -78,21 +63,15 @@ class Trials:
             self._settled.append(self.recommended)
         if number >= self.job.budget:
             raise Spent
-        point = self.space.clipped(tuple(map(float, coordinates)))
-        quiet = self._quiet(point)
-        self.costs.append(quiet)
-        self._last = point
-        if self.problem.gauge_noise:
-            noisy = self.problem.noisy_cost(point, self.job.seed, number)
-        else:
-            noisy = quiet * float(self._noise[number])
-        noisy = min(noisy, self.limit)
-        self._best = min(self._best, (noisy, point))
+        self._last = self.space.clipped(tuple(map(float, coordinates)))
+        self.costs.append(self._quiet(self._last))
+        noisy = min(self.costs[-1] * float(self._noise[number]), self.limit)
+        self._best = min(self._best, (noisy, self._last))
         return noisy
 
     def record(self) -> LoopRecord:
         """The signals of the last trial."""
-        return self.problem.record(self._last, self.job.seed, len(self.costs) - 1)
+        return self.problem.record(self._last)
 
     def begin_at(self, coordinates: Coordinates | FloatArray) -> None:
         """Sets the point from which another algorithm goes on, and forgets the recommended one."""
