@@ -14,9 +14,10 @@ from estune.core.setting import Setting, declared, keywords
 from estune.errors import EstuneError, InvalidInput, JournalError, RigError
 from estune.loop_model.optimum import RobustnessLimits
 from estune.run import archived_run, loop, progress
+from estune.run.approval import ApprovalCallback
 from estune.run.journal import RECORDS_LEAST, Journal
 from estune.run.labels import write_numbers
-from estune.run.loop import ApprovalCallback, ProgressListener, Stopped, TuningRun
+from estune.run.loop import ProgressListener, Stopped, TuningRun
 from estune.run.plan import Search
 from estune.run.planning import (
     description_from_json,

@@ -15,8 +15,8 @@ import estune
 from estune.cli import Interrupts, run
 from estune.cli.approval_prompt import terminal_approval
 from estune.errors import RigError
+from estune.run.approval import ApprovalRequest
 from estune.run.journal import FILE_NAME, Journal
-from estune.run.loop import ApprovalRequest
 from estune.trial import TrialRequest
 from estune.tuners import CostPrediction
 from tests.support_runs import START, ArithmeticRig

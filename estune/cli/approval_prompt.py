@@ -3,7 +3,7 @@
 import sys
 
 from estune.errors import InvalidInput
-from estune.run.loop import Answer, ApprovalCallback, ApprovalRequest
+from estune.run.approval import Answer, ApprovalCallback, ApprovalRequest
 
 _ANSWERS: dict[str, Answer] = {"y": "yes", "n": "no", "a": "always"}
 

@@ -7,11 +7,11 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, replace
 from itertools import islice
 from pathlib import Path
-from typing import Literal, NamedTuple
 
 from estune.core.controller_form import ControllerForm
 from estune.errors import Interrupted, InvalidInput, JournalError, RigError, UnsafeStart
 from estune.run import snapshot
+from estune.run.approval import ApprovalCallback, approval_request
 from estune.run.failed_trials import declined, run_trial
 from estune.run.first_trial import adopted, check_answer
 from estune.run.journal import CompletedTrial, Journal, JournalEntry
@@ -23,7 +23,6 @@ from estune.run.session import (
     is_unsafe,
     new_session,
     next_request,
-    predict_next,
     with_excitation,
     with_recorded_repeat,
 )
@@ -33,7 +32,6 @@ from estune.support.blas import one_blas_thread
 from estune.trial import Outcome, Rig, RigDescription, TrialRecord, TrialRequest
 from estune.trial.loop_records import loop_signals
 from estune.trial.scoring import constraint_margin, cost_of, unscored
-from estune.tuners.interface import CostPrediction
 
 CONSECUTIVE_VOID_MAX = 10
 """Consecutive void trials that end a run."""
@@ -58,27 +56,6 @@ class Progress:
 
 ProgressListener = Callable[[Progress], None]
 """Callback after each committed trial; must not block."""
-
-
-class ApprovalRequest(NamedTuple):
-    """Request to the operator to approve gains outside the region shown to be safe.
-
-    Attributes:
-        request: The trial that would be run.
-        prediction: The tuner's prediction of its cost.
-        eta_max: The cost above which it is unsafe.
-    """
-
-    request: TrialRequest
-    prediction: CostPrediction
-    eta_max: float
-
-
-Answer = Literal["yes", "no", "always"]
-"""`always` approves this and all later requests of the run."""
-
-ApprovalCallback = Callable[[ApprovalRequest], Answer]
-"""Callback for the operator's approval; may block."""
 
 
 class Stopped(KeyboardInterrupt):
@@ -246,7 +223,7 @@ def run(
         _commit(tuning, None, request)
         while request is not None:
             _check_posed(tuning)
-            question = _approval_request(tuning, request) if ask else None
+            question = approval_request(tuning.session, request) if ask else None
             answer = ask(question) if ask and question else "yes"
             if answer == "always":
                 ask = None
@@ -274,14 +251,6 @@ def _check_posed(tuning: TuningRun) -> None:
     if begins and first is not None and not tuning.plan.forced:
         check_answer(first, tuning.plan, tuning.description)
         check_noise(first, tuning.plan, tuning.description, session.baseline[0])
-
-
-def _approval_request(tuning: TuningRun, request: TrialRequest) -> ApprovalRequest | None:
-    """Approval that the next trial needs; None if it needs none."""
-    prediction = predict_next(tuning.session) if tuning.plan.ask_first else None
-    if prediction is None or prediction.explored:
-        return None
-    return ApprovalRequest(request, prediction, tuning.session.eta_max)
 
 
 def _check_void(tuning: TuningRun, record: TrialRecord, consecutive: int) -> None:

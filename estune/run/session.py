@@ -18,11 +18,12 @@ from enum import StrEnum
 from statistics import fmean
 from typing import Any
 
-from estune.core.comparison import Change, InterleavedRepeats
+from estune.core.comparison import InterleavedRepeats
 from estune.core.gains import Gains
 from estune.loop_model.records import LoopRecord
+from estune.run.confirmation import confirming, extended
 from estune.run.excitation import ExcitationTrial, excitation_trial
-from estune.run.plan import CONFIRMATION_REPEATS_MAX, Plan
+from estune.run.plan import Plan
 from estune.trial import Outcome, RigDescription, TrialRequest
 from estune.tuners.interface import CostPrediction, PredictingTuner, RecordUsingTuner
 from estune.tuners.observation import Observation
@@ -232,11 +233,13 @@ def after_trial(
         choice = session.choice.with_cost(math.inf if censored else cost)
         changed = {"choice": choice}
         if choice.next_index is None and choice.best is not None:
-            changed["confirmation"] = _confirmation(session, choice.gains[choice.best])
+            changed["confirmation"] = confirming(
+                session.plan, choice.gains[choice.best], _known_costs(session)
+            )
     else:
         assert session.confirmation is not None, phase  # noqa: S101  the last phase there is
         confirmation = session.confirmation.with_cost(math.inf if censored else cost)
-        changed = {"confirmation": _extended(confirmation, session.plan)}
+        changed = {"confirmation": extended(confirmation, session.plan)}
     return replace(
         session,
         number=session.number + 1,
@@ -312,7 +315,7 @@ def _after_end(session: Session) -> dict[str, Any]:
     gains = tuple(map(tuner.space.gains, points))
     if not tuner.space.is_same(points[0], points[-1]):
         return {"choice": InterleavedRepeats.new(gains, plan.repeats)}
-    return {"confirmation": _confirmation(session, gains[0])}
+    return {"confirmation": confirming(plan, gains[0], _known_costs(session))}
 
 
 def with_excitation(session: Session, rig: RigDescription) -> Session:
@@ -375,30 +378,6 @@ def with_recorded_repeat(session: Session, gains: Gains) -> Session:
 def _known_costs(session: Session) -> tuple[float, ...]:
     """Costs of the initial gains before the confirmation that count as repeats of theirs."""
     return session.baseline if session.plan.is_predicted(session.tuner_state) else ()
-
-
-def _confirmation(session: Session, gains: Gains) -> InterleavedRepeats | None:
-    """The repeats that confirm candidate gains; None if those are the initial ones."""
-    plan, space = session.plan, session.plan.tuner.space
-    if space.is_same(space.point_of(gains), space.point_of(plan.start)):
-        return None
-    compared = plan.start, gains
-    return InterleavedRepeats.new(compared, max(plan.repeats, 2), _known_costs(session))
-
-
-def _extended(repeats: InterleavedRepeats, plan: Plan) -> InterleavedRepeats:
-    """The repeats, over where the interval of the improvement is narrow.
-
-    It is narrow enough at a share `precision` of the improvement, or where it excludes an
-    improvement above the tolerance of the search.
-    """
-
-    def is_narrow(change: Change) -> bool:
-        most = 2.0 * plan.precision * abs(change.estimate)
-        return change.high - change.low <= most or change.low > -plan.tolerance
-
-    most = max(CONFIRMATION_REPEATS_MAX, plan.repeats)
-    return repeats.until(is_narrow, max(plan.repeats, 2), most)
 
 
 def _unsafe_start(session: Session, outcome: Outcome, cost: float, reason: str) -> str:

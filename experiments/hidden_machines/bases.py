@@ -52,7 +52,7 @@ class Base:
         return 1.0 / (1.0 / self.structure_N_m + length_m / self.EA_N)
 
     def machine(self, length_m: float | None) -> dict[str, float]:
-        """In the coordinates of `machine.c`: forces at the rim, metres of cable."""
+        """In the coordinates of `equations.h`: forces at the rim, metres of cable."""
         R = self.radius_m
         made = {
             "mass": self.inertia_kg_m2 / R**2,

@@ -1,4 +1,4 @@
-"""The hidden machine: `machine.c` compiled and called.
+"""The hidden machine: `machine.c` and `equations.h`, compiled and called.
 
 Compiled with the C compiler of the system into the temporary folder, once per text. It shares
 nothing with the code under test, its compiler wrapper included.
@@ -75,7 +75,7 @@ class Run(NamedTuple):
 
 @cache
 def compiled(source: Path) -> ctypes.CDLL:
-    """A C text as a library.
+    """A C text, with the headers beside it, as a library.
 
     Raises:
         NoCompiler: there is no C compiler.
@@ -83,7 +83,8 @@ def compiled(source: Path) -> ctypes.CDLL:
     compiler = next(filter(None, map(shutil.which, COMPILERS)), None)
     if compiler is None:
         raise NoCompiler("the hidden machine needs a C compiler: cc, gcc or clang")
-    key = hashlib.sha256(source.read_bytes() + repr((compiler, FLAGS)).encode()).hexdigest()[:24]
+    texts = [file.read_bytes() for file in (source, *sorted(source.parent.glob("*.h")))]
+    key = hashlib.sha256(b"".join(texts) + repr((compiler, FLAGS)).encode()).hexdigest()[:24]
     product = Path(tempfile.gettempdir()) / f"hidden-{source.stem}-{os.getuid()}-{key}.so"
     if not product.exists():
         with tempfile.TemporaryDirectory(prefix="hidden-") as workshop:
@@ -125,7 +126,7 @@ def run(
     """One record, after a warm-up at the first setpoint.
 
     Args:
-        machine: Parameters in force at the rim, metres and seconds; see `machine.c` and `OFF`.
+        machine: Parameters in force at the rim, metres and seconds; see `equations.h` and `OFF`.
         drive: What goes in.
         sampling_Hz: Sampling rate.
         rest_N: Tension near which the warm-up starts.

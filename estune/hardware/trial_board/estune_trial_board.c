@@ -271,11 +271,10 @@ static void answer(unsigned kind, unsigned sequence, const unsigned char *body, 
 }
 
 static int status(unsigned char *body) {
-  unsigned char *end = put(body, board.state, 1);
-  end = put(end, board.latched, 1);
-  end = put(end, board.pending, 1);
-  end = put(end, board.outcome, 1);
-  end = put(end, board.reason, 1);
+  const unsigned char bytes[] = {board.state, board.latched, board.pending, board.outcome,
+                                 board.reason};
+  unsigned char *end = body + sizeof bytes;
+  memcpy(body, bytes, sizeof bytes);
   end = put(end, board.trial, 4);
   return (int)(put(end, board.done, 4) - body);
 }
@@ -357,23 +356,21 @@ static void execute(unsigned kind, unsigned sequence, const unsigned char *body,
 static void receive(double tension, double angle) {
   static unsigned char packet[HEAD + LONGEST + 2];
   static int size;
-  int byte, length;
+  int byte, length, taken;
   while ((byte = board_receive()) >= 0) {
     packet[size++] = (unsigned char)byte;
-    for (;;) {
+    while (size) {
       length = size >= HEAD ? (int)get(packet + 4, 2) : 0;
-      if (size && (packet[0] != BEGINS || length > LONGEST)) {
-        memmove(packet, packet + 1, (size_t)--size); /* no packet begins here */
-        continue;
+      taken = 1; /* where no packet begins, or a damaged one */
+      if (packet[0] == BEGINS && length <= LONGEST) {
+        if (size < HEAD + length + 2) break;
+        if (checksum(packet, HEAD + length) == get(packet + HEAD + length, 2)) {
+          execute(packet[1], get(packet + 2, 2), packet + HEAD, length, tension, angle);
+          taken = HEAD + length + 2;
+        }
       }
-      if (size < HEAD || size < HEAD + length + 2) break;
-      if (checksum(packet, HEAD + length) != get(packet + HEAD + length, 2)) {
-        memmove(packet, packet + 1, (size_t)--size);
-        continue;
-      }
-      execute(packet[1], get(packet + 2, 2), packet + HEAD, length, tension, angle);
-      size -= HEAD + length + 2;
-      memmove(packet, packet + HEAD + length + 2, (size_t)size);
+      size -= taken;
+      memmove(packet, packet + taken, (size_t)size);
     }
   }
 }
