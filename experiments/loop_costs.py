@@ -29,6 +29,7 @@ from estune.service_records.suggestion import suggest
 from estune.studies.sweep.cells import expand_cells
 from estune.studies.sweep.design import read_design
 from estune.studies.sweep.executors import run_cell
+from estune.support.blas import one_blas_thread
 from experiments.loop_claims.cases import BASE_Hz, LoopCase, of_system
 from experiments.loop_claims.search import advance
 from experiments.results import Target, at_most, command_line, print_results
@@ -166,4 +167,5 @@ def main() -> int:
 
 
 if __name__ == "__main__":
-    raise SystemExit(main())
+    with one_blas_thread():  # as runs of the product do
+        raise SystemExit(main())

@@ -15,7 +15,7 @@ from estune.loop_model.claim import claim
 from estune.loop_model.fitting import fit_loop, fit_with_excitations
 from estune.loop_model.intervals import predict_with_intervals
 from estune.loop_model.margins import robustness
-from estune.loop_model.model import LoopModel, close_loop
+from estune.loop_model.model import LoopModel, close_loop, exchanged
 from estune.loop_model.optimum import RegionSearch, RobustnessLimits
 from estune.loop_model.poles import pair_coordinates, polynomial
 from estune.loop_model.prediction import StepTrial, predict, predictions
@@ -190,6 +190,29 @@ def test_optimum_meets_its_limits_and_beats_all_sampled_gains():
             assert other.cost > 0.998 * best.prediction.cost
 
 
+def test_searches_from_all_starts_end_at_one_optimum_where_peaks_of_the_sensitivity_are_level():
+    w, v = 2.0 * math.pi * 4.0, 2.0 * math.pi * 27.0
+    mode = control.tf([0.1 * v * v], [1.0, 0.01 * v, v * v])
+    system = control.tf([w * w], [1.0, 0.4 * w, w * w]) + mode
+    poles = np.log([w / SAMPLING_HZ, 0.2, v / SAMPLING_HZ, 0.005])
+    sampled = control.c2d(system, 1.0 / SAMPLING_HZ).num[0][0]
+    zeros = exchanged(np.append(sampled[-4:], 0.0))
+    centre = np.log((0.01, 3.0, 5e-4, 2e-3))
+    search = RegionSearch(
+        model=LoopModel(tuple(poles.tolist()), tuple(zeros.tolist()), 2),
+        trial=trial_of(linear(system=system)),
+        limits=RobustnessLimits(max_sensitivity=1.6),
+        gains_of=lambda x: Gains(*np.exp(x).tolist()),
+        low=centre - 2.0,
+        high=centre + 2.0,
+    )
+    starts = centre + np.random.default_rng(0).uniform(-1.5, 1.5, (6, 4))
+    found = [search.minimise([x]) for x in starts]
+    assert all(one.feasible for one in found)
+    costs = [one.prediction.cost for one in found]
+    assert max(costs) < 1.01 * min(costs)
+
+
 def test_claim_needs_trials_near_the_gains():
     plant = linear()
     trials = around(GAINS, 6, spread=0.1)
@@ -257,7 +280,8 @@ def test_predictions_of_several_loops_are_those_of_each():
     for several, of in ((models, [GAINS] * 3), ([exact] * 3, gains), (models, gains)):
         found = predictions(several, trial, of, NOISE_N)
         alone = [predict(m, trial, g, NOISE_N) for m, g in zip(several, of, strict=True)]
-        np.testing.assert_allclose(found, alone, rtol=1e-9)
+        for one, other in zip(found, alone, strict=True):
+            np.testing.assert_allclose(np.hstack(one), np.hstack(other), rtol=1e-9)
     assert predictions([exact], trial, gains) == predictions([exact] * 3, trial, gains)
     assert predictions(models, trial, [GAINS]) == predictions(models, trial, [GAINS] * 3)
 

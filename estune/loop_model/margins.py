@@ -25,8 +25,13 @@ ABOUT_A_POLE = np.concatenate([-_OCTAVES, [0.0], _OCTAVES])
 of damping 0.03 was read as Ms 1.60 for 1.84; with them modes of damping 0.001 as with 200 000
 points to 0.3 %."""
 
-ZOOMED = 25
-"""Points of a second grid about the lowest |1 + L| of the first: resonances of the closed loop are
+BANDS = 16
+"""Bands of the grid, of as many points each, in each of which the largest |S| is found. With 1, 8,
+16 and 32 of them a search for the optimum of loops with modes took a mean of 152, 46, 26 and 33
+evaluations."""
+
+ZOOMED = 13
+"""Points of a second grid about the lowest |1 + L| of each band: resonances of the closed loop are
 not those of the plant."""
 
 
@@ -37,13 +42,16 @@ class Robustness(NamedTuple):
         sensitivity: Ms, the largest |S| over frequency; infinite where the loop is unstable.
         phase_margin_deg: Smallest phase margin over all gain crossovers, degrees; infinite
             without a crossover, NaN where the loop is unstable.
+        peaks: Largest |S| in each band of frequency: where two peaks are level, the largest of
+            all has a kink along the gains, and these have none.
     """
 
     sensitivity: float
     phase_margin_deg: float
+    peaks: tuple[float, ...]
 
 
-UNSTABLE = Robustness(math.inf, math.nan)
+UNSTABLE = Robustness(math.inf, math.nan, (math.inf,) * BANDS)
 
 
 class FrequencyGrid(NamedTuple):
@@ -213,16 +221,7 @@ def robustness_of(
     scale = np.abs(forward)
     with np.errstate(divide="ignore", invalid="ignore"):
         size, magnitude = np.abs(characteristic) / scale, np.abs(feedback) / scale
-    lowest = np.argmin(size, axis=1)
-    rows = np.arange(count)
-    inner = np.clip(lowest, 1, size.shape[1] - 2)
-    own = rows if len(models) > 1 else np.zeros(count, int)
-    begin, end = (grid.theta[own, inner + side, np.newaxis] for side in (-1, 1))
-    near = begin + (end - begin) * np.linspace(0.0, 1.0, ZOOMED)
-    zoom = FrequencyGrid.at(models, near)
-    S, R = laws.at(zoom.later)
-    zoomed = np.abs(1.0 + zoom.zeros * S / (zoom.poles * R))
-    least = np.where(inner == lowest, _refined(zoomed), size[rows, lowest])
+    least = _lowest_in_bands(models, laws, grid.theta, size)
     margins = np.full(count, math.inf)
     loud = magnitude > 1.0
     row, at = np.nonzero(loud[:, :-1] != loud[:, 1:])
@@ -231,10 +230,40 @@ def robustness_of(
     here, following = (feedback[row, k] / forward[row, k] for k in (at, at + 1))
     angles = np.angle(-here) + share * np.angle(following / here)
     np.minimum.at(margins, row, np.degrees(np.abs(angles)))
+    peaks = (1.0 / least).tolist()
     return [
-        Robustness(1.0 / float(least[i]), float(margins[i])) if stable[i] else UNSTABLE
+        Robustness(max(peaks[i]), float(margins[i]), tuple(peaks[i])) if stable[i] else UNSTABLE
         for i in range(count)
     ]
+
+
+def _lowest_in_bands(
+    models: Sequence[LoopModel], laws: _Controllers, theta: FloatArray, size: FloatArray
+) -> FloatArray:
+    """Lowest |1 + L| in each band, shape (loops, bands).
+
+    Args:
+        models: One for all loops, or one for each.
+        laws: Their controllers.
+        theta: Angles, shape (models, angles).
+        size: |1 + L| there, shape (loops, angles).
+    """
+    count, angles = size.shape
+    rows = np.arange(count)[:, np.newaxis]
+    # Bands share the points at their borders, about which each of them may be refined.
+    ends = np.linspace(0, angles - 1, BANDS + 1).astype(int)
+    offsets = np.arange(np.diff(ends).max() + 1)
+    inside = np.minimum(ends[:-1, np.newaxis] + offsets, ends[1:, np.newaxis])
+    lowest = inside[np.arange(BANDS), np.argmin(size[:, inside], axis=2)]
+    inner = np.clip(lowest, ends[:-1] + 1, ends[1:] - 1)
+    own = rows if len(models) > 1 else np.zeros_like(rows)
+    begin, end = (theta[own, inner + side][..., np.newaxis] for side in (-1, 1))
+    near = begin + (end - begin) * np.linspace(0.0, 1.0, ZOOMED)
+    zoom = FrequencyGrid.at(models, near.reshape(count, -1))
+    S, R = laws.at(zoom.later)
+    zoomed = np.abs(1.0 + zoom.zeros * S / (zoom.poles * R)).reshape(-1, ZOOMED)
+    refined = _refined(zoomed).reshape(count, BANDS)
+    return np.where(inner == lowest, refined, size[rows, lowest])
 
 
 def _refined(values: FloatArray) -> FloatArray:

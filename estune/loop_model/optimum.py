@@ -76,6 +76,13 @@ class RobustnessLimits:
             ]
         )
 
+    def excesses(self, p: Prediction) -> FloatArray:
+        """The same with the sensitivity of each band, shape (bands + 2,), which has no kinks."""
+        beyond = self.excess(p)
+        if self.max_sensitivity is None:
+            return beyond
+        return np.append(np.log(np.array(p.peaks) / self.max_sensitivity), beyond[1:])
+
     def broken_by(self, margins: PredictedMargins) -> str:
         """The limits that a loop breaks, whichever value of its intervals is true; or nothing."""
 
@@ -249,11 +256,10 @@ class RegionSearch:
         return math.log(cost) if math.isfinite(cost) else INFEASIBLE
 
     def _excess(self, x: FloatArray) -> FloatArray:
-        excess = self.limits.excess(self.predicted(x))
-        return np.where(np.isfinite(excess), np.minimum(excess, EXCESS_MAX), EXCESS_MAX)
+        return _bounded(self.limits.excesses(self.predicted(x)))
 
     def _penalised(self, x: FloatArray, penalty: float) -> float:
-        beyond = np.maximum(self._excess(x) - TOLERANCE, 0.0)
+        beyond = np.maximum(_bounded(self.limits.excess(self.predicted(x))) - TOLERANCE, 0.0)
         return self._objective(x) + penalty * float(beyond.sum())
 
     def _rank(self, one: Optimum) -> float:
@@ -272,3 +278,8 @@ class RegionSearch:
                 return x
             x = np.clip(x + GENTLER[: x.size], self.low, self.high)
         return None
+
+
+def _bounded(excess: FloatArray) -> FloatArray:
+    """Excesses with a largest value, that of an unstable loop too."""
+    return np.where(np.isfinite(excess), np.minimum(excess, EXCESS_MAX), EXCESS_MAX)

@@ -13,7 +13,7 @@ from estune.core.gains import Gains
 from estune.core.pidf import ControllerSettings
 from estune.core.quantities import FloatArray
 from estune.core.response import StepShape
-from estune.loop_model.margins import robustness_of
+from estune.loop_model import margins
 from estune.loop_model.model import ClosedLoop, LoopModel, close_loop
 from estune.loop_model.sampled_loop import sampled_response
 
@@ -68,15 +68,17 @@ class Prediction(NamedTuple):
         overshoot: Of the response without noise, as a share of the step.
         sensitivity: Ms.
         phase_margin_deg: Phase margin, degrees.
+        peaks: Largest |S| in each band of frequency.
     """
 
     cost: float
     overshoot: float
     sensitivity: float
     phase_margin_deg: float
+    peaks: tuple[float, ...]
 
 
-UNSTABLE = Prediction(math.inf, math.inf, math.inf, math.nan)
+UNSTABLE = Prediction(math.inf, math.inf, *margins.UNSTABLE)
 
 
 def predict(model: LoopModel, trial: StepTrial, gains: Gains, noise_N: float = 0.0) -> Prediction:
@@ -98,9 +100,9 @@ def predictions(
         gains: One for all models, or one for each.
         noise_N: Standard deviation of the measurement noise.
     """
-    margins = robustness_of(models, gains, trial.controller)
-    found = [UNSTABLE] * len(margins)
-    stable = [i for i, one in enumerate(margins) if math.isfinite(one.sensitivity)]
+    robust = margins.robustness_of(models, gains, trial.controller)
+    found = [UNSTABLE] * len(robust)
+    stable = [i for i, one in enumerate(robust) if math.isfinite(one.sensitivity)]
     if not stable:
         return found
     pairs = [(models[i % len(models)], gains[i % len(gains)]) for i in stable]
@@ -110,9 +112,9 @@ def predictions(
     ]
     output, effort = (np.array(signals) for signals in zip(*responses, strict=True))
     costs = _expected_costs(loops, trial, output, effort, noise_N)
-    peaks = np.max(output[:, trial.step.sample : trial.end] / trial.step.size_N, axis=1) - 1.0
-    for i, cost, peak in zip(stable, costs.tolist(), peaks.tolist(), strict=True):
-        found[i] = Prediction(cost, max(peak, 0.0), *margins[i])
+    tops = np.max(output[:, trial.step.sample : trial.end] / trial.step.size_N, axis=1) - 1.0
+    for i, cost, top in zip(stable, costs.tolist(), tops.tolist(), strict=True):
+        found[i] = Prediction(cost, max(top, 0.0), *robust[i])
     return found
 
 

@@ -21,6 +21,7 @@ import numpy as np
 
 from estune.loop_model.optimum import RobustnessLimits
 from estune.run.ending import RunEnding
+from estune.support.blas import one_blas_thread
 from experiments.loop_claims.cases import LoopCase, families, modes, outside, random_loops
 from experiments.loop_claims.search import Searched, search
 from experiments.loop_claims.truth import EVALUATIONS, TrueLoop, Truth, constrained_optimum
@@ -149,4 +150,5 @@ def main() -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    with one_blas_thread():  # as runs of the product do
+        sys.exit(main())
