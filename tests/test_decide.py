@@ -85,6 +85,8 @@ def test_second_effect_beside_a_far_greater_one_is_named_where_it_explains_the_r
         pair = model("gravity+friction", left, 3)
         rival = model("gravity+bend", 20.0, 3)
         assert decide(base(8450.0), [*singles, pair, rival]).best == best
+    useless = [model("gravity", 34.0, 2, eligible=False), model("friction", 8300.0)]
+    assert not decide(base(8450.0), [*useless, model("gravity+bend", 1.4, 30)]).best
 
 
 def test_law_with_fewer_values_that_does_about_as_well_is_likelier():

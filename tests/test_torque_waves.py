@@ -7,7 +7,7 @@ import pytest
 
 import plants
 from plants.diagnosis.models.base import BaseNumbers
-from plants.diagnosis.residual.torque_waves import torque_waves
+from plants.diagnosis.residual.torque_waves import TorqueWaves, torque_waves
 from tests.support_measurements import open_loop
 
 RATE_Hz, TORQUE_Nm_A = 400.0, 0.05
@@ -85,3 +85,11 @@ def test_diagnosis_names_the_cogging_of_a_drive_that_turns_one_way():
     assert "7 times a turn" in d.sentence
     (cogging,) = d.augmented.effects[:1]
     assert cogging.per_turn_1 == 7.0
+
+
+def test_what_waves_leave_is_told_in_the_unit_of_the_command():
+    waves = TorqueWaves({}, 0.0, 2.75, 0.17, 0.01, (7.0,), held_A=(2.5, 0.2))
+    said = waves.sentence(plants.stage(mass_kg=6.0, viscous_friction_Ns_m=25.0).scale)
+    assert "of the effort" in said
+    assert "2.75 N rms, of which 0.17 N are left" in said
+    assert "0.2 N of 2.5 N" in said

@@ -110,7 +110,8 @@ def _sentence(
 ) -> str:
     """Limits of the records, then the verdict; the unit is that of prediction errors."""
     if compared.waves is not None:
-        verdict = f"{effects[-1].sentence} {compared.waves.sentence}"
+        scale = PlantScale.of(compared.fitter.model.model)
+        verdict = f"{effects[-1].sentence} {compared.waves.sentence(scale)}"
     else:
         verdict = verdict_sentence(
             compared.verdict, compared.conclusion, effects, compared.steps, unit

@@ -29,6 +29,7 @@ from plants.diagnosis.interval import QUANTILE, Interval
 from plants.diagnosis.models.base import BaseNumbers
 from plants.diagnosis.residual.angle_periods import ResidualOverAngle, per_turn
 from plants.effects.cogging import WAVES
+from plants.effects.plant_scale import PlantScale
 
 WIDTH_s = 0.01
 """Smoothing of motion and current alike. Of a drive of 8192 counts a turn at 400 Hz the
@@ -121,18 +122,18 @@ class TorqueWaves(NamedTuple):
         """Share of the current's power that they explain on data left out."""
         return 1.0 - (self.after_A / self.before_A) ** 2 if self.before_A > 0.0 else 0.0
 
-    @property
-    def sentence(self) -> str:
-        """What they explain, in plain words."""
+    def sentence(self, scale: PlantScale) -> str:
+        """What they explain, in the plant's own words and units."""
+        effort = "current" if scale.unit("A") == "A" else "effort"
+        before, after = (scale.amount(rms, "A") for rms in (self.before_A, self.after_A))
         sentence = (
-            f"Over the angle it explains {self.share:.0%} of the current that inertia and "
-            f"friction do not, on data left out: {self.before_A:.3g} A rms, of which "
-            f"{self.after_A:.3g} A are left in slow motion, {self.after_A / self.noise_A:.2g} "
-            "times its noise."
+            f"Over the {scale.along} it explains {self.share:.0%} of the {effort} that inertia "
+            f"and friction do not, on data left out: {before} rms, of which {after} are left in "
+            f"slow motion, {self.after_A / self.noise_A:.2g} times its noise."
         )
         if self.held_A is not None:
-            before_A, after_A = self.held_A
-            sentence += f" On the held-out records {after_A:.3g} of {before_A:.3g} A."
+            before, after = (scale.amount(rms, "A") for rms in self.held_A)
+            sentence += f" On the held-out records {after} of {before}."
         return (
             f"{sentence} The motion itself is not predicted: short predictions stay as they are."
         )

@@ -108,9 +108,10 @@ def _supported(
     if known[doubtful] >= CONSTANTS.second:
         return best
     first = best_of([m for m in models if doubtful not in m.families])
-    if first and beats(best, first, CONSTANTS.named_share, CONSTANTS.incomplete):
-        return best
-    return first
+    if first is None or not first.families < best.families:
+        return first
+    rest = beats(best, first, CONSTANTS.named_share, CONSTANTS.incomplete)
+    return best if rest else first
 
 
 def _is_likelier(model: Model, best: Model) -> bool:
