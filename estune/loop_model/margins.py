@@ -279,7 +279,7 @@ def _refined(values: FloatArray) -> FloatArray:
     """
     lowest, rows = np.argmin(values, axis=1), np.arange(len(values))
     inner = np.clip(lowest, 1, values.shape[1] - 2)
-    with np.errstate(divide="ignore", invalid="ignore"):
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         left, middle, right = (np.log(values[rows, inner + side]) for side in (-1, 0, 1))
         bend = left - 2.0 * middle + right
         refined = np.exp(middle - (left - right) ** 2 / (8.0 * bend))
