@@ -27,10 +27,10 @@ def test_number_of_the_table_is_replaced_while_the_context_lasts():
 
 
 def test_number_with_a_name_is_replaced_while_the_context_lasts():
-    number = next(n for n in numbers() if n.name == "checks/units.py:PLAUSIBLE")
+    number = next(n for n in numbers() if n.name == "checks/units.py:MODEL_OFF")
     with replaced(number, 2.0 * number.value):
-        assert vars(units)["PLAUSIBLE"] == 2.0 * number.value
-    assert vars(units)["PLAUSIBLE"] == number.value
+        assert vars(units)["MODEL_OFF"] == 2.0 * number.value
+    assert vars(units)["MODEL_OFF"] == number.value
 
 
 def test_number_in_a_comparison_is_replaced_while_the_context_lasts():

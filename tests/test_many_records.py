@@ -9,6 +9,7 @@ import pytest
 import plants
 from estune.core.gains import Gains
 from experiments.diagnosis_scale import trials
+from plants.diagnosis.constants import CONSTANTS
 from plants.diagnosis.data.measured_record import MeasuredRecord
 from plants.diagnosis.search import more_records
 from plants.diagnosis.search.more_records import differing
@@ -30,7 +31,8 @@ def test_few_records_are_all_searched():
 
 
 def test_records_searched_differ_in_gains_and_profile(monkeypatch):
-    monkeypatch.setattr(more_records, "SEARCHED_samples", 3500)
+    fewer = CONSTANTS._replace(searched=3500)
+    monkeypatch.setattr(more_records, "CONSTANTS", fewer)
     many = list(records(20))
     many[7] = replace(many[7], gains=Gains(3.0, 1.0, 0.0, 0.0))
     many[13] = replace(many[13], profile="chirp")
@@ -45,7 +47,8 @@ def test_effect_found_on_some_records_is_fitted_to_all_of_them(monkeypatch):
     given, measured = drawn(502, "unloaded", "coulomb_friction")
     whole = plants.explain(given, measured)
     samples = max(m.samples for m in measured)
-    monkeypatch.setattr(more_records, "SEARCHED_samples", 3 * samples)
+    fewer = CONSTANTS._replace(searched=3 * samples)
+    monkeypatch.setattr(more_records, "CONSTANTS", fewer)
     found = plants.explain(given, measured)
     names = [effect.name for effect in found.effects]
     assert (found.verdict, names) == (whole.verdict, [e.name for e in whole.effects])

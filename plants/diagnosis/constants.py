@@ -94,6 +94,12 @@ class Constants(NamedTuple):
     development seeds that of the effect hidden explained 0.76 or more."""
     aimed_beside: float = 0.2
     """That of a second effect, which explained 0.22 or more there."""
+    searched: float = 60_000
+    """Samples that a search takes, of more records the ones that differ the most, and residuals
+    that it sums, of more some: their mean square is then known to 1 %."""
+    screened: float = 12_000
+    """Residuals over which directions and dependences are compared, of more some: a product over
+    so many is known to 1 %."""
     behind: float = 3.0
     """Ratio of powers to the best one's beyond which a fit is not finished."""
 

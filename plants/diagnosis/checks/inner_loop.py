@@ -35,10 +35,11 @@ def inner_loop(m: MeasuredRecord, b: BaseNumbers) -> Iterator[DataIssue]:
     }
     for title, (motion, torque_per_motion) in motions.items():
         gain = _gain(command, motion)
-        # A command in proportion to the velocity may be the torque that friction needs.
-        if gain is None or within_factor(torque_per_motion / gain, 3.0):
+        # A command in proportion to the velocity may be the torque that friction needs. Units are
+        # far apart: a number of the model's that is off is told from one in another unit.
+        if gain is None or within_factor(torque_per_motion / gain):
             continue
-        unit = next((u for u, f in UNITS.items() if within_factor(gain / f, 1.1)), None)
+        unit = next((u for u, f in UNITS.items() if within_factor(gain / f)), None)
         if unit is not None:
             sentence = f"it is the {title} in {unit}: the setpoint of a loop inside the drive"
             remedy = "map the torque or the current, or give a [linear_plant] whose input it is"

@@ -14,7 +14,7 @@ from estune.recordings.issue import DataIssue
 from estune.trial import SATURATED
 from plants.diagnosis.checks.inner_loop import inner_loop
 from plants.diagnosis.checks.sensors import faults, frozen_angle, shift_between
-from plants.diagnosis.checks.units import mistaken_units
+from plants.diagnosis.checks.units import mistaken_units, within_factor
 from plants.diagnosis.data.measured_record import OUTPUTS, ROUNDING, MeasuredRecord
 from plants.diagnosis.data.noise import FEWEST, step_of, upper_rms
 from plants.diagnosis.models.base import BaseNumbers
@@ -133,7 +133,7 @@ def _unmoved(m: MeasuredRecord) -> Iterator[DataIssue]:
     """Neither the command nor the response moves beyond its noise."""
     commanded = [c for c in (m.setpoint_N, m.current_A) if c is not None]
     # A setpoint has no noise, but may be as fast as noise is.
-    still = m.setpoint_N is None or float(m.setpoint_N.std()) <= _rounding(m.setpoint_N)
+    still = m.setpoint_N is None or not _varies(m.setpoint_N)
     still = still and not any(_moves(c) for c in commanded)
     moving = [name for name in m.outputs if _moves(np.asarray(m.channel(name)))]
     if not (still or moving):
@@ -156,11 +156,12 @@ def _moves(column: FloatArray) -> bool:
     """
     noise, slow = upper_rms(column), _slow(column)
     moved = max(float(column.std()), float(slow.std()) * math.sqrt(column.size - slow.size + 1))
-    return moved > 3.0 * noise and float(column.std()) > _rounding(column)
+    return moved > 3.0 * noise and _varies(column)
 
 
-def _rounding(column: FloatArray) -> float:
-    return 1e-9 * float(np.abs(column).max())
+def _varies(column: FloatArray) -> bool:
+    """Whether a channel is another than a constant, but for rounding."""
+    return float(column.std()) > 1e-9 * float(np.abs(column).max())
 
 
 def _static(m: MeasuredRecord) -> Iterator[DataIssue]:
@@ -207,7 +208,7 @@ def _mislabelled(m: MeasuredRecord, b: BaseNumbers) -> Iterator[DataIssue]:
     if max(explained, _follows(_slow(command), _slow(m.current_A))[0]) < 0.2:
         sentence = "the record is labelled open, and the current does not follow the setpoint"
         yield DataIssue("refused", f"{sentence}; check the label and the columns", "current_A")
-    elif explained > 1.0 - ROUNDING and abs(gain - 1.0) > 0.2:
+    elif explained > 1.0 - ROUNDING and not within_factor(gain):
         yield DataIssue(
             "warning",
             f"the current is {gain:.3g} times setpoint x radius / torque constant; check the "

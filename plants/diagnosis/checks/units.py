@@ -7,15 +7,14 @@ import numpy as np
 
 from estune.core.quantities import FloatArray
 from estune.recordings.issue import DataIssue
+from plants.diagnosis.constants import CONSTANTS
 from plants.diagnosis.data.measured_record import MeasuredRecord
 from plants.diagnosis.data.smoothing import Smoother, proportion
 from plants.diagnosis.models.base import BaseNumbers
 
 MODEL_OFF = 1.6
 """Factor by which numbers of a model may be off, so that a ratio of units is told from it: the
-least ratio of two units asked about is 17, of thousandths and degrees."""
-PLAUSIBLE = 20.0
-"""Factor up to which numbers of a model may be wrong, and no unit is asked about."""
+least ratio of two units asked about is 6, of degrees and turns per minute."""
 
 
 def mistaken_units(m: MeasuredRecord, b: BaseNumbers, rate_Hz: float) -> Iterator[DataIssue]:
@@ -27,7 +26,7 @@ def mistaken_units(m: MeasuredRecord, b: BaseNumbers, rate_Hz: float) -> Iterato
     """
     if b.linear is not None:
         return
-    if within_factor(m.sampling_Hz * 1000.0 / rate_Hz, MODEL_OFF):
+    if within_factor(m.sampling_Hz * 1000.0 / rate_Hz):
         sentence = f"its samples come at {m.sampling_Hz:.3g} Hz, the model's at {rate_Hz:.3g} Hz"
         yield DataIssue("refused", f"{sentence}: it seems to be in ms; give s", "time_s")
         return
@@ -92,14 +91,14 @@ def _issues(
     m: MeasuredRecord, by_angle: float | None, by_effort: float | None
 ) -> Iterator[DataIssue]:
     """Issues by the slopes relative to the model's; both of them depend on the tension."""
-    if by_effort is not None and not within_factor(by_effort, PLAUSIBLE):
-        if by_angle is None or not within_factor(by_angle, PLAUSIBLE):
+    if by_effort is not None and not within_factor(by_effort, CONSTANTS.range):
+        if by_angle is None or not within_factor(by_angle, CONSTANTS.range):
             yield _issue("tension_N", by_effort, "what the command holds", {1e-3: "kN"})
             return
         unit = m.command_column.rpartition("_")[2]
         units = {1e3: f"m{unit}", 1e-3: f"k{unit}"}
         yield _issue(m.command_column, 1.0 / by_effort, "what the tension takes", units)
-    elif by_angle is not None and not within_factor(by_angle, PLAUSIBLE):
+    elif by_angle is not None and not within_factor(by_angle, CONSTANTS.range):
         units = {math.degrees(1.0): "degrees", 1e3: "thousandths, as mm or mrad"}
         yield _issue("angle_rad", 1.0 / by_angle, "what the model turns", units)
 
@@ -107,20 +106,20 @@ def _issues(
 def _issues_of_drive(m: MeasuredRecord, times: float) -> Iterator[DataIssue]:
     """Issues by the torque that the motion takes, relative to the command."""
     # A model may be off by 2 pi, too: it is said, and the record is used.
-    if within_factor(times * 2.0 * math.pi, 1.3):
+    if within_factor(times * 2.0 * math.pi):
         sentence = "its changes are 1/6.28 of what the model turns, the ratio of turns to rad"
         yield DataIssue("warning", f"{sentence}; check the unit and the inertia", "angle_rad")
-    elif not within_factor(times, PLAUSIBLE) and times < 1.0:
+    elif not within_factor(times, CONSTANTS.range) and times < 1.0:
         unit = "thousandths, as mN m, mN or mA"
         yield _issue(m.command_column, 1.0 / times, "what the motion takes", {1e3: unit})
-    elif not within_factor(times, PLAUSIBLE):
+    elif not within_factor(times, CONSTANTS.range):
         thousandths = "thousandths, as mm or mrad, or the command in kN"
         units = {math.degrees(1.0): "degrees", 1e3: thousandths}
         yield _issue("angle_rad", times, "what the model turns", units)
 
 
 def _issue(column: str, times: float, what: str, units: dict[float, str]) -> DataIssue:
-    near = [u for f, u in units.items() if within_factor(times / f, MODEL_OFF)]
+    near = [u for f, u in units.items() if within_factor(times / f)]
     sentence = f"its changes are {times:.3g} times {what}"
     if not near:
         return DataIssue("warning", f"{sentence}; check the unit and the model", column)
@@ -130,7 +129,7 @@ def _issue(column: str, times: float, what: str, units: dict[float, str]) -> Dat
     return DataIssue("refused", sentence, column)
 
 
-def within_factor(ratio: float, factor: float) -> bool:
+def within_factor(ratio: float, factor: float = MODEL_OFF) -> bool:
     """Whether a ratio is one, but for a factor either way."""
     return 1.0 / factor < ratio < factor
 

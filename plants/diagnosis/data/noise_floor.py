@@ -86,7 +86,7 @@ class NoiseFloor:
 
 
 def noise_floor(measurements: Sequence[MeasuredRecord]) -> NoiseFloor:
-    """The noise of each channel of one rig's records, from their best source."""
+    """The noise of each channel of one rig's records, of `FEWEST` samples at least each."""
     repeated = _repeats(measurements)
     records = tuple(
         {
@@ -105,7 +105,7 @@ def _noise(m: MeasuredRecord, column: FloatArray, repeated: float | None) -> Noi
     """The noise of one channel of one record."""
     lsb = step_of(column)
     rms, how = (repeated, SOURCES[0]) if repeated is not None else _alone(m, column)
-    if m.samples >= FEWEST and rms > (most := CONSTANTS.upper_most * upper_rms(column)):
+    if rms > (most := CONSTANTS.upper_most * upper_rms(column)):
         rms, how = most, SOURCES[3]
     rounding = lsb / math.sqrt(12.0)
     return Noise(rms, lsb, how) if rms > rounding else Noise(rounding, lsb, SOURCES[4])
@@ -113,8 +113,6 @@ def _noise(m: MeasuredRecord, column: FloatArray, repeated: float | None) -> Noi
 
 def _alone(m: MeasuredRecord, column: FloatArray) -> tuple[float, str]:
     """The noise of a channel from its own record alone, and its source."""
-    if m.samples < FEWEST:
-        return _differences_rms(column), SOURCES[3]
     estimates: list[tuple[float, str]] = []
     if m.setpoint_N is not None:
         periods = periods_of(m.setpoint_N)
@@ -138,11 +136,6 @@ def _group_rms(same: FloatArray) -> float:
     # The mean takes 1/repeats of the noise with it.
     each = [spectral_rms(row) for row in deviation]
     return float(np.sqrt(np.mean(np.square(each)) * repeats / (repeats - 1.0)))
-
-
-def _differences_rms(column: FloatArray) -> float:
-    """Noise of a short record: third differences, whose variance is 20 times that of the noise."""
-    return float(np.sqrt(np.mean(np.diff(column, 3) ** 2) / 20.0)) if column.size > 3 else 0.0
 
 
 def _repeats(measurements: Sequence[MeasuredRecord]) -> dict[tuple[int, str], float]:
@@ -195,7 +188,7 @@ def _repeated(measurements: Sequence[MeasuredRecord]) -> list[list[int]]:
     """Indices of the measurements of each trial that was run twice or more."""
     groups: dict[tuple[Any, ...], list[int]] = defaultdict(list)
     for n, m in enumerate(measurements):
-        if m.setpoint_N is not None and m.samples >= FEWEST:
+        if m.setpoint_N is not None:
             groups[m.loop, m.profile, m.gains, m.cable_length_m, m.samples].append(n)
     return [same for group in groups.values() for same in _same_setpoints(measurements, group)]
 

@@ -41,9 +41,8 @@ def periods_of(setpoint: FloatArray) -> Periods | None:
 
     Only periods of a whole number of samples are found, twice over at least.
     """
-    n = setpoint.size
     spread = float(setpoint.std())
-    if n < 16 or not spread > 0.0:
+    if not spread > 0.0:
         return None
     same = SAME * float(np.ptp(setpoint))
     for lag in sorted(_likely_lags(setpoint - setpoint.mean())):
@@ -52,7 +51,7 @@ def periods_of(setpoint: FloatArray) -> Periods | None:
         first, length = longest.start, longest.stop - longest.start
         whole = setpoint[first : first + lag]
         # A hold has any period.
-        if length >= lag and whole.std() >= 0.3 * spread:
+        if length >= lag and whole.std() >= 0.5 * spread:
             return Periods(first, lag, 1 + length // lag)
     return None
 

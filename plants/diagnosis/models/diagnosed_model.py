@@ -23,7 +23,7 @@ from plants.diagnosis.models.free_parameters import (
     positive,
 )
 from plants.diagnosis.models.signal_scales import signal_scale
-from plants.effects import Effect, Parameter, RecordScale
+from plants.effects import Effect, Parameter
 from plants.models.linear_plant import LinearPlant
 from plants.models.path_structure import PathStructure, squarings_for
 from plants.models.symbolic_plant import TracedStructure
@@ -93,7 +93,13 @@ class DiagnosedModel(ABC):
         self.calibration = next(
             (e for e in getattr(model, "effects", ()) if isinstance(e, Calibration)), Calibration()
         )
-        self.sizes = self._sizes()
+        commands = [m.command_A(self.newtons_per_ampere) for m in self.measurements]
+        self.sizes = signal_scale(
+            [command / self.drive_unit for command in commands],
+            self.torque_per_drive,
+            [self.turned(m) for m in self.measurements],
+            [m.sampling_Hz for m in self.measurements],
+        )
 
     # Declared by each kind of model.
 
@@ -151,15 +157,6 @@ class DiagnosedModel(ABC):
         longest_s = 0.2 * min(m.duration_s for m in self.measurements)
         rate_Hz = max(m.sampling_Hz for m in self.measurements)
         return max(min(wanted_s, longest_s), shortest_samples / rate_Hz)
-
-    def _sizes(self) -> RecordScale:
-        commands = [m.command_A(self.newtons_per_ampere) for m in self.measurements]
-        return signal_scale(
-            [command / self.drive_unit for command in commands],
-            self.torque_per_drive,
-            [self.turned(m) for m in self.measurements],
-            [m.sampling_Hz for m in self.measurements],
-        )
 
     def calibrated(self, values: Mapping[str, float], effects: Sequence[type[Effect]] = ()) -> Any:
         """A model of the same kind as given, with the values of a fit and effects added.

@@ -42,7 +42,7 @@ def estimate_states(
     for extra in (1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48):
         either = needed + extra
         # The backward propagation of a mode grows with its rate.
-        if 4 * either > output.size or either * rate > 5.0:
+        if 2 * either > output.size or either * rate > 5.0:
             break
         wider = sampled.states(at, either)
         if wider.residual > max(1.05 * noise, best.residual):

@@ -94,7 +94,7 @@ class DiagnosedLinear(DiagnosedPlant):
         """Residual sum of squares of a difference equation; its newest input is `newest` back."""
         n, y = self.kinds.order, m.tension_N
         u = shifted(self.command_N(m), self.values["dead_time_s"] * m.sampling_Hz)
-        if y is None or y.size < 20 * n or not np.isfinite(y).all():
+        if y is None or not np.isfinite(y).all():
             return 0.0
         past = [y[n - k : y.size - k] for k in range(1, n + 1)]
         past += [u[n - k : u.size - k] for k in range(newest, n + 1)]

@@ -86,8 +86,8 @@ class DiagnosedReel(DiagnosedModel):
         slack, samples = 0, 0
         for m in self.measurements:
             if m.tension_N is not None:
-                sag = self._sag_N3(m)
-                slack += int(np.count_nonzero(m.tension_N < (2.0 * sag) ** (1.0 / 3.0)))
+                least_N = (2.0 * self._sag_N3(m)) ** (1.0 / 3.0)
+                slack += int(np.count_nonzero(m.tension_N < least_N))
                 samples += m.samples
         return slack > 0.1 * samples
 

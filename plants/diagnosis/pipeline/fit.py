@@ -7,6 +7,7 @@ has another phase in each record, so that no effect stands for it.
 
 from dataclasses import dataclass
 
+from plants.diagnosis.constants import CONSTANTS
 from plants.diagnosis.data.measured_record import MeasuredRecord
 from plants.diagnosis.data.noise_floor import NoiseFloor
 from plants.diagnosis.models.base import BaseNumbers
@@ -60,7 +61,7 @@ def fit(plant: DiagnosedModel, noise: NoiseFloor, choices: EffectChoices) -> Bas
     if fuller is not None:
         fitter_of_fuller, base_of_fuller = _base_fit(fuller, searched, noise)
         # Of three reels that sag, full sag left 0.42, 0.44 and 0.58 of what the linear law did.
-        if base_of_fuller.J < 0.995 * base.J:
+        if (1.0 - CONSTANTS.allowance) * base.J > base_of_fuller.J:
             plant, fitter, base = fuller, fitter_of_fuller, base_of_fuller
     line = None
     # Beside a base model fitted with the line, a line of 12 noises came out 15 % too large.

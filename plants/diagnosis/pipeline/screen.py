@@ -10,7 +10,7 @@ from plants.diagnosis.pipeline.fit import BaseFit
 from plants.diagnosis.search.limitations import has_moved
 from plants.diagnosis.search.nameless_laws import NAMELESS
 from plants.diagnosis.search.score_context import ScoreContext
-from plants.diagnosis.search.screening import Screening, ScreeningResult, screen_effect
+from plants.diagnosis.search.screening import Directions, Screening, ScreeningResult
 from plants.effects import Effect
 
 
@@ -22,8 +22,8 @@ def screen(fitted: BaseFit) -> Screening:
 
     def screened(effect: type[Effect]) -> ScreeningResult:
         predictor = fitter.predictor((effect,))
-        directions = (screen_effect(effect, predictor, context) for context in contexts)
-        return max(directions, key=lambda direction: direction.screening_R2)
+        results = (Directions(effect, predictor, c).screened() for c in contexts)
+        return max(results, key=lambda result: result.screening_R2)
 
     declared = {e.name: screened(e) for e in fitted.choices.structural}
     if CONSTANTS.nothing >= base.J:

@@ -74,11 +74,6 @@ class PredictionData:
     record_blocks: NDArray[np.int64]
     index: Index
 
-    @property
-    def samples(self) -> int:
-        """Samples of all records."""
-        return self.command.size
-
 
 def prepare_data(
     model: DiagnosedModel,

@@ -106,7 +106,7 @@ class Predictor:
 
     def predict(self, rows: FloatArray) -> list[Prediction]:
         """The channels of each measurement, for each row of values, shape (rows, free)."""
-        outputs = np.empty((len(rows), len(CHANNELS) * self._data.samples))
+        outputs = np.empty((len(rows), len(CHANNELS) * self._data.command.size))
         self._runner.run(rows, outputs=outputs)
         last = np.cumsum(self._data.record_samples)[:-1]
         parts = np.split(outputs, len(CHANNELS) * last, axis=1)
@@ -262,7 +262,7 @@ class _Runner:
         task = Task(
             rows=len(rows),
             records=len(of.measurements),
-            samples=of.samples,
+            samples=of.command.size,
             entries=of.index.sigma.size,
             kept=0 if chosen is None else chosen.size,
             **{name: None if a is None else a.ctypes.data for name, a in arrays.items()},

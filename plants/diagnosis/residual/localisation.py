@@ -100,7 +100,7 @@ class Block:
             return ""
         if self.low_Hz <= self.frequency_Hz[1]:
             return f"below {self.high_Hz:.2g} Hz"
-        if self.high_Hz >= 0.9 * self.frequency_Hz[-1]:
+        if self.high_Hz >= self.frequency_Hz[-2]:
             return f"above {self.low_Hz:.2g} Hz"
         return f"between {self.low_Hz:.2g} and {self.high_Hz:.2g} Hz"
 
@@ -206,7 +206,7 @@ def _dependence(
     ends: NDArray[np.int64],
 ) -> Fit:
     """The residual for the dependence on variables, of many samples some."""
-    stride = max(1, int(inside.sum()) // 12_000)
+    stride = max(1, int(inside.sum() // CONSTANTS.screened))
     chosen = np.flatnonzero(inside)[::stride]
     parts = [p for p in map(inner, np.split(fitted.residual, ends)) if p.size >= FEWEST]
     loose = float(np.mean([independent_share(residual) for residual in parts]))
@@ -240,11 +240,11 @@ def _responsible(blocks: Sequence[Block], sampling_Hz: float) -> list[Block]:
     if (
         eyelet is not None
         and eyelet.is_above_noise
-        and _signed_R2(gauge, eyelet, sampling_Hz) > 0.4
+        and _signed_R2(gauge, eyelet, sampling_Hz) > 0.5
     ):
         return [eyelet, *(block for block in ordered if block is not eyelet)]
     if force is not None and force.is_above_noise:
-        if _signed_R2(force, gauge, sampling_Hz) < -0.4:
+        if _signed_R2(force, gauge, sampling_Hz) < -0.5:
             others = [block for block in ordered if block not in (force, gauge)]
             return [replace(gauge, title=READING), *others, force]
     elif force is not None:

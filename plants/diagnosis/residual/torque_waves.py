@@ -244,7 +244,7 @@ def _orders(motions: Sequence[TorqueMotion]) -> tuple[float, ...]:
             break
         tried = {(*orders, best[0]): residual_of((*orders, best[0]))}
         # Over a turn, the next whole number is meant that takes off nearly as much.
-        if extent >= 0.9 * 2.0 * math.pi:
+        if extent >= 2.0 * math.pi:
             whole = (*orders, float(round(best[0])))
             tried[whole] = residual_of(whole)
         gained = {added: _power(residual) - _power(rest) for added, rest in tried.items()}

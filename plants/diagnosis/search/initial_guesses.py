@@ -41,7 +41,7 @@ def _spectral_peaks(block: Block) -> list[float]:
     from scipy.signal import find_peaks  # noqa: PLC0415  slow to import
 
     power = np.maximum(block.power - block.noise_power, 0.0)
-    if power.size < 5 or not power.any():
+    if not power.any():
         return []
     around = median_filter(power, 17, mode="nearest")
     height = power / (around + 0.01 * power.max())
@@ -64,7 +64,7 @@ def _per_turn(
     kept = [n for n, m in enumerate(measurements) if m.sampling_Hz == rate]
     for n, residual in zip(kept, block.residual, strict=True):
         m, inside = measurements[n], np.isfinite(residual)
-        if m.angle_rad is None or inside.sum() < 4:
+        if m.angle_rad is None or not inside.any():
             continue
         read = max(read, step_of(m.angle_rad))
         zero = values.get(f"encoder_zero_rad[{n}]")

@@ -21,6 +21,8 @@ from plants.diagnosis.constants import CONSTANTS
 from plants.diagnosis.prediction.prediction import Predictor
 
 Numbers = NDArray[np.int64]
+Point = tuple[FloatArray, FloatArray]
+"""Values, and the residuals there."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -46,7 +48,7 @@ class WhitenedFit:
     @property
     def mean_square(self) -> float:
         """J: mean square of the whitened residuals; 1 is the floor."""
-        return _cost(self.residuals) / max(self.residuals.size, 1)
+        return float(self.residuals @ self.residuals) / max(self.residuals.size, 1)
 
     @property
     def penalised(self) -> float:
@@ -162,58 +164,38 @@ def fit(
         informed: Whether what is known of values counts.
     """
     scale = Coordinates.of(predictor, moves)
-    at, converged, weight = _Point(scale.bounded(start), None), False, 0.0
+    values, residuals, converged, weight = scale.bounded(start), None, False, 0.0
 
-    def cost(point: _Point) -> float:
-        return point.cost + weight * scale.cost(point.values)
+    def cost(values: FloatArray, residuals: FloatArray) -> float:
+        return float(residuals @ residuals) + weight * scale.cost(values)
 
-    def lowest(trials: Sequence[FloatArray], otherwise: _Point) -> _Point:
-        residuals = predictor.residuals(np.array(trials), entries)
-        best = min(map(_Point, trials, residuals), key=cost)
-        return best if cost(best) < cost(otherwise) else otherwise
+    def lowest(trials: Sequence[FloatArray], otherwise: Point) -> Point:
+        tried = zip(trials, predictor.residuals(np.array(trials), entries), strict=True)
+        best = min(tried, key=lambda point: cost(*point))
+        return best if cost(*best) < cost(*otherwise) else otherwise
 
     for _ in range(rounds):
-        residuals, jacobian = predictor.linearise(at.values, moves, entries, at.residuals)
-        begun = _Point(at.values, residuals)
-        mean_square = begun.cost / max(residuals.size, 1)
+        residuals, jacobian = predictor.linearise(values, moves, entries, residuals)
+        begun = values, residuals
+        mean_square = float(residuals @ residuals) / max(residuals.size, 1)
         weight = residuals.size * prior_weight(mean_square) if informed else 0.0
-        known = scale.equations(at.values, weight)
-        columns = jacobian.T * scale.inner(at.values)[:, None]
+        known = scale.equations(values, weight)
+        columns = jacobian.T * scale.inner(values)[:, None]
         slope = _Slope.of(columns, residuals, scale, known)
         # As many as are predicted side by side; the fine ones are for narrow valleys.
         dampings = (0.0, 1e-4, 1e-3, 1e-2, 0.03, 0.1, 1.0, 30.0)
-        at = lowest([slope.step(begun.values, d) for d in dampings], begun)
-        converged = cost(begun) - cost(at) < tolerance * cost(begun)
+        reached = lowest([slope.step(values, d) for d in dampings], begun)
+        converged = cost(*begun) - cost(*reached) < tolerance * cost(*begun)
+        # A valley: further steps along it are tried.
+        if not converged and cost(*reached) > 0.5 * cost(*begun):
+            further = [scale.beyond(values, reached[0], n) for n in (1.0, 3.0)]
+            reached = lowest(further, reached)
+        values, residuals = reached
         if converged:
             break
-        # A valley: further steps along it are tried.
-        if cost(at) > 0.5 * cost(begun):
-            at = lowest([scale.beyond(begun.values, at.values, n) for n in (1.0, 3.0)], at)
-    if at.residuals is None:
-        at = _Point(at.values, predictor.residuals(at.values[None, :], entries)[0])
-    return WhitenedFit(predictor, at.values, entries, at.known, moves, converged)
-
-
-class _Point(NamedTuple):
-    """Values, and the residuals there once they are known."""
-
-    values: FloatArray
-    residuals: FloatArray | None
-
-    @property
-    def known(self) -> FloatArray:
-        """The residuals, of a point that was looked at."""
-        assert self.residuals is not None  # noqa: S101  only asked then
-        return self.residuals
-
-    @property
-    def cost(self) -> float:
-        """Their sum of squares."""
-        return _cost(self.known)
-
-
-def _cost(residuals: FloatArray) -> float:
-    return float(residuals @ residuals)
+    if residuals is None:
+        residuals = predictor.residuals(values[None, :], entries)[0]
+    return WhitenedFit(predictor, values, entries, residuals, moves, converged)
 
 
 class _Slope(NamedTuple):

@@ -59,14 +59,14 @@ def find_mains_interference(
     lines = [
         _Line(n, m.time_s, m.tension_N - p)
         for n, (m, p) in enumerate(zip(measurements, predicted, strict=True))
-        if m.tension_N is not None and p is not None and m.samples > 8
+        if m.tension_N is not None and p is not None
     ]
     if not lines:
         return None
     longest = max(float(np.ptp(line.time_s)) for line in lines)
     highest = 0.5 * min(m.sampling_Hz for m in measurements)
     tried = (50.0, 60.0, 100.0, 120.0, 150.0, 180.0)
-    peaks = [_peak(lines, f, longest) for f in tried if 1.01 * f <= highest]
+    peaks = [_peak(lines, f, longest) for f in tried if f < highest]
     best = max((p for p in peaks if p is not None), key=lambda p: p[1], default=None)
     return None if best is None else _interference(measurements, lines, best[0], longest, noise_N)
 

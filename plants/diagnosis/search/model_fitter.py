@@ -92,8 +92,8 @@ class ModelFitter:
         self._predictors: dict[Effects, Predictor] = {}
         self.base = self.predictor(())
         sample = self.base.index.sample
-        # Of more, some: J is then known to 1 % or so.
-        self.entries: Numbers = np.flatnonzero(sample % max(1, sample.size // 60_000) == 0)
+        stride = max(1, sample.size // CONSTANTS.searched)
+        self.entries: Numbers = np.flatnonzero(sample % stride == 0)
         self.group = self._blocks()
 
     def predictor(self, effects: Effects) -> Predictor:
@@ -275,21 +275,16 @@ class ModelFitter:
         model = self.model.calibrated({})
         numbers = [BaseNumbers.of(model, m) for m in self.measurements]
         pulls = [math.nan if b is None else b.tension_per_angle_N_rad for b in numbers]
-        if math.isnan(angle_rad):
-            # Without an encoder the gauge tells how far the drum has turned.
-            angle_rad = tension_N / float(np.median(pulls))
-        stretched = [
-            float(m.tension_N.max()) / pull * model.drum_radius_m
-            for m, pull in zip(self.measurements, pulls, strict=True)
-            if m.tension_N is not None and math.isfinite(pull)
-        ]
-        read = [float(m.tension_N.max()) for m in self.measurements if m.tension_N is not None]
+        pairs = zip(self.measurements, pulls, strict=True)
+        pulling = [(m.tension_N, pull) for m, pull in pairs if m.tension_N is not None]
+        held = [(tension, pull) for tension, pull in pulling if math.isfinite(pull)]
         turned = [float(np.ptp(m.angle_rad)) for m in self.measurements if m.angle_rad is not None]
-        turned = turned or [
-            float(np.ptp(m.tension_N)) / pull
-            for m, pull in zip(self.measurements, pulls, strict=True)
-            if m.tension_N is not None and math.isfinite(pull)
-        ]
+        # Without an encoder the gauge tells how far the drum has turned.
+        turned = turned or [float(np.ptp(tension)) / pull for tension, pull in held]
+        if math.isnan(angle_rad):
+            angle_rad = tension_N / float(np.median(pulls))
+        stretched = [float(tension.max()) / k * model.drum_radius_m for tension, k in held]
+        read = [float(tension.max()) for tension, _ in pulling]
         return self.model.sizes._replace(
             sample_s=1.0 / min(m.sampling_Hz for m in self.measurements),
             angle_noise_rad=angle_rad,
@@ -320,8 +315,3 @@ def record_of(owner: str) -> int | None:
 def family_of(effect: type[Effect]) -> str:
     """Name of an effect's family, or its own."""
     return effect.family or effect.name
-
-
-def simpler_of(effect: type[Effect]) -> str:
-    """Slug of the effect whose fit another begins with, or empty."""
-    return "" if effect.extends is None else effect.extends.name

@@ -6,15 +6,13 @@ from typing import NamedTuple
 import numpy as np
 
 from estune.core.quantities import FloatArray
+from plants.diagnosis.constants import CONSTANTS
 from plants.diagnosis.data.measured_record import MeasuredRecord
 from plants.diagnosis.models.diagnosed_model import DiagnosedModel
 from plants.diagnosis.search.conclusion import Conclusion
 from plants.diagnosis.search.fitted_models import FittedModels
 from plants.diagnosis.search.mains_interference import MainsLine, line_in_residual
 from plants.diagnosis.search.model_fitter import CandidateFit, ModelFitter
-
-SEARCHED_samples = 60_000
-"""Samples that a search takes: of 80 records of 10 000 samples, six."""
 
 
 def differing(measurements: Sequence[MeasuredRecord]) -> tuple[MeasuredRecord, ...]:
@@ -23,7 +21,7 @@ def differing(measurements: Sequence[MeasuredRecord]) -> tuple[MeasuredRecord, .
     Each is the one farthest from those taken before (Gonzalez 1985), the first the one that moves
     the most. All of them where there are not many samples.
     """
-    if sum(m.samples for m in measurements) <= SEARCHED_samples:
+    if sum(m.samples for m in measurements) <= CONSTANTS.searched:
         return tuple(measurements)
     properties = _properties(measurements)
     taken = [int(properties[:, 0].argmax())]
@@ -33,7 +31,7 @@ def differing(measurements: Sequence[MeasuredRecord]) -> tuple[MeasuredRecord, .
         distance = np.minimum(distance, to_last)
         distance[taken] = -1.0
         farthest = int(distance.argmax())
-        if sum(measurements[n].samples for n in (*taken, farthest)) > SEARCHED_samples:
+        if sum(measurements[n].samples for n in (*taken, farthest)) > CONSTANTS.searched:
             return tuple(measurements[n] for n in sorted(taken))
         taken.append(farthest)
 

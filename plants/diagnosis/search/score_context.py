@@ -6,6 +6,7 @@ import numpy as np
 from scipy.optimize import nnls
 
 from estune.core.quantities import FloatArray
+from plants.diagnosis.constants import CONSTANTS
 from plants.diagnosis.search.least_squares import Coordinates, prior_weight
 from plants.diagnosis.search.model_fitter import CandidateFit, ModelFitter, Numbers
 from plants.effects import RecordScale
@@ -37,8 +38,7 @@ class ScoreContext(NamedTuple):
         """The context of a fit."""
         fitted = model.fitted
         sample = fitted.predictor.index.sample[fitted.entries]
-        # A product over many entries is as well known from some.
-        screened = sample % max(1, sample.size // 12_000) == 0
+        screened = sample % max(1, sample.size // CONSTANTS.screened) == 0
         entries, residual = fitted.entries[screened], fitted.residuals[screened]
         moves = fitter.moves(fitted.predictor)
         slope = fitted.predictor.linearise(fitted.values, moves, entries, residual)[1].T

@@ -22,6 +22,8 @@ from plants.effects import Effect, RecordScale, Role
 DECADES = np.arange(-3.0, 4.0)
 """Sizes tried, in powers of ten of the usual one, between which one is found that moves the
 residual: less than the first moves it in proportion, and is not seen better."""
+ACTING = 1e-6
+"""Change of the residual, in noise floors, from which on a limit acts at all: less is rounding."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -58,13 +60,6 @@ class Screening(NamedTuple):
     nameless: Mapping[str, ScreeningResult]
 
 
-def screen_effect(
-    effect: type[Effect], predictor: Predictor, context: ScoreContext
-) -> ScreeningResult:
-    """Screening of an effect, the last of the predictor's, from a model without it."""
-    return _Directions(effect, predictor, context).screened()
-
-
 class _Direction(NamedTuple):
     """How an effect of some values changes the residual.
 
@@ -77,8 +72,8 @@ class _Direction(NamedTuple):
     start: FloatArray
 
 
-class _Directions:
-    """What one effect changes, for several of its values, at the fit without it."""
+class Directions:
+    """What one effect, the last of a predictor's, changes at the fit without it."""
 
     def __init__(self, effect: type[Effect], predictor: Predictor, context: ScoreContext) -> None:
         place = {f.name: n for n, f in enumerate(predictor.free)}
@@ -134,7 +129,7 @@ class _Directions:
         p = self.declared[name]
         levels = np.geomspace(p.low, p.high, 14)
         change = self.context.products(self._changes(self._rows(name, levels))).rms
-        acting = np.flatnonzero(change > 1e-3)
+        acting = np.flatnonzero(change > ACTING)
         if not acting.size:
             return [_Direction(0.0, self.without_effect.copy())], 0.0
         top = min(int(acting[-1]) + 1, levels.size - 1)
@@ -144,7 +139,7 @@ class _Directions:
         rows = self._rows(name, np.geomspace(levels[bottom], levels[top], levels.size))
         products = self.context.products(self._changes(rows))
         directions = []
-        for n in np.flatnonzero(products.rms > 1e-3).tolist():
+        for n in np.flatnonzero(products.rms > ACTING).tolist():
             share, weights = products.of(slice(n, n + 1)).explained(only_up=True)
             # It does not act in proportion: what has to be stretched far is no direction.
             fits = math.exp(-0.1 * math.log(max(float(weights[0]), 1e-9)) ** 2)

@@ -11,15 +11,10 @@ from plants.diagnosis.progress import Progress, portion, silent
 from plants.diagnosis.result import explained_share
 from plants.diagnosis.search.decide import best_of, relative
 from plants.diagnosis.search.fitted_models import FittedModels, is_named, summarise
-from plants.diagnosis.search.model_fitter import (
-    CandidateFit,
-    ModelFitter,
-    family_of,
-    simpler_of,
-)
+from plants.diagnosis.search.model_fitter import CandidateFit, ModelFitter, family_of
 from plants.diagnosis.search.nameless_laws import NAMELESS
 from plants.diagnosis.search.score_context import ScoreContext
-from plants.diagnosis.search.screening import Screening, ScreeningResult, screen_effect
+from plants.diagnosis.search.screening import Directions, Screening, ScreeningResult
 from plants.diagnosis.search.starts import fit_added
 from plants.effects import Effect, RecordScale, Role
 
@@ -144,17 +139,17 @@ def screen_beside(
     nameless = [e for e in NAMELESS if fitter.model.unavailable(e) is None]
     context = ScoreContext.of(fitter, current, scale)
 
-    def beside(effect: type[Effect]) -> ScreeningResult:
-        return screen_effect(effect, fitter.predictor((*current.effects, effect)), context)
+    def screened(effect: type[Effect], beside: tuple[type[Effect], ...]) -> ScreeningResult:
+        return Directions(effect, fitter.predictor((*beside, effect)), context).screened()
 
     # A resonance shows only with the effects that drive and damp it.
     resonant = [e for e in declared if e.named(Role.FREQUENCY)]
     others = [e for e in (*declared, *nameless) if e not in resonant]
-    alone = {e.name: screen_effect(e, fitter.predictor((e,)), context) for e in others}
+    alone = {e.name: screened(e, ()) for e in others}
     others.sort(key=lambda e: -alone[e.name].screening_R2)
     named = [e for e in others if e not in NAMELESS][:5]
     first = others[: others.index(named[-1]) + 1] if named else []
-    directions = alone | {e.name: beside(e) for e in (*resonant, *first)}
+    directions = alone | {e.name: screened(e, current.effects) for e in (*resonant, *first)}
     unnamed = {e.name: directions.pop(e.name) for e in nameless}
     return Screening(directions, unnamed)
 
@@ -165,8 +160,8 @@ def _depth(effect: type[Effect]) -> int:
 
 
 def _simpler(effect: type[Effect], fits: Sequence[CandidateFit]) -> CandidateFit | None:
-    source = simpler_of(effect)
-    return next((f for f in fits if source in f.names), None)
+    """The fit that an effect's begins with, if there is."""
+    return next((f for f in fits if effect.extends in f.effects), None)
 
 
 def _least(fitter: ModelFitter, fits: Iterable[CandidateFit]) -> float:

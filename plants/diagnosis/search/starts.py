@@ -14,7 +14,7 @@ import numpy as np
 
 from estune.core.quantities import FloatArray
 from plants.diagnosis.constants import CONSTANTS
-from plants.diagnosis.search.model_fitter import CandidateFit, ModelFitter, simpler_of
+from plants.diagnosis.search.model_fitter import CandidateFit, ModelFitter
 from plants.diagnosis.search.screening import ScreeningResult
 from plants.effects import Effect, Role
 
@@ -92,8 +92,7 @@ def _beside(
     Each from the calibrations of that fit, and from those of the model as given.
     """
     effect, name = screened.effect, screened.effect.name
-    inherited = effect.inherits
-    source = simpler_of(effect)
+    inherited, source = effect.inherits, getattr(effect.extends, "name", "")
     inherited_values = {
         f"{name}.{to}": simpler.values[f"{source}.{of}"] for to, of in inherited.items()
     }
