@@ -12,15 +12,22 @@ from estune.trial.profiles import MultisineProfile
 from plants import reference_reel
 from plants.bench.identify.excitation import Band, chirp, multisine
 from plants.bench.identify.open_loop import open_loop_record
-from plants.diagnosis.checks.quality import check
 from plants.diagnosis.checks.sensors import faults
 from plants.diagnosis.data.measured_record import MeasuredRecord
+from plants.diagnosis.data.records import FolderContents
+from plants.diagnosis.pipeline import check as step
 from plants.effects import CoulombFriction
 from tests.support_measurements import open_loop
 
 RATE = 632.0
 REEL = reference_reel()
 SINES = multisine(RATE, Band(1.0, 60.0, periods=2), 4.0)
+
+
+def check(measurements, model):
+    """The measurements that can be used, and all issues."""
+    usable = step.check(FolderContents(tuple(measurements), ()), model)
+    return usable.measurements, usable.findings
 
 
 def measure(excitation, seed=0, name="bad"):

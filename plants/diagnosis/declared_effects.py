@@ -24,12 +24,6 @@ def declared_effects(
 
     An effect is supported by the rule by which one is found: it takes off so much of the error
     power that the model without it leaves.
-
-    Args:
-        plant: The model as it was fitted.
-        noise: The noise of the records.
-        base: Its fit.
-        fitted: Its values with their intervals.
     """
     listed = []
     for n, effect in enumerate(plant.effects):

@@ -1,88 +1,25 @@
-"""Issues of measurements, found before anything is fitted to them."""
+"""Issues of one record, found before anything is fitted to it."""
 
 import math
-from collections import defaultdict
-from collections.abc import Iterator, Sequence
-from dataclasses import replace
-from typing import Any
+from collections.abc import Iterator
 
 import numpy as np
 
 from estune.core.quantities import FloatArray
-from estune.errors import InvalidInput
 from estune.recordings.issue import DataIssue
 from estune.trial import SATURATED
 from plants.diagnosis.checks.inner_loop import inner_loop
 from plants.diagnosis.checks.sensors import faults, frozen_angle, shift_between
 from plants.diagnosis.checks.units import mistaken_units, within_factor
 from plants.diagnosis.data.measured_record import OUTPUTS, ROUNDING, MeasuredRecord
-from plants.diagnosis.data.noise import FEWEST, step_of, upper_rms
+from plants.diagnosis.data.noise import FEWEST, upper_rms
 from plants.diagnosis.models.base import BaseNumbers
-from plants.effects.plant_scale import PlantScale
 
 
-def check(
-    measurements: Sequence[MeasuredRecord], model: Any
-) -> tuple[tuple[MeasuredRecord, ...], tuple[DataIssue, ...]]:
-    """The measurements that can be used, and all issues.
-
-    Args:
-        measurements: The records.
-        model: The model as given: a `Reel`, an `UnloadedReel`, a plant with a linear model; for
-            others only what needs no model is checked.
-
-    Raises:
-        InvalidInput: none can be used; the message says why for each.
-    """
-    kept, issues = _of_one_rig(measurements)
-    rate_Hz = PlantScale.of(model).sampling_Hz
-    # A record in which the drum hardly turns does not show the encoder's step.
-    step_rad = max((step_of(m.angle_rad) for m in kept if m.angle_rad is not None), default=0.0)
-    usable = []
-    for m in kept:
-        numbers = BaseNumbers.of(model, m)
-        listed = _issues(m, numbers, rate_Hz, step_rad)
-        own = [replace(issue, source=m.source or m.name) for issue in listed]
-        issues += own
-        if not any(issue.level == "refused" for issue in own):
-            usable.append(m)
-    if not usable:
-        why = "; ".join(map(str, issues)) or "there is none"
-        raise InvalidInput(f"no record can be used: {why}")
-    return tuple(usable), tuple(issues)
-
-
-def _of_one_rig(
-    measurements: Sequence[MeasuredRecord],
-) -> tuple[list[MeasuredRecord], list[DataIssue]]:
-    """The records of the rig with most of them, by time; those without a name go with any."""
-    duration_s: dict[str, float] = defaultdict(float)
-    for m in measurements:
-        duration_s[m.rig] += m.duration_s if m.rig else 0.0
-    rig = max(duration_s, key=lambda name: duration_s[name], default="")
-    others = [m for m in measurements if rig and m.rig not in ("", rig)]
-    issues = [
-        DataIssue(
-            "refused",
-            f"this is a record of {m.rig!r} among those of {rig!r}; give one rig's at a time",
-            source=m.source or m.name,
-        )
-        for m in others
-    ]
-    return [m for m in measurements if m not in others], issues
-
-
-def _issues(
+def issues(
     m: MeasuredRecord, b: BaseNumbers | None, rate_Hz: float, step_rad: float
 ) -> Iterator[DataIssue]:
-    """All issues of one record, its source left out.
-
-    Args:
-        m: The record.
-        b: The model's numbers.
-        rate_Hz: The model's sampling rate.
-        step_rad: Step of the encoder.
-    """
+    """All issues of a record, its source left out; without numbers those that need no model."""
     if m.samples < FEWEST:
         sentence = f"{m.samples} samples are too few; record {FEWEST} or more"
         yield DataIssue("refused", sentence)

@@ -72,11 +72,6 @@ class NoiseFloor:
         """Noise and allowance together, sigma_eff, in the channel's unit.
 
         sigma_eff^2 = sigma_n^2 + (0.4 % of the signal's rms)^2
-
-        Args:
-            channel: Name of the channel.
-            signal_rms: Root mean square of the signal to be explained.
-            least_rms: Lower bound of sigma_n.
         """
         noise = max(self._rms(channel), least_rms)
         return float((noise**2 + (CONSTANTS.allowance * signal_rms) ** 2) ** 0.5)

@@ -107,13 +107,7 @@ def _convolved(signal: FloatArray, kernel: FloatArray, reach: int) -> FloatArray
 
 
 def least_width(wanted: Callable[[float], bool], shortest_s: float, longest_s: float) -> float:
-    """The least sufficient width by bisection; the longest where none is, s.
-
-    Args:
-        wanted: Whether a width is sufficient; monotonic.
-        shortest_s: Least width to try.
-        longest_s: Greatest width.
-    """
+    """The least sufficient width by bisection; the longest where none is, s."""
     low, high = shortest_s, max(shortest_s, longest_s)
     if wanted(low):
         return low

@@ -16,14 +16,7 @@ def signal_scale(
     angles: Sequence[FloatArray],
     rates_Hz: Sequence[float],
 ) -> RecordScale:
-    """Sizes of some records' commands and angles; any angle may be missing.
-
-    Args:
-        currents: Command of each record, A.
-        torque_constant: Torque per command, N m/A.
-        angles: Angle of each record, rad.
-        rates_Hz: Sampling rate of each.
-    """
+    """Sizes of some records' commands and angles; any angle may be missing."""
     moved = [current - current.mean() for current in currents]
     # Over spans so long that an encoder's steps do not make the velocity.
     each = ((*travels(a), rate) for a, rate in zip(angles, rates_Hz, strict=True) if a.size)

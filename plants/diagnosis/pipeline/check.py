@@ -1,16 +1,61 @@
 """Step 2: records that no model could explain are refused, each with the reason."""
 
+from collections import defaultdict
+from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
-from plants.diagnosis.checks import quality
+from estune.errors import InvalidInput
+from estune.recordings.issue import DataIssue
+from plants.diagnosis.checks.quality import issues
+from plants.diagnosis.data.measured_record import MeasuredRecord
+from plants.diagnosis.data.noise import step_of
 from plants.diagnosis.data.records import FolderContents
+from plants.diagnosis.models.base import BaseNumbers
+from plants.effects.plant_scale import PlantScale
 
 
 def check(logged: FolderContents, model: Any) -> FolderContents:
     """The measurements that can be used, with the issues of the files and of the data.
 
+    Of a model that has no numbers only what needs no model is checked.
+
     Raises:
         InvalidInput: none is left; the message says why for each.
     """
-    usable, issues = quality.check(logged.measurements, model)
-    return FolderContents(usable, (*logged.findings, *issues))
+    kept, listed = _of_one_rig(logged.measurements)
+    rate_Hz = PlantScale.of(model).sampling_Hz
+    # A record in which the drum hardly turns does not show the encoder's step.
+    step_rad = max((step_of(m.angle_rad) for m in kept if m.angle_rad is not None), default=0.0)
+    usable = []
+    for m in kept:
+        numbers = BaseNumbers.of(model, m)
+        of_record = issues(m, numbers, rate_Hz, step_rad)
+        own = [replace(issue, source=m.source or m.name) for issue in of_record]
+        listed += own
+        if not any(issue.level == "refused" for issue in own):
+            usable.append(m)
+    if not usable:
+        why = "; ".join(map(str, listed)) or "there is none"
+        raise InvalidInput(f"no record can be used: {why}")
+    return FolderContents(tuple(usable), (*logged.findings, *listed))
+
+
+def _of_one_rig(
+    measurements: Sequence[MeasuredRecord],
+) -> tuple[list[MeasuredRecord], list[DataIssue]]:
+    """The records of the rig with most of them, by time; those without a name go with any."""
+    duration_s: dict[str, float] = defaultdict(float)
+    for m in measurements:
+        duration_s[m.rig] += m.duration_s if m.rig else 0.0
+    rig = max(duration_s, key=lambda name: duration_s[name], default="")
+    others = [m for m in measurements if rig and m.rig not in ("", rig)]
+    issues = [
+        DataIssue(
+            "refused",
+            f"this is a record of {m.rig!r} among those of {rig!r}; give one rig's at a time",
+            source=m.source or m.name,
+        )
+        for m in others
+    ]
+    return [m for m in measurements if m not in others], issues

@@ -81,15 +81,7 @@ def compare(
     held_out: Sequence[MeasuredRecord],
     progress: Progress,
 ) -> EffectComparison:
-    """The model that the records support.
-
-    Args:
-        usable: The records, and the issues of those that were refused.
-        fitted: The base fit.
-        screening: Directions of the effects.
-        held_out: Records that no model is fitted to.
-        progress: Called as each part begins.
-    """
+    """The model that the records support."""
     choices, coarse_step_N = fitted.choices, fitted.noise.coarse_step_N
     models = search(
         fitted.fitter, fitted.models, screening, fitted.scale, portion(progress, 0.0, 0.9)
@@ -249,12 +241,6 @@ def _verdict(
     """The conclusion of the search, with what was found beside it.
 
     Waves over the angle are judged by the current that they leave, as any model by its residual.
-
-    Args:
-        concluded: That of the search.
-        effects: The effects believed, of whatever kind.
-        waves: The waves over the angle, or None.
-        too_few: Whether more records were refused than are left.
     """
     verdict: Verdict = "unknown" if concluded == "none" and too_few else concluded
     if waves is not None:

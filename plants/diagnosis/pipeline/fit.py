@@ -48,13 +48,7 @@ class BaseFit:
 
 
 def fit(plant: DiagnosedModel, noise: NoiseFloor, choices: EffectChoices) -> BaseFit:
-    """The base fit to the records that are searched.
-
-    Args:
-        plant: The model as given, with all records.
-        noise: The noise of their sensors.
-        choices: The effects to choose from.
-    """
+    """The base fit to the records that are searched."""
     searched = differing(plant.measurements)
     fitter, base = _base_fit(plant, searched, noise)
     fuller = plant.fuller

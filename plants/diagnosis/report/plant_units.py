@@ -45,13 +45,7 @@ def in_own_units(effect: type[Effect], name: str, fitted: Interval, model: Any) 
 def own_names(
     effect: type[Effect], fitted: Mapping[str, Interval], scale: PlantScale
 ) -> dict[str, str]:
-    """Names of an effect's parameters in the plant's own units, by those declared.
-
-    Args:
-        effect: The effect's class.
-        fitted: Its values, as `in_own_units` gives them.
-        scale: Words and sizes of the plant.
-    """
+    """Names of an effect's parameters in the plant's own units, by those declared."""
     declared = effect.parameters()
     units = {name: "" if declared[name].is_phase else declared[name].unit for name in fitted}
     # Periods are of a turn, 1, or of a length, 1/m.

@@ -153,13 +153,7 @@ class Fit:
 def views(
     fitted: Fit, variables: Sequence[Variable], slope: FloatArray
 ) -> list[ResidualDependence]:
-    """All views of a residual, the strongest first.
-
-    Args:
-        fitted: The residual.
-        variables: The variables.
-        slope: Regressor of a slope per cable length, shape (samples,).
-    """
+    """All views of a residual, the strongest first."""
     listed = []
     for variable in variables:
         if variable.name == "command rate":

@@ -17,13 +17,7 @@ from plants.effects import RecordScale
 def record_scale(
     fitter: ModelFitter, where: ResidualLocation, values: Mapping[str, float]
 ) -> RecordScale:
-    """Scales of the machine in the records, and variables that the base residual follows.
-
-    Args:
-        fitter: Model and records.
-        where: Localisation of the residual.
-        values: The base fit's values, by name.
-    """
+    """Scales of the machine in the records, and variables that the base residual follows."""
     measurements = fitter.measurements
     lengths = [m.cable_length_m for m in measurements if m.cable_length_m]
     preloads = [m.preload_N for m in measurements if m.preload_N > 0.0]

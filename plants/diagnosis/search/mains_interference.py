@@ -49,13 +49,7 @@ def find_mains_interference(
     predicted: Sequence[FloatArray | None],
     noise_N: float,
 ) -> MainsLine | None:
-    """Looks for mains interference in what a model leaves of the gauge's readings.
-
-    Args:
-        measurements: The records.
-        predicted: The tension predicted, shape (samples,) each; None without a gauge.
-        noise_N: Noise of the gauge, N rms.
-    """
+    """Looks for mains interference in what a model leaves of the gauge's readings."""
     lines = [
         _Line(n, m.time_s, m.tension_N - p)
         for n, (m, p) in enumerate(zip(measurements, predicted, strict=True))

@@ -129,12 +129,7 @@ class ModelFitter:
         return min((near, far), key=lambda fit_: fit_.fitted.penalised)
 
     def moves(self, predictor: Predictor, owners: frozenset[str] | None = None) -> Numbers:
-        """Numbers of the values that move: those of single records, and of some owners or names.
-
-        Args:
-            predictor: The model.
-            owners: Owners, or names, of the values that may move besides; None is all.
-        """
+        """Numbers of the values of single records, and of some owners or names; None is all."""
         return np.array(
             [
                 n

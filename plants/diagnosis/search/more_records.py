@@ -54,13 +54,7 @@ def _properties(measurements: Sequence[MeasuredRecord]) -> FloatArray:
 
 
 def refitted(fitter: ModelFitter, models: FittedModels, conclusion: Conclusion) -> FittedModels:
-    """The base model, what is believed and what comes near, fitted to other records.
-
-    Args:
-        fitter: The model with those records.
-        models: The models as fitted to some.
-        conclusion: Which of them is believed.
-    """
+    """The base model, what is believed and what comes near, fitted to other records."""
     ranked = sorted(models.with_effects.values(), key=lambda fit: fit.J)
     believed = [fit for fit in conclusion.stages if fit.effects]
     tied = [f for names, f in models.with_effects.items() if names & {*conclusion.tied}]
@@ -115,13 +109,6 @@ def on_all_records(
 
     Mains interference is looked for again beside the effects that are believed: what they do may
     look like a line where they are missing.
-
-    Args:
-        plant: The model as given, with all records.
-        searched: The model with the records that were searched.
-        models: The models as fitted to those.
-        conclusion: Which of them is believed.
-        line: The mains interference in what the base model leaves of them.
     """
     all_searched = len(searched.measurements) == len(plant.measurements)
     if line is None and all_searched:

@@ -26,15 +26,7 @@ def search(
     scale: RecordScale,
     progress: Progress = silent,
 ) -> FittedModels:
-    """The base model, models with one effect, and pairs with the best of those.
-
-    Args:
-        fitter: Model and records.
-        models: The model as given and the base model.
-        screening: Directions of all effects from the base model.
-        scale: What the records show of the machine.
-        progress: Called as each part begins.
-    """
+    """The base model, models with one effect, and pairs with the best of those."""
     if CONSTANTS.nothing >= models.base.J:
         return models
     fits = fit_promising(fitter, models.base, screening, portion(progress, 0.2, 0.6))
@@ -70,14 +62,7 @@ def leading_single(fitter: ModelFitter, models: FittedModels) -> CandidateFit | 
 def fit_promising(
     fitter: ModelFitter, current: CandidateFit, screening: Screening, progress: Progress
 ) -> list[CandidateFit]:
-    """Fits of the most promising effects with their families, and of nameless laws as promising.
-
-    Args:
-        fitter: Model and records.
-        current: The model that each effect is added to.
-        screening: Directions beside that model.
-        progress: Called before each fit.
-    """
+    """Fits of a model with each promising effect, its family, and nameless laws as promising."""
     ranked = sorted(screening.declared.values(), key=lambda s: -s.screening_R2)
     best = max((s.screening_R2 for s in ranked), default=0.0)
     least_R2 = best * (CONSTANTS.aimed_beside if current.effects else CONSTANTS.aimed)

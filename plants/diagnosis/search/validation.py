@@ -86,11 +86,6 @@ def hold_out(model: DiagnosedModel, base: CandidateFit, last: CandidateFit) -> H
     """Errors of the model as given, of the refitted base model and of the one with effects.
 
     Only values that belong to single records, such as an encoder's zero, are fitted.
-
-    Args:
-        model: The model as given, for the records that were held out.
-        base: The fitted base model.
-        last: The fitted model with effects.
     """
     measurements = model.measurements
     fitter = ModelFitter(model, measurements, noise_floor(measurements))
