@@ -24,9 +24,9 @@ from estune.hardware import HardwareRig
 from estune.hardware.config import config_from
 from estune.hardware.loop_messages import BeginTrial, LoopPlan
 from experiments.results import at_least, at_most, command_line, print_results
-from plants.diagnosis.improvement.tuning import ImprovementOptions
 from plants.emulator import RIG_FILE
 from plants.emulator.virtual_loop import VirtualLoop
+from plants.improvement.tuning import ImprovementOptions
 
 FRICTION_Nm = 0.01, 0.04
 """Range of the friction: the cable is taken up with 0.1 N m, of which 0.05 are tension."""

@@ -14,8 +14,8 @@ if TYPE_CHECKING:
     from plants.bench.demonstrations.moving_cable_end import simulate_moving
     from plants.diagnosis.experiments.designs import initial_experiments
     from plants.diagnosis.explain import explain
-    from plants.diagnosis.improvement.improve import improve
     from plants.effects import CoulombFriction, Effect, EyeletFriction
+    from plants.improvement.improve import improve
     from plants.models.drives import Servo, Stage, servo, stage
     from plants.models.fmu.plant import FmuPlant, fmu_plant
     from plants.models.linear_plant import LinearPlant, linear_plant
@@ -77,7 +77,7 @@ __getattr__, __dir__ = lazy_exports(
         "batch_costs": "plants.simulation.batch",
         "explain": "plants.diagnosis.explain",
         "fmu_plant": "plants.models.fmu.plant",
-        "improve": "plants.diagnosis.improvement.improve",
+        "improve": "plants.improvement.improve",
         "initial_experiments": "plants.diagnosis.experiments.designs",
         "linear_plant": "plants.models.linear_plant",
         "load_model": "plants.models.model_file",

@@ -6,8 +6,8 @@ import plants
 from estune.trial import TrialRequest
 from plants.diagnosis.data.measured_record import MeasuredRecord
 from plants.diagnosis.experiments.designs import initial_experiments
-from plants.diagnosis.improvement.experiment_runner import ExperimentRunner
-from plants.diagnosis.improvement.tuning import ImprovementOptions
+from plants.improvement.experiment_runner import ExperimentRunner
+from plants.improvement.tuning import ImprovementOptions
 
 REEL = plants.reference_reel()
 GAINS = REEL.describe("rig", None).gains

@@ -17,12 +17,12 @@ from estune.trial import Outcome, RigLimits
 from estune.trial.profiles import StepProfile
 from plants.diagnosis.data.records import read_measurements
 from plants.diagnosis.experiments.designs import initial_experiments
-from plants.diagnosis.improvement import improve as module
-from plants.diagnosis.improvement.experiment_runner import ExperimentRunner
-from plants.diagnosis.improvement.improve import at_rig
-from plants.diagnosis.improvement.result import Costs
-from plants.diagnosis.improvement.tuning import is_worse, tune_with_model, way
 from plants.effects import CoulombFriction
+from plants.improvement import improve as module
+from plants.improvement.experiment_runner import ExperimentRunner
+from plants.improvement.improve import at_rig
+from plants.improvement.result import Costs
+from plants.improvement.tuning import is_worse, tune_with_model, way
 from tests.serve_rig import served
 from tests.support_improve import FEW, GAINS, REEL, SHORT, about, records, watched
 

@@ -26,7 +26,7 @@ from plants.commands.columns import Sources, column_map
 from plants.commands.explain import can_be_tuned
 
 if TYPE_CHECKING:
-    from plants.diagnosis.improvement.result import Improvement
+    from plants.improvement.result import Improvement
 
 
 def improve_model(
@@ -80,11 +80,11 @@ def improve_model(
     check_folder_exists("--report", report)
     check_folder_exists("--save", save)
     import plants  # noqa: PLC0415  slow to import
-    from plants.diagnosis.improvement.experiment_runner import (  # noqa: PLC0415  slow to import
+    from plants.effects import declared, find  # noqa: PLC0415  slow to import
+    from plants.improvement.experiment_runner import (  # noqa: PLC0415  slow to import
         default_folder,
     )
-    from plants.diagnosis.improvement.tuning import ImprovementOptions  # noqa: PLC0415  slow to import
-    from plants.effects import declared, find  # noqa: PLC0415  slow to import
+    from plants.improvement.tuning import ImprovementOptions  # noqa: PLC0415  slow to import
 
     where = folder or default_folder()
     options = {"--model": model, "--rig": rig, "--security": security, "--folder": where}
@@ -121,7 +121,7 @@ def improve_model(
         )
     if report is not None:
         from estune.support.html_page import write  # noqa: PLC0415  draws: slow to import
-        from plants.diagnosis.improvement.page import page  # noqa: PLC0415  as above
+        from plants.improvement.page import page  # noqa: PLC0415  as above
 
         write(page(improvement), report)
     if save is not None:
@@ -156,7 +156,7 @@ def _continuable(command: str) -> Iterator[None]:
 
 
 def _show(improvement: "Improvement") -> None:
-    from plants.diagnosis.improvement.result import COLUMNS  # noqa: PLC0415  slow to import
+    from plants.improvement.result import COLUMNS  # noqa: PLC0415  slow to import
 
     out = output.console()
     out.print()

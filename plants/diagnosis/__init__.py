@@ -14,8 +14,7 @@ from the frozen values of the steps before it to one of its own; no step goes ba
 
 What each step assumes, why, and what was tried instead: docs/explanation/how-explain-works.md.
 
-`improve` closes the loop on a live rig. Rooms from a user's view down: `improvement`; `pipeline`;
-`report`, how a diagnosis is shown; `search`, the parts of screen, compare and intervals;
-`experiments`, what to measure next; `result`, the diagnosis as values; `residual`, where the error
-is; `prediction`, `models`, `checks` and `data`.
+Rooms from a user's view down: `pipeline`; `report`, how a diagnosis is shown; `search`, the parts
+of screen, compare and intervals; `experiments`, what to measure next; `result`, the diagnosis as
+values; `residual`, where the error is; `prediction`, `models`, `checks` and `data`.
 """

@@ -22,18 +22,18 @@ from plants.diagnosis.constants import CONSTANTS
 from plants.diagnosis.data.records import drum_of, read_measurements
 from plants.diagnosis.experiments.designs import Experiment, initial_experiments
 from plants.diagnosis.explain import explain
-from plants.diagnosis.improvement.experiment_runner import (
+from plants.diagnosis.progress import Progress, silent
+from plants.diagnosis.report.diagnosis import Diagnosis
+from plants.effects import Effect
+from plants.improvement.experiment_runner import (
     RESULT,
     ExperimentRunner,
     Say,
     begin,
     default_folder,
 )
-from plants.diagnosis.improvement.result import Improvement, ImprovementRound
-from plants.diagnosis.improvement.tuning import ImprovementOptions, Tuned, tune_with_model
-from plants.diagnosis.progress import Progress, silent
-from plants.diagnosis.report.diagnosis import Diagnosis
-from plants.effects import Effect
+from plants.improvement.result import Improvement, ImprovementRound
+from plants.improvement.tuning import ImprovementOptions, Tuned, tune_with_model
 from plants.models.model_file import to_toml
 from plants.models.mounting import MountedModel
 from plants.models.reel import Reel, reference_reel

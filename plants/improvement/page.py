@@ -2,8 +2,8 @@
 
 from estune.run.results import report as tuning_report
 from estune.support.html_page import Page, Paragraph, Section, Table, Warnings
-from plants.diagnosis.improvement.result import COLUMNS, Improvement
 from plants.diagnosis.report import page as diagnosis_page
+from plants.improvement.result import COLUMNS, Improvement
 
 
 def page(improvement: Improvement) -> Page:

@@ -14,9 +14,9 @@ from estune.run.loop import ProgressListener
 from estune.run.results.result import TuneResult
 from estune.trial import Outcome, RigDescription, TrialRecord
 from estune.tuners import DEFAULT_TUNER, Tuner
-from plants.diagnosis.improvement.experiment_runner import ExperimentRunner
-from plants.diagnosis.improvement.result import OWN, REACHED, TUNED, Costs
 from plants.diagnosis.interval import QUANTILE
+from plants.improvement.experiment_runner import ExperimentRunner
+from plants.improvement.result import OWN, REACHED, TUNED, Costs
 from plants.simulation.approach import Approach, ApproachedPlant
 from plants.simulation.batch import batch_costs, simulate
 from plants.simulation.noise import NoiseSource
