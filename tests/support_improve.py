@@ -11,7 +11,8 @@ from plants.improvement.tuning import ImprovementOptions
 
 REEL = plants.reference_reel()
 GAINS = REEL.describe("rig", None).gains
-SHORT = ImprovementOptions(model_trials=10, rig_trials=2, watch=None)
+# A search that takes no time: the default one fits the friction of each rig for ten seconds.
+SHORT = ImprovementOptions("least_squares_gradient", model_trials=10, rig_trials=2, watch=None)
 FEW = ("coulomb_friction", "eyelet_friction", "dead_time")
 RIGS = {
     "reel": REEL,

@@ -42,6 +42,7 @@ SAMPLED = {
 
 NIGHTLY = {
     "benchmark_trials",
+    "chaos",
     "compensation",
     "diagnosis_constants",
     "diagnosis_numbers",

@@ -74,7 +74,7 @@ def test_response_that_ends_farther_from_its_setpoint_than_before_is_not_robust(
             late = record.time_s > 0.6 * record.time_s[-1]
             return replace(record, tension_N=record.tension_N - 0.4 * (late & droops))
 
-    result = tune(Drooping(plants.reference_reel().rig()), trials=3)
+    result = tune(Drooping(plants.reference_reel().rig()), trials=6, tuner="otis")
     assert ("off its setpoint" in result.message) == (not with_any_gains)
     assert with_any_gains or result.ending is RunEnding.NOT_ROBUST
 
@@ -210,7 +210,7 @@ def test_plant_without_steady_state_is_not_claimed():
             drift = 3.0 * np.maximum(record.time_s - 0.5, 0.0) ** 2
             return replace(record, tension_N=record.tension_N + drift)
 
-    result = tune(Drifting(plants.reference_reel().rig()), trials=6)
+    result = tune(Drifting(plants.reference_reel().rig()), trials=6, tuner="otis")
     assert result.claim.margins is None
 
 

@@ -112,7 +112,7 @@ def test_killed_sweep_loses_and_repeats_no_finished_cell(
         process = subprocess.Popen(command, cwd=Path(__file__).parent.parent)
         goal = len(before) + dice.randint(2, 4)
         while len(finish_times(folder)) < goal and process.poll() is None:
-            time.sleep(0.01)
+            time.sleep(0.05)
         time.sleep(dice.uniform(0.0, 0.3))
         workers = children(process.pid)
         process.kill()
