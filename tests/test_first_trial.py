@@ -9,7 +9,7 @@ import pytest
 import estune
 import plants
 from estune.core.gains import Gains
-from estune.errors import InvalidInput
+from estune.errors import InvalidInput, UnsafeStart
 from estune.interop import margins
 from estune.trial.profiles import StepProfile
 from tests.support_targets import slowly_unstable
@@ -61,6 +61,19 @@ def test_wrong_sign_is_refused_after_one_trial():
     with pytest.raises(InvalidInput, match="wrong sign"):
         tune(rig)
     assert rig.ran == 1
+
+
+@pytest.mark.parametrize(
+    ("plant_gain", "gains", "match"),
+    [
+        (-1.0, Gains(2.0, 8.0, 0.001, 0.05), "wrong sign .*; start from gentler gains"),
+        (100.0, Gains(2.0, 8.0, 0.001, 0.05), "left the finite range[^:]*; start from gentler"),
+    ],
+)
+def test_diverging_first_trial_tells_a_wrong_sign_from_large_gains(plant_gain, gains, match):
+    with pytest.raises(UnsafeStart, match=match) as refused:
+        tune(plant(plant_gain, gains=gains, dead_time_s=0.1))
+    assert "eta_max" not in str(refused.value)
 
 
 def test_effort_that_stays_at_its_limit_is_refused():

@@ -262,3 +262,12 @@ def test_python_plant_that_cannot_be_identified_says_why_and_asks_for_gains(step
     with pytest.raises(UnsafeStart, match=rf"{words}.*give gains that hold it stable"):
         plant.rig()
     assert plant.rig(gains=Gains(1.0, 0.0, 0.0, 0.0)).describe().gains.P == 1.0
+
+
+def test_python_function_that_shortens_its_state_is_refused():
+    def half(state, effort, dt_s):
+        return (state[0] + dt_s * (effort - state[0]),), state[0]
+
+    plant = plants.python_plant(half, (0.0, 0.0), sampling_Hz=100.0, settling_time_s=1.0)
+    with pytest.raises(PlantError, match="state of length 1 where the initial state has length 2"):
+        plant.rig()

@@ -9,10 +9,12 @@ import plants
 from estune.core.gains import Gains
 from estune.loop_model.drawn_models import drawn_models, white_factor
 from estune.loop_model.fitting import fit_loop
+from estune.loop_model.hum import hum_of
 from estune.loop_model.identification import PoleFit, improve
 from estune.loop_model.least_squares import signals_of
 from estune.loop_model.margins import robustness
 from estune.loop_model.poles import coordinates_of, difference_polynomial
+from estune.loop_model.records import LoopRecord
 from estune.trial.profiles import StepProfile
 from experiments.loop_claims import true_sensitivity
 from tests.support_binomial import least_hits, most_misses
@@ -102,3 +104,11 @@ def test_models_drawn_where_poles_are_close_scatter_as_the_covariance_says():
     away = np.abs(found - log_Ms(fit.model)) / np.linalg.norm(slopes)
     assert np.sum(away > norm.isf(0.005)) <= most_misses(found.size, 0.01)
     assert found.min() < np.log(true_sensitivity(plant, gains)) < found.max()
+
+
+@pytest.mark.parametrize("rest", [0.0, 10.0])
+def test_noise_free_rest_holds_no_hum(rest):
+    time = np.arange(600.0)
+    ringing = np.where(time < 100, 0.0, np.exp(-0.002 * time) * np.sin(0.3 * time))
+    record = LoopRecord.of_step(ringing, rest + ringing, 1.0, 100)
+    assert hum_of([record]) == 0.0

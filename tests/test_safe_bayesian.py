@@ -8,6 +8,7 @@ import pytest
 
 from estune.core.gains import Gains
 from estune.errors import InvalidInput
+from estune.tuners.acquisition import TrustRegion, minimise_confidence_bound
 from estune.tuners.low_discrepancy import unit_ball_points
 from estune.tuners.observation import Observation
 from estune.tuners.safe_bayesian import SafeBayesianTuner
@@ -295,3 +296,17 @@ def test_setting_out_of_range_is_refused_by_name(setting, value):
 
 
 # Models and parts.
+
+
+def test_search_leaves_points_that_all_break_a_limit():
+    class Rising:
+        """A margin that rises with the first coordinate, known best at the origin."""
+
+        def predict(self, points):
+            mean = np.stack((np.zeros(len(points)), points[:, 0] - 5.0), axis=1)
+            return mean, 0.5 * np.linalg.norm(points, axis=1)
+
+    far = np.full(2, 9.0)
+    region = TrustRegion(np.zeros(2), np.eye(2), 1.0, -far, far, 10.0, 0.1)
+    chosen = minimise_confidence_bound(Rising(), region, np.zeros((1, 2)), 2.0, 0)
+    assert chosen[0] > 0.5

@@ -77,5 +77,8 @@ def _holds(before: FloatArray, theta: float) -> bool:
     basis, _ = np.linalg.qr(np.stack([np.ones(samples), np.cos(angles), np.sin(angles)], axis=1))
     parts = before @ basis
     line, total = float(np.sum(parts[:, 1:] ** 2)), float(np.sum(before**2))
-    noise = (total - float(np.sum(parts**2))) / (samples - 3)
+    rounding = total * float(np.finfo(float).eps)
+    noise = max(total - float(np.sum(parts**2)), rounding) / (samples - 3)
+    if noise == 0.0:  # a simulated plant without noise rests at zero
+        return False
     return bool(fdtrc(2 * count, count * (samples - 3), line / (2.0 * noise)) < CHANCE)

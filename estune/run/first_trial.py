@@ -18,6 +18,12 @@ ANSWERED = 5.0
 """Least change of the measurement over a trial, in standard errors of its means: noise alone
 reaches 5 in one trial of a million."""
 
+BACKWARDS = (
+    "the measurement moved against the control effort from the step on: either the plant has the "
+    "wrong sign (reverse the measurement or the drive), or it answers backwards at first and the "
+    "gains are too large for that"
+)
+
 MEANS = 4
 """The last quarter of the samples after the step is compared with those before it."""
 
@@ -81,6 +87,26 @@ def check_answer(record: TrialRecord, plan: Plan, rig: RigDescription) -> None:
             f"{rig.commanded(float(tail[-1]))}: the step is too large for the drive; choose a "
             "smaller one, or force the run (--force)"
         )
+
+
+def moved_backwards(record: TrialRecord, plan: Plan, rig: RigDescription) -> bool:
+    """Whether the measurement of a trial that was cut short only moved against its effort.
+
+    A plant of the wrong sign does so, and one that first answers backwards if the gains are too
+    large for it. An oscillation that grows goes beyond its rest to both sides.
+    """
+    index, direction = (
+        plan.step.step_index(record.sampling_Hz),
+        math.copysign(1.0, plan.step.step_N),
+    )
+    if not 1 < index < record.tension_N.size - 1:
+        return False
+    effort = direction * record.current_A * rig.newtons_per_ampere
+    measured = direction * record.tension_N
+    rest = float(measured[:index].mean())
+    noise = ANSWERED * float(measured[:index].std())
+    ahead, behind = measured[index:].max() - rest, rest - measured[-1]
+    return bool(ahead <= noise < behind and effort[-1] > effort[:index].max())
 
 
 def _change(values: FloatArray, index: int) -> tuple[float, float]:

@@ -13,7 +13,7 @@ from estune.errors import Interrupted, InvalidInput, JournalError, RigError, Uns
 from estune.run import snapshot
 from estune.run.approval import ApprovalCallback, approval_request
 from estune.run.failed_trials import declined, run_trial
-from estune.run.first_trial import adopted, check_answer
+from estune.run.first_trial import BACKWARDS, adopted, check_answer, moved_backwards
 from estune.run.journal import CompletedTrial, Journal, JournalEntry
 from estune.run.plan import Plan
 from estune.run.session import (
@@ -299,6 +299,9 @@ def _record_trial(
     if phase is not Phase.EXCITE:
         cost = cost_of(record, plan.step, plan.cost, tuning.description.newtons_per_ampere)
         reason = reason or (unscored(record, plan.step) if math.isnan(cost) else "")
+    cut_short = record.outcome in (Outcome.DIVERGED, Outcome.GUARD)
+    if cut_short and phase is Phase.BASELINE and moved_backwards(record, plan, tuning.description):
+        reason = f"{reason or record.outcome.sentence}; {BACKWARDS}"
     margin = constraint_margin(record, tuning.description)
     entry = JournalEntry(
         *(request.number, request.attempt, request.trial_id, phase, request.gains.as_tuple()),

@@ -381,15 +381,12 @@ def _known_costs(session: Session) -> tuple[float, ...]:
 
 
 def _unsafe_start(session: Session, outcome: Outcome, cost: float, reason: str) -> str:
-    if outcome is not Outcome.DONE:
-        what = outcome.sentence
-    elif reason:
-        what = reason
+    remedy = "start from gentler gains (apply them to the rig first)"
+    if reason or outcome is not Outcome.DONE:
+        what = reason or outcome.sentence
     elif cost > session.eta_max:
         what = f"cost {cost:.3g} is over eta_max = {session.eta_max:.3g}"
+        remedy += " or raise eta_max"
     else:
         what = f"the trial has no cost above zero ({cost:.3g}); check its record"
-    return (
-        f"the start gains {session.plan.start} are unsafe on this rig: {what}; "
-        "start from gentler gains (apply them to the rig first) or raise eta_max"
-    )
+    return f"the start gains {session.plan.start} are unsafe on this rig: {what}; {remedy}"

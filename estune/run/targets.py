@@ -81,9 +81,9 @@ def open_target(
         yield target
     else:
         raise InvalidInput(
-            f"a {type(target).__name__} is no target: give an endpoint (tcp/127.0.0.1:7447), "
-            "a plant (plants.reference_reel()) or a rig; wrap a python-control system in "
-            "plants.linear_plant and a function in plants.python_plant"
+            f"the target is of type {type(target).__name__}; give an endpoint "
+            "(tcp/127.0.0.1:7447), a plant (plants.reference_reel()) or a rig; wrap a "
+            "python-control system in plants.linear_plant and a function in plants.python_plant"
         )
 
 

@@ -72,6 +72,17 @@ class TrustRegion(NamedTuple):
             violation += np.maximum(self.margin_min - (mean[:, 1] - SAFETY_SDS * sd), 0.0)
         return violation
 
+    def expected_violation(self, mean: FloatArray, sd: FloatArray) -> FloatArray:
+        """Violation as above, but of the constraint margin as expected.
+
+        Where no point is safe, that of the confidence bound is least where the trials were, and
+        the search would repeat one of them for ever.
+        """
+        violation = np.maximum(mean[:, 0] + SAFETY_SDS * sd - self.log_cost_max, 0.0)
+        if mean.shape[1] > 1:
+            violation += np.maximum(self.margin_min - mean[:, 1], 0.0)
+        return violation
+
     def is_inside_bounds(self, point: FloatArray) -> bool:
         """Whether a point, shape (n,), is at none of the bounds."""
         return bool(np.all((self.low < point) & (point < self.high)))
@@ -103,7 +114,8 @@ def minimise_confidence_bound(
         mean, sd = model.predict(points)
         violation = region.constraint_violation(mean, sd)
         # Every safe point ranks before every unsafe one.
-        rank = np.where(violation > 0.0, 1e6 + violation, mean[:, 0] - exploration_weight * sd)
+        unsafe = 1e6 + region.expected_violation(mean, sd)
+        rank = np.where(violation > 0.0, unsafe, mean[:, 0] - exploration_weight * sd)
         chosen = int(np.argmin(rank))
         best, width = points[chosen : chosen + 1], width / NARROWING
     point: FloatArray = best[0]

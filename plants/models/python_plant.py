@@ -178,6 +178,11 @@ class PythonPlant(MountedModel):
         if len(answer) != 2:
             raise fail(f"{len(answer)} values")
         next_state, y = answer
+        if k == 0 and _length(next_state) != _length(self.initial_state):
+            raise fail(
+                f"a state of length {_length(next_state)} where the initial state has length "
+                f"{_length(self.initial_state)}"
+            )
         if np.size(y) != 1:
             raise fail(f"a measurement of shape {np.shape(y)}")
         try:
@@ -197,6 +202,11 @@ class PythonPlant(MountedModel):
     def _identified_gains(self) -> Gains:
         """Cautious gains by a first identification in open loop."""
         return identified_gains(self, self.mounting.settling_time_s, self.initial_effort_N)
+
+
+def _length(state: Any) -> int:
+    listed = isinstance(state, list | tuple) or np.ndim(state)
+    return len(state) if listed else 1
 
 
 def python_plant(

@@ -124,7 +124,11 @@ def _doublet(plant: Plant, rest_effort_N: float) -> LoopRecord:
             if away[index + third - 1] * (effort[index] - rest_effort_N) < 0.0:
                 raise _unknown("more effort lowers the measurement; turn the sign of the effort")
             return LoopRecord.of_step(effort, measured, step.step_N, index)
-    raise _unknown(f"an effort of {EFFORT_SHARE:.0%} of the controller's range does not move it")
+    most = EFFORT_SHARE * span
+    raise _unknown(
+        f"an effort of {most:.3g}, {EFFORT_SHARE:.0%} of the controller's range, does not move "
+        "it; check that the plant uses its effort"
+    )
 
 
 def _open_loop(plant: Plant, drive: TrialSetpoint, effort_N: FloatArray) -> FloatArray:
