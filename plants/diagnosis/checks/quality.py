@@ -11,6 +11,7 @@ from estune.trial import SATURATED
 from plants.diagnosis.checks.inner_loop import inner_loop
 from plants.diagnosis.checks.sensors import faults, frozen_angle, shift_between
 from plants.diagnosis.checks.units import mistaken_units, within_factor
+from plants.diagnosis.constants import CONSTANTS
 from plants.diagnosis.data.measured_record import OUTPUTS, ROUNDING, MeasuredRecord
 from plants.diagnosis.data.noise import FEWEST, upper_rms
 from plants.diagnosis.models.base import BaseNumbers
@@ -58,10 +59,10 @@ def _too_short(m: MeasuredRecord, b: BaseNumbers) -> Iterator[DataIssue]:
             f"{m.duration_s:.3g} s are less than half a period of the model's slowest mode, "
             f"{2.0 * math.pi / natural:.3g} s; record longer",
         )
-    elif m.duration_s < 3.0 * b.slowest_s:
+    elif m.duration_s < b.slowest_s:
         yield DataIssue(
             "warning",
-            f"{m.duration_s:.3g} s are short against the model's slowest mode, which settles with "
+            f"{m.duration_s:.3g} s are less than the time constant of the model's slowest mode, "
             f"{b.slowest_s:.3g} s: what is slow cannot be told from an offset",
         )
 
@@ -110,8 +111,8 @@ def _static(m: MeasuredRecord) -> Iterator[DataIssue]:
     bins = 64
     place = np.minimum((q - q.min()) / np.ptp(q) * bins, bins - 1).astype(np.int64)
     far = np.abs(np.diff(np.sign(q - np.median(q))))
-    # A function of the angle says something where the angle goes to and fro twice.
-    if (far > 0).sum() < 4:
+    # A function of the angle says something where the angle comes back.
+    if (far > 0).sum() < 2:
         return
     count = np.maximum(np.bincount(place, minlength=bins), 1)
     # A line within each bin, so that a steep function does not look like noise.
@@ -119,7 +120,7 @@ def _static(m: MeasuredRecord) -> Iterator[DataIssue]:
     u = command - (np.bincount(place, command, bins) / count)[place]
     slope = float(inside @ u) / max(float(inside @ inside), 1e-300)
     unexplained = float((u - slope * inside).std()) / max(float(command.std()), 1e-300)
-    if unexplained < 0.01:
+    if unexplained < CONSTANTS.allowance:
         yield DataIssue(
             "warning",
             f"it is a function of the angle to {unexplained:.1%}: friction, inertia and stiffness "

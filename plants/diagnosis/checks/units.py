@@ -26,7 +26,8 @@ def mistaken_units(m: MeasuredRecord, b: BaseNumbers, rate_Hz: float) -> Iterato
     """
     if b.linear is not None:
         return
-    if within_factor(m.sampling_Hz * 1000.0 / rate_Hz):
+    rate_from_ms_Hz = 1000.0 * m.sampling_Hz
+    if within_factor(rate_from_ms_Hz / rate_Hz):
         sentence = f"its samples come at {m.sampling_Hz:.3g} Hz, the model's at {rate_Hz:.3g} Hz"
         yield DataIssue("refused", f"{sentence}: it seems to be in ms; give s", "time_s")
         return
@@ -67,7 +68,7 @@ def _brakes(angle_rad: FloatArray, effort: FloatArray, smoother: Smoother) -> bo
     columns = np.column_stack([terms[known], np.ones(known.sum())])
     a, b, dry, _ = np.linalg.lstsq(columns, effort[known], rcond=None)[0]
     v = velocity[known]
-    if not 0.05 < float(np.mean(v > 0.0)) < 0.95:
+    if abs(float(np.mean(np.sign(v)))) > 0.9:
         return False
     return bool(a < 0.0 and np.mean(b * v**2 + dry * np.abs(v)) < 0.0)
 

@@ -126,7 +126,7 @@ def _interference(
     alike = (sizes > 0.5 * middle) & (sizes < 2.0 * middle)
     # What a model lacks may make lines, too, but not in records of every kind.
     alike &= np.array([line.stands_out(frequency_Hz) for line in lines])
-    if middle < CONSTANTS.audible * math.sqrt(2.0) * noise_N or alike.mean() < 0.75:
+    if middle < CONSTANTS.audible * math.sqrt(2.0) * noise_N or alike.mean() < 0.5:
         return None
     amplitude = float(np.mean(sizes[alike]))
     spread = 2.6 * float(np.std(sizes[alike])) / math.sqrt(alike.sum()) + 0.02 * amplitude
