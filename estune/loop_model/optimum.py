@@ -144,7 +144,9 @@ INFEASIBLE = 10.0
 """Logarithm of the cost of an unstable loop."""
 
 DESCENTS = 2
-"""Starts, the best ones, from which a search descends."""
+"""Descents that have to end within the limits, the best starts first; one for a loop of two poles.
+Of 106 descents on such loops 2 ended more than 0.2 % above the best of six, 3 % at most; of 144 on
+loops of four and six poles 2 did, 27 % and 31 % above it, and 3 outside the limits."""
 
 SAME_START = 0.05
 """Largest difference in a logarithm between two starts of which one search is enough."""
@@ -201,7 +203,12 @@ class RegionSearch:
             middle = (self.low + self.high) / 2.0
             return Optimum(middle, self.predicted(middle), feasible=False)
         stable.sort(key=lambda x: self._penalised(x, 1.0))
-        return min((self._descend(x, iterations) for x in stable[:DESCENTS]), key=self._rank)
+        asked, found = DESCENTS if self.model.order > 2 else 1, list[Optimum]()
+        for x in stable:
+            found.append(self._descend(x, iterations))
+            if sum(one.feasible for one in found) == asked:
+                break
+        return min(found, key=self._rank)
 
     def predicted(self, x: FloatArray) -> Prediction:
         """The expected cost and constraints at some coordinates."""
