@@ -66,7 +66,7 @@ def test_cogging_of_a_measured_winch_motor_is_named_with_its_orders(winch):
     assert [e.name for e in found.effects] == ["cogging"]
     orders = [found.effects[0].effect.__dict__[f"per_turn_{k}"] for k in (1, 2, 3, 4)]
     assert sorted(orders) == [7.0, 12.0, 14.0, 28.0]
-    assert float(re.search(r"held-out records ([\d.]+) of", found.sentence)[1]) <= 0.16
+    assert float(re.search(r"held-out records ([\d.]+) A of", found.sentence)[1]) <= 0.16
     assert "one_direction" in [one.kind for one in found.limitations]
     assert not [one for one in found.findings if one.level == "refused"]
 

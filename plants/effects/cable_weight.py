@@ -24,7 +24,8 @@ class CableWeight(Effect):
     The last two terms are the length that the parabola's sag takes up (Irvine 1981), beyond that
     of the reel's own weight w at the preload T_0; the law's slope there is Ernst's. The root is
     computed in each substep by one step of Newton's method, extrapolated from the last two. Such a
-    cable does not go slack. Where the reel models its own weight at any tension, all of it is in
+    cable does not go slack. A cable swings besides: of four hidden machines two have an inertia
+    1.1 % off. Where the reel models its own weight at any tension, all of it is in
     that law, and nothing is done here.
 
     Attributes:
@@ -42,6 +43,7 @@ class CableWeight(Effect):
     port = Port.CABLE
     states = 2
     by_tension = True
+    form_error = 0.005
 
     density_kg_m: float = parameter(0.03, low=0.0, high=0.5, unit="kg/m", neutral=0.0)
 

@@ -55,6 +55,7 @@ class StribeckFriction(Effect):
     port = Port.DRUM
     states = 2
     resists = True
+    form_error = 0.005
 
     # Friction that falls to nothing with speed is no dry friction.
     coulomb_Nm: float = parameter(

@@ -96,6 +96,11 @@ def _beside(
     inherited_values = {
         f"{name}.{to}": simpler.values[f"{source}.{of}"] for to, of in inherited.items()
     }
+    for to in inherited:
+        # Friction that builds up over less than shows is a step, along which no fit gets on.
+        if effect.parameters()[to].unit == "rad" and fitter.floor.angle_rad > 0.0:
+            at = f"{name}.{to}"
+            inherited_values[at] = max(inherited_values[at], fitter.floor.angle_rad)
     sizes = [n for n in effect.named(Role.SIZE, Role.LIMIT) if n not in inherited]
     grids = {n: v for n, v in screened.grids.items() if n not in inherited}
     main = next((to for to in inherited if to in effect.named(Role.SIZE, Role.LIMIT)), None)
@@ -117,6 +122,8 @@ def _beside(
             whole = inherited_values[f"{name}.{main}"]
             for share in (0.25, 0.5) if sizes else (0.0,):
                 split = {f"{name}.{n}": share * whole for n in sizes}
-                remaining = {f"{name}.{main}": whole * (1.0 - share if sizes else 1.0)}
-                suggestions.append({**origin, **inherited_values, **shape, **split, **remaining})
+                # What is there at rest alone is beside what the simpler law found in motion.
+                for remaining in {whole * (1.0 - share), whole} if sizes else {whole}:
+                    sized = {f"{name}.{main}": remaining} | split
+                    suggestions.append({**origin, **inherited_values, **shape, **sized})
     return suggestions
