@@ -37,32 +37,22 @@ def line_in_residual(
     fitter: ModelFitter, model: CandidateFit, recorded: Sequence[MeasuredRecord]
 ) -> MainsLine | None:
     """Mains interference in what a model leaves of the gauge's readings as they were recorded."""
-    if "tension_N" not in fitter.floor.channels:
-        return None
     predictions = model.fitted.predictor.predict(model.fitted.values[None, :])
-    tensions = [None if p.tension_N is None else p.tension_N[0] for p in predictions]
-    return find_mains_interference(recorded, tensions, fitter.floor.tension_N)
-
-
-def find_mains_interference(
-    measurements: Sequence[MeasuredRecord],
-    predicted: Sequence[FloatArray | None],
-    noise_N: float,
-) -> MainsLine | None:
-    """Looks for mains interference in what a model leaves of the gauge's readings."""
     lines = [
-        _Line(n, m.time_s, m.tension_N - p)
-        for n, (m, p) in enumerate(zip(measurements, predicted, strict=True))
-        if m.tension_N is not None and p is not None
+        _Line(n, m.time_s, m.tension_N - p.tension_N[0])
+        for n, (m, p) in enumerate(zip(recorded, predictions, strict=True))
+        if m.tension_N is not None and p.tension_N is not None
     ]
     if not lines:
         return None
     longest = max(float(np.ptp(line.time_s)) for line in lines)
-    highest = 0.5 * min(m.sampling_Hz for m in measurements)
+    highest = 0.5 * min(m.sampling_Hz for m in recorded)
     tried = (50.0, 60.0, 100.0, 120.0, 150.0, 180.0)
     peaks = [_peak(lines, f, longest) for f in tried if f < highest]
     best = max((p for p in peaks if p is not None), key=lambda p: p[1], default=None)
-    return None if best is None else _interference(measurements, lines, best[0], longest, noise_N)
+    if best is None:
+        return None
+    return _interference(recorded, lines, best[0], longest, fitter.floor.tension_N)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -71,13 +61,13 @@ class _Line:
 
     number: int
     time_s: FloatArray
-    left_N: FloatArray
+    remainder_N: FloatArray
 
     def wave(self, frequency_Hz: float) -> tuple[float, float]:
         """Weights of sine and cosine."""
         turn = 2.0 * math.pi * frequency_Hz * self.time_s
         columns = np.stack([np.sin(turn), np.cos(turn), np.ones(turn.size)], axis=1)
-        sine, cosine, _ = np.linalg.lstsq(columns, self.left_N, rcond=None)[0]
+        sine, cosine, _ = np.linalg.lstsq(columns, self.remainder_N, rcond=None)[0]
         return float(sine), float(cosine)
 
     def stands_out(self, frequency_Hz: float) -> bool:
@@ -92,7 +82,7 @@ def _powers(lines: Sequence[_Line], first_Hz: float, step_Hz: float, number: int
     turns = -2j * math.pi * (first_Hz + step_Hz * np.arange(number))
     power = np.zeros(number)
     for line in lines:
-        residual = line.left_N - line.left_N.mean()
+        residual = line.remainder_N - line.remainder_N.mean()
         sums = [np.exp(turn * line.time_s) @ residual for turn in turns]
         power += 4.0 * np.abs(sums) ** 2 / line.time_s.size
     return power
