@@ -51,12 +51,12 @@ class NoiseFloor:
     @property
     def tension_N(self) -> float:
         """Noise of the gauge, N rms; nan without a gauge."""
-        return self._rms("tension_N")
+        return self.rms("tension_N")
 
     @property
     def angle_rad(self) -> float:
         """Noise of the encoder, rad rms; nan without an encoder."""
-        return self._rms("angle_rad")
+        return self.rms("angle_rad")
 
     @property
     def coarse_step_N(self) -> float | None:
@@ -73,10 +73,11 @@ class NoiseFloor:
 
         sigma_eff^2 = sigma_n^2 + (0.4 % of the signal's rms)^2
         """
-        noise = max(self._rms(channel), least_rms)
+        noise = max(self.rms(channel), least_rms)
         return float((noise**2 + (CONSTANTS.allowance * signal_rms) ** 2) ** 0.5)
 
-    def _rms(self, channel: str) -> float:
+    def rms(self, channel: str) -> float:
+        """Noise of a channel, rms in its unit; nan where it is in no record."""
         return self.channels[channel].rms if channel in self.channels else float("nan")
 
 

@@ -299,18 +299,6 @@ def diagnosed(model: Any, measurements: Sequence[MeasuredRecord]) -> DiagnosedMo
         return model
     if not measurements:
         raise InvalidInput("there are no records to compare the model with")
-    kind = _kind(model)
-    plant = kind(model, measurements)
-    wanted = set(plant.outputs)
-    if not any(wanted & set(m.outputs) for m in measurements):
-        raise InvalidInput(
-            f"the model predicts {' and '.join(plant.outputs)}, and no record has such a column"
-        )
-    return plant
-
-
-def _kind(model: Any) -> type[DiagnosedModel]:
-    """The class for a model, imported when needed."""
     reference = getattr(model, "diagnosed_by", "")
     if type(model).__name__ in ("TransferFunction", "StateSpace"):
         reference = LinearPlant.diagnosed_by
@@ -319,6 +307,11 @@ def _kind(model: Any) -> type[DiagnosedModel]:
             f"the model is a {type(model).__name__}; give a model file, a plant that declares "
             "`diagnosed_by`, or a system of python-control"
         )
-    module, _, attribute = reference.partition(":")
-    kind: type[DiagnosedModel] = getattr(importlib.import_module(module), attribute)
-    return kind
+    module, _, kind = reference.partition(":")
+    plant: DiagnosedModel = getattr(importlib.import_module(module), kind)(model, measurements)
+    wanted = set(plant.outputs)
+    if not any(wanted & set(m.outputs) for m in measurements):
+        raise InvalidInput(
+            f"the model predicts {' and '.join(plant.outputs)}, and no record has such a column"
+        )
+    return plant

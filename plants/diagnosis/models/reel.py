@@ -124,25 +124,19 @@ class DiagnosedReel(DiagnosedModel):
 
     def structure(self, effects: tuple[type[Effect], ...]) -> ReelStructure:
         """The reel with these effects."""
-        # The fastest rate may double in a fit.
+        rates = [2.0 * math.pi * self.model.gauge_Hz]
+        for m in self.measurements:
+            at = self._at(m)
+            kappa, J = drum_stiffness_Nm_rad(at, self.preload(m)), at.drum_inertia_kg_m2
+            rates += [math.sqrt(kappa / J), viscous_friction_Nms(at) / J]
         return ReelStructure(
             effects=effects,
             fractional=True,
-            squarings=self.squarings(2.0 * self._fastest_rad_s),
+            squarings=self.squarings(2.0 * float(max(rates))),  # it may double in a fit
             rounded=False,
             watched=self.is_watched,
             by_gauge=self.placed_by == "tension_N",
         )
-
-    @property
-    def _fastest_rad_s(self) -> float:
-        rates = [2.0 * math.pi * self.model.gauge_Hz]
-        for m in self.measurements:
-            at = self._at(m)
-            kappa = drum_stiffness_Nm_rad(at, self.preload(m))
-            J = at.drum_inertia_kg_m2
-            rates += [math.sqrt(kappa / J), viscous_friction_Nms(at) / J]
-        return float(max(rates))
 
     def _at(self, m: MeasuredRecord) -> Reel:
         """The reel without effects at a record's length."""

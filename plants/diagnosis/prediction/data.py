@@ -186,7 +186,7 @@ def _start(
         edges = np.arange(max(m.samples // window, 1), dtype=np.int64) * window
     states = estimate_states(
         *(model.local(m), np.nan_to_num(output), m.sampling_Hz),
-        *(_rms(noise, model.placed_by), edges),
+        *(noise.rms(model.placed_by or ""), edges),
     )
     reading = _reading(model, m, noise)
     if horizon_s is None and _rests(model, m, states.placed[0], states.deviation, noise):
@@ -215,7 +215,7 @@ def _rests(
     if tension is None:
         return True
     off = abs(float(tension[0]) - m.preload_N)
-    begins = off <= DEVIATIONS * _rms(noise, "tension_N") + 1e-6 * float(np.ptp(tension))
+    begins = off <= DEVIATIONS * noise.tension_N + 1e-6 * float(np.ptp(tension))
     return begins or bool(rates.size and rates[0] <= strict[0])
 
 
@@ -227,15 +227,10 @@ def _reading(model: DiagnosedModel, m: MeasuredRecord, noise: NoiseFloor) -> flo
         return model.preload(m) if "tension_N" in model.outputs else 0.0
     first = tension[:8]
     mean = float(first[np.isfinite(first)].mean()) if np.isfinite(first).any() else m.preload_N
-    close = DEVIATIONS * _rms(noise, "tension_N") / np.sqrt(first.size)
+    close = DEVIATIONS * noise.tension_N / np.sqrt(first.size)
     # An excitation may begin with the record, and mains interference may be on it.
     close += float(np.ptp(first[np.isfinite(first)])) if np.isfinite(first).any() else 0.0
     return m.preload_N if abs(mean - m.preload_N) <= close else mean
-
-
-def _rms(noise: NoiseFloor, channel: str | None) -> float:
-    channel_noise = noise.channels.get(channel or "")
-    return 0.0 if channel_noise is None else channel_noise.rms
 
 
 def _entries(

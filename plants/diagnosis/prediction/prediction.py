@@ -10,7 +10,6 @@ channels together.
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from functools import lru_cache
-from itertools import pairwise
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -171,14 +170,18 @@ class Predictor:
         residuals, changes = (batch[0], batch[1:]) if known is None else (known, batch)
         jacobian = np.zeros((chosen.size, batch.shape[1]))
         changes -= residuals
-        own_entries = self._own_entries(entries)
+        # Of each record the entries, which are in ascending order.
+        measurement = (
+            self.index.measurement if entries is None else self.index.measurement[entries]
+        )
+        edges = np.searchsorted(measurement, np.arange(len(self._data.measurements) + 1)).tolist()
         for change, places in zip(changes, groups.values(), strict=True):
             for place in places:
                 record = self._slots[chosen[place]].record
                 if record is None:
                     np.divide(change, steps[place], out=jacobian[place])
                 else:
-                    entries_of = own_entries[record]
+                    entries_of = slice(edges[record], edges[record + 1])
                     jacobian[place, entries_of] = change[entries_of] / steps[place]
         return residuals, jacobian.T
 
@@ -189,13 +192,6 @@ class Predictor:
     def row(self, values: Mapping[str, float]) -> FloatArray:
         """The row of some values by name, the others at their start."""
         return np.array([values.get(free.name, free.start) for free in self.free])
-
-    def _own_entries(self, entries: NDArray[np.int64] | None) -> list[slice]:
-        """Slice of each record in some entries, which are in ascending order."""
-        measurement = self.index.measurement
-        measurement = measurement if entries is None else measurement[entries]
-        edges = np.searchsorted(measurement, np.arange(len(self._data.measurements) + 1))
-        return [slice(a, b) for a, b in pairwise(edges.tolist())]
 
     def _step(self, n: int, value: float) -> float:
         free = self.free[n]
@@ -326,8 +322,12 @@ def _basis(model: DiagnosedModel, of: PredictionData) -> FloatArray:
         **{f"0.{n}": v for n, v in vars(model.calibration).items()},
     }
     known = [{**model.numbers(m), **calibration, **_sensors(model)} for m in of.measurements]
+    # Steps are relative to the spread of the initial states over the windows.
+    size = np.abs(of.window_place).max(axis=0, initial=0.0)
+    spread = of.window_place.std(axis=0) if len(of.window_place) > 1 else np.zeros(bare.placed)
+    wide = np.where(spread > 0.0, spread, size)
     kick = np.zeros((1 + bare.placed, bare.placed))
-    kick[1:] = np.diag(_state_steps(of, bare.placed))
+    kick[1:] = np.diag(1e-3 * np.where(wide > 0.0, wide, 1.0))
     rows = np.tile([slot.free.start for slot in slots], (len(kick), 1))
     every = np.arange(of.index.sigma.size)
     responses = np.empty((len(kick), every.size))
@@ -338,11 +338,3 @@ def _basis(model: DiagnosedModel, of: PredictionData) -> FloatArray:
 def _sensors(model: DiagnosedModel) -> dict[str, float]:
     """Sensors without errors."""
     return dict.fromkeys(SENSORS, 0.0) | {"current_gain": model.drive_unit}
-
-
-def _state_steps(of: PredictionData, placed: int) -> FloatArray:
-    """Steps of the initial states, relative to their spread over the windows."""
-    spread = of.window_place.std(axis=0) if len(of.window_place) > 1 else np.zeros(placed)
-    size = np.abs(of.window_place).max(axis=0, initial=0.0)
-    wide = np.where(spread > 0.0, spread, size)
-    return 1e-3 * np.where(wide > 0.0, wide, 1.0)

@@ -30,7 +30,6 @@ from plants.diagnosis.residual.dependence import (
 from plants.diagnosis.residual.residuals import (
     BalanceFit,
     fit_balance,
-    inner,
     prepared,
     spectrum,
     variables,
@@ -208,8 +207,8 @@ def _dependence(
     """The residual for the dependence on variables, of many samples some."""
     stride = max(1, int(inside.sum() // CONSTANTS.screened))
     chosen = np.flatnonzero(inside)[::stride]
-    parts = [p for p in map(inner, np.split(fitted.residual, ends)) if p.size >= FEWEST]
-    loose = float(np.mean([independent_share(residual) for residual in parts]))
+    known = (part[np.isfinite(part)] for part in np.split(fitted.residual, ends))
+    loose = float(np.mean([independent_share(part) for part in known if part.size >= FEWEST]))
 
     def spread(columns: FloatArray) -> FloatArray:
         split = np.split(columns, ends)

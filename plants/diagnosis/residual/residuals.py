@@ -145,15 +145,11 @@ def spectrum(
     """Frequencies, Hz, and power spectral density of a signal over some records (Welch 1967)."""
     from scipy.signal import welch  # noqa: PLC0415  slow to import
 
-    finite = [signal for signal in map(inner, parts) if signal.size >= FEWEST]
+    known = (signal[np.isfinite(signal)] for signal in parts)
+    finite = [signal for signal in known if signal.size >= FEWEST]
     segment = min([longest, *(signal.size for signal in finite)]) // 2 * 2
     powers = [welch(signal, sampling_Hz, nperseg=segment, detrend=False)[1] for signal in finite]
     frequency: FloatArray = np.linspace(0.0, sampling_Hz / 2.0, segment // 2 + 1)
     if not finite:
         return frequency, np.zeros(frequency.size)
     return frequency, np.average(powers, axis=0, weights=[signal.size for signal in finite])
-
-
-def inner(residual: FloatArray) -> FloatArray:
-    """A residual without the ends at which it is undefined."""
-    return residual[np.isfinite(residual)]

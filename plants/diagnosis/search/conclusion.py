@@ -28,7 +28,8 @@ class Conclusion(NamedTuple):
 
     Attributes:
         verdict: The verdict.
-        stages: The base model, then the models believed with one effect more each.
+        stages: The base model, then the models believed with one effect more each; the base model
+            alone for `unknown` and `none`.
         tied: Slugs the records do not distinguish, best first; empty unless `ambiguous`.
         apart: How far the predictions of the first two of these differ, rms in noise floors; nan
             where they are not tied.
@@ -50,11 +51,6 @@ class Conclusion(NamedTuple):
     probability: Mapping[str, float] = {}
     own_probability: Mapping[str, float] = {}
     models: tuple[ModelSummary, ...] = ()
-
-    @property
-    def best(self) -> CandidateFit:
-        """The model that is believed: the base model for `unknown` and `none`."""
-        return self.stages[-1]
 
     def unknown(self, reason: str) -> "Conclusion":
         """The same fits, none of which is believed."""
@@ -138,7 +134,7 @@ def candidates(
 ) -> tuple[Candidate, ...]:
     """All effects screened as the first one, best first, each with why it was taken or not."""
     fitted = {fit.effects[0].name: fit for fit in models.singles if is_named(fit)}
-    believed = [e.name for e in conclusion.best.effects]
+    believed = [e.name for e in conclusion.stages[-1].effects]
     listed = []
     for name, screened in screening.declared.items():
         fit, share, ratio = fitted.get(name), math.nan, math.nan
@@ -161,7 +157,7 @@ def candidates(
 
 def _why(fit: CandidateFit, share: float, conclusion: Conclusion) -> str:
     """Why an effect that was fitted is believed or not."""
-    effect, best = fit.effects[0], conclusion.best.effects
+    effect, best = fit.effects[0], conclusion.stages[-1].effects
     what = f"{effect.title} explains {_percent(max(share, 0.0))} of the error power"
     if effect in best:
         return what

@@ -115,8 +115,9 @@ def on_all_records(
         return AllRecords(searched, models, None, None, refitted=False)
     recorded = ModelFitter(plant, plant.measurements, searched.floor)
     remaining = line
-    if line is not None and (conclusion.best.effects or not all_searched):
-        believed = carried_over(recorded, conclusion.best)
+    best = conclusion.stages[-1]
+    if line is not None and (best.effects or not all_searched):
+        believed = carried_over(recorded, best)
         remaining = line_in_residual(recorded, believed, plant.measurements)
     if remaining is None:
         models = refitted(recorded, models, conclusion)
