@@ -49,6 +49,10 @@ def test_by_keyboard_alone_a_rig_is_tuned_dragged_tried_and_applied(chromium, em
         check_forms(page)
         page.get_by_role("button", name="Try these gains once").press("Enter")
         expect(page.locator("#answer")).to_contain_text("the rig has its live gains again")
+        for shown in (page.locator("#answer"), page.get_by_role("button", name="Emergency stop")):
+            expect(shown).to_be_in_viewport()
+        expect(page.locator("#facts")).not_to_contain_text("not in this folder")
+        expect(page.get_by_role("button", name="Stop the tuning")).to_be_disabled()
         assert there.describe().gains == before
         asked = []
         page.once("dialog", lambda dialog: (asked.append(dialog.message), dialog.accept()))

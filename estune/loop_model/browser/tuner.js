@@ -135,7 +135,7 @@ export class Tuner {
     this.container.replaceChildren(make("p", { className: "soft", textContent: d.known }),
       make("div", { className: "sides" }, limits, gains), this.buttons, this.said,
       make("div", { className: "wide" }, this.numbers), figures,
-      make("p", { className: "soft", textContent: "Shaded: all that the models allow which fit the records. Dots below the sliders: gains that were tried. Amber: a limit is broken. The load is half the step, at the plant's input." }));
+      make("p", { className: "soft", textContent: "Intervals and shades hold the models that fit the records; what a result claims is wider where the records leave more open. Dots below the sliders: gains that were tried. Amber: a limit is broken. The load is half the step, at the plant's input." }));
   }
 
   get weights() {

@@ -47,6 +47,9 @@ GAIN_LOOKS = {
 }
 
 _DECADE = 10.0
+FEW = 20
+"""Trials of a phase from which their symbols are drawn smaller."""
+
 VECTORS_MAX = 2000
 """Trials of a figure that are drawn one by one; more are drawn as an image."""
 
@@ -64,9 +67,11 @@ def draw_cost(ax: Axes | None, frame: "pd.DataFrame", start_cost: float, eta_max
     shown = frame[frame["cost"].notna() & ~frame["unsafe"]]
     for phase, (colour, marker, label) in PHASES.items():
         part = shown[shown["phase"] == phase]
+        if part.empty:
+            continue
         ax.plot(
             part["number"], part["cost"], marker, color=colour, label=label, zorder=3,
-            markersize=3.2 if phase == "search" else 4.0, markeredgewidth=0, alpha=0.85,
+            markersize=4.0 if len(part) < FEW else 3.2, markeredgewidth=0, alpha=0.85,
             rasterized=len(part) > VECTORS_MAX,
         )  # fmt: skip
     # Repeats after the search are left out: a lucky one does not mean better gains.
@@ -83,7 +88,7 @@ def draw_cost(ax: Axes | None, frame: "pd.DataFrame", start_cost: float, eta_max
     _draw_unsafe(ax, frame[frame["unsafe"]], finite, eta_max)
     ax.xaxis.set_major_locator(MaxNLocator(integer=True, steps=[1, 2, 5, 10]))
     finish(ax, "cost η (1 = as good as first order)", "trial")
-    legend(ax, columns=3, left=-0.12)
+    legend(ax, columns=4, left=-0.12)
     return ax
 
 
@@ -189,11 +194,12 @@ def draw_gains(
         ax: Axes.
         frame: The trials, as of `RunResult.to_frame`.
         start: Initial gains.
-        recommended: The gains of the result, drawn behind the search.
+        recommended: The gains of the result, drawn behind the last trial.
         intervals: Confidence interval of each optimum, by name, drawn as bars.
         units: Units of the gains, by name.
     """
     ax = ax or new_axes()
+    last = float(frame["number"].max()) if len(frame) else 0.0
     frame = _searched(frame)
     ax.set_yscale("log")
     ax.axhline(1.0, color=LIGHT, linewidth=0.9, zorder=0)
@@ -214,7 +220,7 @@ def draw_gains(
         )  # fmt: skip
         if end > 0.0 and len(frame):
             # Side by side, so that the bars do not overlap.
-            behind = float(frame["number"].iloc[-1]) * (1.0 + 0.015 * place) + 0.3 * place
+            behind = last * (1.0 + 0.015 * place) + 0.15 * place
             ax.plot(behind, end / unit, "o", color=colour, markersize=4.5, clip_on=False)
             if name in intervals:
                 low, high = intervals[name]

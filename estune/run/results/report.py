@@ -241,8 +241,9 @@ def _search(result: RunResult) -> Iterator[Block]:
         figure,
         "search",
         "Cost and gains over the trials",
-        f"{result.verdict.message[:1].upper()}{result.verdict.message[1:]}. Repeats after the "
-        "search compare the gains; the lowest cost of the search is one lucky trial.",
+        f"{result.verdict.message[:1].upper()}{result.verdict.message[1:]}. The lowest "
+        "cost of a search may be luck, so repeats after it compare the gains. Behind the last "
+        "trial: the gains of the result with their intervals.",
         csv=_csv({name: frame[name].to_numpy() for name in names}),
     )
 

@@ -103,6 +103,8 @@ function showState() {
   $("estop").hidden = !allowed.includes("estop") || Boolean(now.ended);
   const reset = document.querySelector('button[data-command="reset"]');
   if (reset) reset.hidden = !values.rig?.latched;
+  const stop = document.querySelector('button[data-command="stop"]');
+  if (stop && kind === "rig") stop.disabled = !values.rig?.holder && values.state?.status !== "running";
   showFacts(values);
   confirm(values);
 }
@@ -129,7 +131,7 @@ function showFacts({ rig, description, daemon, state, run, elsewhere }) {
     facts.push(["unsafe trials", String(state.unsafe)]);
     if (state.best) facts.push(["best cost", `${state.best.cost.toPrecision(4)} in trial ${state.best.number}`]);
   }
-  if (elsewhere) facts.push(["run", `${elsewhere}; its journal is not in this folder, so cost and search are not shown`]);
+  if (elsewhere && rig?.holder) facts.push(["run", `${elsewhere}; its journal is not in this folder, so cost and search are not shown`]);
   if (run && !rig) facts.push(["rig", run.rig]);
   const list = $("facts"), content = JSON.stringify(facts);
   if (list.dataset.shown === content) return;
@@ -160,7 +162,6 @@ let pending = null;
 async function command(name, given) {
   pending = null;
   text($("answer"), `${name}: sent, not confirmed yet`);
-  $("commands").hidden = false;
   let answer;
   try {
     const reply = await fetch("api/command", {
