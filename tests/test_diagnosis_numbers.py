@@ -21,14 +21,14 @@ def test_each_number_of_the_table_is_used():
 def test_number_of_the_table_is_replaced_while_the_context_lasts():
     (number,) = (n for n in numbers() if n.name == "nothing")
     assert decide(BASE, []).verdict == "unknown"
-    with replaced(number, 2.0 * CONSTANTS.nothing):
+    with replaced({number: 2.0 * CONSTANTS.nothing}):
         assert decide(BASE, []).verdict == "none"
     assert decide(BASE, []).verdict == "unknown"
 
 
 def test_number_with_a_name_is_replaced_while_the_context_lasts():
     number = next(n for n in numbers() if n.name == "checks/units.py:MODEL_OFF")
-    with replaced(number, 2.0 * number.value):
+    with replaced({number: 2.0 * number.value}):
         assert vars(units)["MODEL_OFF"] == 2.0 * number.value
     assert vars(units)["MODEL_OFF"] == number.value
 
@@ -38,6 +38,6 @@ def test_number_in_a_comparison_is_replaced_while_the_context_lasts():
     command = np.arange(100.0)
     motion = command + 20.0 * (-1.0) ** command  # explains two thirds of it
     assert inner_loop._gain(command, motion) is None
-    with replaced(number, 0.5 * number.value):
+    with replaced({number: 0.5 * number.value}):
         assert inner_loop._gain(command, motion) is not None
     assert inner_loop._gain(command, motion) is None

@@ -3,19 +3,23 @@
 Command: `python -m experiments.diagnosis_numbers --into FILE`.
 Target: none; a line for each number, with the cases whose verdict or names it changes.
 
-Numbers are those of `numbers.py`. Each is changed alone, in cases of the development seeds of
-`experiments.hidden_machines` and `experiments.independent_drives`. A case begins with the step in
-which the number is first used; a number that leaves records, noise and base fit as they were, and
-is not used later, changes nothing. `--list` prints the numbers, `--rows` the table of a file,
-`--functions` the functions of the room that a call of `explain` enters.
+Numbers are those of `numbers.py`, in cases of the development seeds of
+`experiments.hidden_machines` and `experiments.independent_drives`. Those last used in one step are
+changed all at once; where that changes the answer, halves of the group are, until each number that
+does is alone. A case begins with the step in which one is first used, and ends where records,
+noise and base fit are as they were and no later step uses one. `--list` prints the numbers,
+`--rows` the table of a file, `--functions` the functions of the room that a call of `explain`
+enters: of a drive and of a reel that is left unexplained, whose is more.
 """
 
+import itertools
 import json
 import sys
 import tempfile
 from collections import defaultdict
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager, nullcontext
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 from unittest import mock
@@ -40,6 +44,8 @@ from plants.diagnosis.search.effect_choices import EffectChoices
 
 FITTED_WITH = ("prediction/", "models/", "search/least_squares.py")
 """What a fit is made with: with numbers of these each fit is made anew."""
+ENTERED = ("servo 1", "outside 20001")
+"""Cases of which the functions entered are listed."""
 
 
 class Said(NamedTuple):
@@ -127,13 +133,16 @@ def fits_made_once(made: dict[Any, Any]) -> Iterator[None]:
         yield
 
 
-def changes(
-    case: DiagnosisCase, number: Number, factor: float, first: Said, made: dict[Any, Any]
+def answer_with(
+    case: DiagnosisCase,
+    numbers: Sequence[Number],
+    factor: float,
+    first: Said,
+    made: dict[Any, Any],
 ) -> str:
-    """The answer with another value of a number, or the same."""
-    steps = [name for name, entered in first.used.items() if entered & number.uses]
-    if not steps:
-        return first.answer
+    """The answer with some numbers times a factor, all at once."""
+    uses = frozenset[tuple[str, int]]().union(*(n.uses for n in numbers))
+    steps = [name for name, entered in first.used.items() if entered & uses]
     order = list(first.values)
     kept = order[: order.index(steps[0])]
     known = {name: first.values[name] for name in kept}
@@ -144,11 +153,33 @@ def changes(
             return False
         return bool(_content(name, values) == _content(name, first.values))
 
-    anew = any(part in path for path, _ in number.uses for part in FITTED_WITH)
-    anew |= number.name in ("effective", "range")
-    with replaced(number, factor * number.value), fits_made_once({} if anew else made):
-        said = diagnose(case, known, stop)
+    anew = any(part in path for path, _ in uses for part in FITTED_WITH)
+    anew |= any(n.name in ("effective", "range") for n in numbers)
+    others = {n: factor * n.value for n in numbers}
+    try:
+        with replaced(others), fits_made_once({} if anew else made):
+            said = diagnose(case, known, stop)
+    except Exception as error:  # noqa: BLE001  a number that breaks it decides
+        return f"{type(error).__name__}: {error}"[:120]
     return first.answer if said is None else said.answer
+
+
+def changed_by(
+    numbers: Sequence[Number], answer: Callable[[Sequence[Number]], str], before: str
+) -> dict[Number, str]:
+    """The answers with the numbers that change it, found by halving the group of them.
+
+    Numbers that change nothing all at once are not tried alone: two that undo each other are
+    missed.
+    """
+    after = answer(numbers)
+    if after == before:
+        return {}
+    if len(numbers) == 1:
+        return {numbers[0]: after}
+    middle = len(numbers) // 2
+    halves = numbers[:middle], numbers[middle:]
+    return {n: said for half in halves for n, said in changed_by(half, answer, before).items()}
 
 
 def _content(name: str, values: dict[str, Any]) -> Any:
@@ -174,24 +205,25 @@ def read_rows(path: Path | None) -> list[dict[str, Any]]:
 
 
 def measure(name: str, todo: list[Number]) -> Iterator[dict[str, Any]]:
-    """Halves and doubles each number in one case."""
+    """Halves and doubles the numbers in one case, those together whose last step is one."""
     with tempfile.TemporaryDirectory() as place, one_blas_thread():
         case = case_of(name, Path(place))
         made: dict[Any, Any] = {}
         with fits_made_once(made):
             first = diagnose(case, {}, lambda *_: False)
         assert first is not None  # noqa: S101  nothing stops it
-        entered = frozenset().union(*first.used.values())
+        groups: dict[str, list[Number]] = defaultdict(list)
         for number in todo:
-            if not entered & number.uses:
-                continue
-            for factor in (0.5, 2.0):
-                try:
-                    answer = changes(case, number, factor, first, made)
-                except Exception as error:  # noqa: BLE001  a number that breaks it decides
-                    answer = f"{type(error).__name__}: {error}"[:120]
+            steps = [step for step, entered in first.used.items() if entered & number.uses]
+            if steps:
+                groups[steps[-1]].append(number)
+        for group, factor in itertools.product(groups.values(), (0.5, 2.0)):
+            answer = partial(answer_with, case, factor=factor, first=first, made=made)
+            after = changed_by(group, answer, first.answer)
+            for number in group:
                 about = {"case": name, "number": number.name, "factor": factor}
-                yield {**about, "before": first.answer, "after": answer}
+                said = after.get(number, first.answer)
+                yield {**about, "before": first.answer, "after": said}
 
 
 def functions_of(name: str) -> list[str]:
@@ -245,7 +277,8 @@ def main() -> int:
     known = [n for n in numbers() if not only or n.name.startswith(only)]
     if options.functions or options.list:
         listed = (f"{n.name} = {n.value:g}  {n.text}".rstrip() for n in known)
-        lines = functions_of(CASES[0]) if options.functions else list(listed)
+        calls = (functions_of(name) for name in ENTERED) if options.functions else ()
+        lines = max(calls, key=len, default=list(listed))
         print("\n".join(lines), f"{len(lines)} in all", sep="\n")
         return 0
     rows = read_rows(options.rows or options.into)

@@ -13,12 +13,12 @@ from experiments.independent_drives.logs import Logger
 from plants.models.model_file import load_model
 
 CASES = (
-    *("servo 1", "none 20000", "two 20000", "plain 20001", "link 2", "outside 20000"),
-    *("unloaded 20000", "spindle 1", "left_out 20000", "plain 20002", "stage 5"),
-    *("none_no_encoder 20000", "noise5 20000", "wrong_base 20000", "none 20001", "two 20001"),
-    *("steps_only 20000", "none_unloaded 20000", "outside 20001", "stage 20000", "plain 20003"),
+    *("servo 1", "link 2", "spindle 1", "stage 5", "unloaded 20000", "none_unloaded 20000"),
+    *("none 20000", "plain 20001", "plain 20002", "outside 20000", "none 20001", "stage 20000"),
+    *("plain 20003", "none_no_encoder 20000", "steps_only 20000", "noise5 20000"),
+    *("wrong_base 20000", "left_out 20000", "outside 20001", "two 20000", "two 20001"),
 )
-"""Kinds with the seed of a hidden machine, or the number of an independent drive."""
+"""Kinds with the seed of a hidden machine, or a drive's number; the shortest first."""
 DRIVES, DRIVE_SEED = ("servo", "stage", "spindle", "link"), 3000
 
 

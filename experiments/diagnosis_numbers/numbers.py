@@ -8,7 +8,7 @@ what is only shown or planned: `report`, `experiments` and `data/preview.py`.
 import ast
 import gc
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from types import CodeType, FunctionType
@@ -143,11 +143,19 @@ def _asks_a_ratio(node: ast.AST) -> bool:
     return is_named and node.func.id == "within_factor"  # type: ignore[attr-defined]
 
 
+Undo = list[tuple[object, str, object]]
+
+
 @contextmanager
-def replaced(number: Number, value: float) -> Iterator[None]:
-    """The diagnosis with another value of a number, as long as the context lasts."""
-    replace = (_in_table, _in_modules, _in_code)[number.name.count(":")]
-    undo = replace(number, value)
+def replaced(values: Mapping[Number, float]) -> Iterator[None]:
+    """The diagnosis with other values of some numbers, as long as the context lasts."""
+    table = {n.name: value for n, value in values.items() if n.in_table}
+    undo = _in_table(table) if table else []
+    for number, value in values.items():
+        if number.name.count(":") == 1:
+            undo += _in_modules(number, value)
+    in_code = {n: value for n, value in values.items() if n.name.count(":") == 2}
+    undo += _in_code(in_code)
     try:
         yield
     finally:
@@ -155,47 +163,48 @@ def replaced(number: Number, value: float) -> Iterator[None]:
             setattr(holder, name, before)
 
 
-def _in_table(number: Number, value: float) -> list[tuple[object, str, object]]:
+def _in_table(values: Mapping[str, float]) -> Undo:
     before = CONSTANTS
-    changed = before._replace(**{number.name: value})
+    changed = before._replace(**values)
     holders = [m for m in sys.modules.values() if getattr(m, "CONSTANTS", None) is before]
     for module in holders:
         module.CONSTANTS = changed  # type: ignore[attr-defined]
     return [(module, "CONSTANTS", before) for module in holders]
 
 
-def _in_modules(number: Number, value: float) -> list[tuple[object, str, object]]:
+def _in_modules(number: Number, value: float) -> Undo:
     """Modules that define or import it."""
     name = number.name.rpartition(":")[2]
     ours = (m for n, m in sys.modules.items() if n.startswith(plants.diagnosis.__name__))
     holders = [m for m in ours if hasattr(m, name)]
-    undo: list[tuple[object, str, object]] = [(m, name, getattr(m, name)) for m in holders]
+    undo: Undo = [(m, name, getattr(m, name)) for m in holders]
     for module in holders:
         setattr(module, name, type(number.value)(value) or 1)
     return undo
 
 
-def _in_code(number: Number, value: float) -> list[tuple[object, str, object]]:
-    """Functions take the code that their module would have with the other value."""
-    (path, first), (_, line, column) = next(iter(number.uses)), number.name.split(":")
-    tree = ast.parse(Path(path).read_text(encoding="utf-8"))
-    for node in ast.walk(tree):
-        at = getattr(node, "lineno", 0), getattr(node, "col_offset", -1)
-        if isinstance(node, ast.Constant) and at == (int(line), int(column)):
-            node.value = type(number.value)(value) or 1
-    codes = {c.co_firstlineno: c for c in _codes(compile(tree, path, "exec"))}
-    live = [
-        f
-        for f in gc.get_objects()
-        if isinstance(f, FunctionType)
-        and f.__code__.co_filename == path
-        and f.__code__.co_firstlineno == first
-        and f.__code__.co_name == codes[first].co_name
-    ]
-    undo = [(f, "__code__", f.__code__) for f in live]
-    for function in live:
-        function.__code__ = codes[first]
-    return undo  # type: ignore[return-value]
+def _in_code(values: Mapping[Number, float]) -> Undo:
+    """Functions take the code that their module would have with the other values."""
+    codes: dict[tuple[str, int], CodeType] = {}
+    for path in {path for number in values for path, _ in number.uses}:
+        tree = ast.parse(Path(path).read_text(encoding="utf-8"))
+        of_path = {n: value for n, value in values.items() if path in dict(n.uses)}
+        others = {tuple(n.name.split(":")[1:]): (n, value) for n, value in of_path.items()}
+        for node in ast.walk(tree):
+            at = str(getattr(node, "lineno", 0)), str(getattr(node, "col_offset", -1))
+            if isinstance(node, ast.Constant) and at in others:
+                number, value = others[at]
+                node.value = type(number.value)(value) or 1
+        made = {c.co_firstlineno: c for c in _codes(compile(tree, path, "exec"))}
+        codes |= {use: made[use[1]] for number in of_path for use in number.uses}
+    undo: Undo = []
+    for function in [f for f in gc.get_objects() if isinstance(f, FunctionType)]:
+        before = function.__code__
+        code = codes.get((before.co_filename, before.co_firstlineno))
+        if code is not None and code.co_name == before.co_name:
+            undo.append((function, "__code__", before))
+            function.__code__ = code
+    return undo
 
 
 def _codes(code: CodeType) -> Iterator[CodeType]:
