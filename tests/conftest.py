@@ -20,7 +20,6 @@ INDEPENDENT = (
     "test_experiments",
     "test_improve",
     "test_scaled_units",
-    "test_notebooks",
     "test_journal",
     "test_explain_plants",
     "test_explain_friction",

@@ -8,12 +8,14 @@ import base64
 import io
 import re
 import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import nbformat
+from jupyter_client.manager import KernelManager
 from nbclient import NotebookClient
 from PIL import Image
-from traitlets.config import Config
 
 from tests.support_fmu import build
 
@@ -23,13 +25,32 @@ WIDTH, COLOURS = 640, 48
 """Width and number of colours of its figures."""
 
 
-def executed(path: Path, folder: Path) -> nbformat.NotebookNode:
-    """The notebook with the outputs that it has in a folder with an FMU."""
+@contextmanager
+def kernel() -> Iterator[KernelManager]:
+    """A kernel that executes one notebook after another: it takes seconds to start."""
+    with tempfile.TemporaryDirectory() as folder:
+        manager = KernelManager(transport="ipc", ip=str(Path(folder) / "kernel"))
+        manager.start_kernel()
+        try:
+            yield manager
+        finally:
+            manager.shutdown_kernel(now=True)
+
+
+def executed(path: Path, folder: Path, manager: KernelManager) -> nbformat.NotebookNode:
+    """The notebook with the outputs that it has in a folder with an FMU, without earlier names."""
     build(folder, start="0.0").rename(folder / "lag.fmu")
     notebook = nbformat.read(path, as_version=4)
-    config = Config(KernelManager={"transport": "ipc", "ip": str(folder / "kernel")})
-    resources = {"metadata": {"path": str(folder)}}
-    NotebookClient(notebook, config=config, timeout=None, resources=resources).execute()
+    first = nbformat.v4.new_code_cell(f"%reset -f\n%cd -q {folder}")
+    # Cell 1 of the notebook is to be numbered 1.
+    first.source += "\nget_ipython().execution_count = 0"
+    notebook.cells.insert(0, first)
+    runner = NotebookClient(notebook, km=manager, timeout=None)
+    try:
+        runner.execute()
+    finally:
+        runner.kc.stop_channels()
+    del notebook.cells[0]
     return notebook
 
 
@@ -54,8 +75,8 @@ def shrink(notebook: nbformat.NotebookNode) -> None:
 
 def main() -> None:
     for path in sorted(FOLDER.glob("*.ipynb")):
-        with tempfile.TemporaryDirectory() as folder:
-            notebook = executed(path, Path(folder))
+        with tempfile.TemporaryDirectory() as folder, kernel() as manager:
+            notebook = executed(path, Path(folder), manager)
         shrink(notebook)
         nbformat.write(notebook, path)
         print(path.name, path.stat().st_size)

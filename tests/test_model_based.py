@@ -27,6 +27,10 @@ from experiments.loop_claims.truth import TrueLoop, constrained_optimum
 from plants.effects import CableStiffening, CoulombFriction, EyeletFriction
 
 
+SLOWER = plants.reference_reel(sampling_Hz=316.0)
+"""At half the rate of the reference reel, for fits of friction take half the time."""
+
+
 def tune(target, **settings):
     settings = {"journal": False, "watch": None, "tuner": "model_based", **settings}
     return estune.tune(target, **settings)
@@ -218,10 +222,10 @@ def test_other_limits_are_kept():
 
 
 def test_friction_is_identified_and_the_limits_are_kept_and_claimed():
-    plant = plants.reference_reel() + CoulombFriction(torque_Nm=0.05)
+    plant = SLOWER + CoulombFriction(torque_Nm=0.05)
     result = tune(plant)
     found = result.identified.fit.model.friction_N
-    assert found == pytest.approx(0.05 / plants.reference_reel().drum_radius_m, rel=0.1)
+    assert found == pytest.approx(0.05 / SLOWER.drum_radius_m, rel=0.1)
     truth = true_sensitivity(plant, result.gains)
     assert truth <= 1.65
     assert result.claim.margins.sensitivity.low <= truth <= result.claim.margins.sensitivity.high
@@ -242,7 +246,7 @@ def test_remaining_improvement_is_bounded_or_names_what_the_model_leaves():
 
 
 def test_friction_in_the_eyelet_leaves_no_claim_and_says_why():
-    result = tune(plants.reference_reel() + EyeletFriction(0.93), trials=1)
+    result = tune(SLOWER + EyeletFriction(0.93), trials=1)
     assert result.claim.margins is None
     assert "estune explain" in result.heading()
 

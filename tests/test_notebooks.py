@@ -3,14 +3,21 @@
 import nbformat
 import pytest
 
-from tests.support_notebooks import FOLDER, executed, outputs
+from tests.support_notebooks import FOLDER, executed, kernel, outputs
 
 NOTEBOOKS = sorted(FOLDER.glob("*.ipynb"))
 
 
+@pytest.fixture(scope="module")
+def manager():
+    with kernel() as started:
+        yield started
+
+
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
-def test_notebook_runs_without_a_complaint(path, tmp_path):
-    assert [o.text for o in outputs(executed(path, tmp_path)) if o.get("name") == "stderr"] == []
+def test_notebook_runs_without_a_complaint(path, tmp_path, manager):
+    found = outputs(executed(path, tmp_path, manager))
+    assert [o.text for o in found if o.get("name") == "stderr"] == []
 
 
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)

@@ -12,8 +12,9 @@ from estune.core.cost import MOVE_WEIGHT
 from estune.core.gains import Gains
 from estune.trial.profiles import StepProfile
 
-UNITS = [(50.0, 0.05), (0.02, 20.0)]
-"""Scales of measurement and effort; neither their ratio nor their product is one."""
+UNITS = {True: (50.0, 0.05), False: (0.02, 20.0)}
+"""Scales of measurement and effort where the rig states its plant, and where it does not; neither
+their ratio nor their product is one."""
 
 START = Gains(0.5, 4.0, 0.005, 0.05)
 LAG = control.tf([1.0], [0.02, 0.3, 1.0])
@@ -63,7 +64,7 @@ def tuned(transfer, measurement, effort, *, knows, **settings):
     return gains, costs, said, result.ending
 
 
-@pytest.mark.parametrize("knows", [True, False])
+@pytest.mark.parametrize("knows", UNITS)
 @pytest.mark.parametrize(
     ("tuner", "transfer"),
     [
@@ -77,14 +78,13 @@ def tuned(transfer, measurement, effort, *, knows, **settings):
 def test_units_change_neither_trials_nor_gains_nor_claims(tuner, transfer, knows):
     search = {"tuner": tuner, "trials": 4}
     gains, costs, said, ending = tuned(transfer, 1.0, 1.0, knows=knows, **search)
-    for measurement, effort in UNITS:
-        others = tuned(transfer, measurement, effort, knows=knows, **search)
-        assert len(others[0]) == len(gains)
-        assert others[0] == pytest.approx(gains, rel=1e-3)
-        assert others[1] == pytest.approx(costs, rel=1e-3, nan_ok=True)  # of an excitation
-        if transfer is LAG:  # how slow a pole at the origin is, rounding decides
-            assert others[3] == ending
-            assert others[2] == pytest.approx(said, rel=1e-2)
+    others = tuned(transfer, *UNITS[knows], knows=knows, **search)
+    assert len(others[0]) == len(gains)
+    assert others[0] == pytest.approx(gains, rel=1e-3)
+    assert others[1] == pytest.approx(costs, rel=1e-3, nan_ok=True)  # of an excitation
+    if transfer is LAG:  # how slow a pole at the origin is, rounding decides
+        assert others[3] == ending
+        assert others[2] == pytest.approx(said, rel=1e-2)
 
 
 def test_measured_scale_is_that_of_the_model_and_is_kept_when_a_run_is_loaded(tmp_path):
