@@ -26,7 +26,6 @@ from experiments.loop_claims import true_sensitivity
 from experiments.loop_claims.truth import TrueLoop, constrained_optimum
 from plants.effects import CableStiffening, CoulombFriction, EyeletFriction
 
-
 SLOWER = plants.reference_reel(sampling_Hz=316.0)
 """At half the rate of the reference reel, for fits of friction take half the time."""
 
