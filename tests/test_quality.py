@@ -154,6 +154,16 @@ def test_setpoint_of_an_inner_loop_is_said_to_be_one(setpoint, told):
     assert told in issue.sentence
 
 
+def test_torque_that_holds_a_link_against_gravity_is_no_setpoint():
+    """0.75 N m/rad, 0.2 s ahead for the friction: no loop follows to three quarters."""
+    t = np.arange(3000) / 200.0
+    angle, ahead = (1.3 * np.sin(0.6 * np.pi * (t + lead)) for lead in (0.0, 0.2))
+    command = 0.75 * ahead + 0.01 * np.random.default_rng(0).standard_normal(t.size)
+    held = replace(open_loop(0, 200.0, command, angle_rad=angle), loop="closed", source="held")
+    _, issues = check([held], plants.servo(0.011, 0.05, sampling_Hz=200.0))
+    assert not [issue for issue in issues if "setpoint" in issue.sentence]
+
+
 def test_noisy_command_that_moves_a_drive_is_not_called_still():
     m = stage_record()
     noise = np.random.default_rng(0).normal(0.0, m.current_A.std(), m.samples)

@@ -39,7 +39,8 @@ def inner_loop(m: MeasuredRecord, b: BaseNumbers) -> Iterator[DataIssue]:
         # far apart: a number of the model's that is off is told from one in another unit.
         if gain is None or within_factor(torque_per_motion / gain):
             continue
-        unit = next((u for u, f in UNITS.items() if within_factor(gain / f)), None)
+        # A loop follows its command to a tenth; what gravity takes is any multiple of the angle.
+        unit = next((u for u, f in UNITS.items() if abs(gain / f - 1.0) <= 0.1), None)
         if unit is not None:
             sentence = f"it is the {title} in {unit}: the setpoint of a loop inside the drive"
             remedy = "map the torque or the current, or give a [linear_plant] whose input it is"

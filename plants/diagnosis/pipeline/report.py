@@ -84,7 +84,10 @@ def report(
         noise=fitted.noise,
         where=located_in_own_units(fitted.where, scale),
         calibrations=_calibrations(before.fit, stated, scale),
-        not_excited={**not_excited(compared.screening), **choices.unavailable},
+        not_excited={
+            **not_excited(compared.screening, compared.effects),
+            **choices.unavailable,
+        },
         next_experiment=_next(compared, rig),
         findings=usable.findings,
         steps=steps,

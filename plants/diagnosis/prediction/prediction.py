@@ -144,6 +144,7 @@ class Predictor:
         only: NDArray[np.int64] | None = None,
         entries: NDArray[np.int64] | None = None,
         known: FloatArray | None = None,
+        over: FloatArray | None = None,
     ) -> tuple[FloatArray, FloatArray]:
         """Residuals, shape (entries,), and their derivative by the values, (entries, free).
 
@@ -155,6 +156,7 @@ class Predictor:
             only: Indices of the free parameters to differentiate by; None is all.
             entries: Indices of the entries wanted; None is all.
             known: The residuals there, if already computed.
+            over: Least steps of the differences, shape (chosen,).
         """
         chosen = np.arange(len(self.free)) if only is None else np.asarray(only, np.int64)
         groups: dict[tuple[str, int | None], list[int]] = defaultdict(list)
@@ -162,7 +164,13 @@ class Predictor:
             slot = self._slots[n]
             alone = None if slot.record is not None else n
             groups[slot.column, alone].append(place)
-        steps = np.array([self._step(n, float(values[n])) for n in chosen.tolist()])
+        least = np.zeros(chosen.size) if over is None else over
+        steps = np.array(
+            [
+                self._step(n, float(values[n]), wide)
+                for n, wide in zip(chosen.tolist(), least.tolist(), strict=True)
+            ]
+        )
         rows = np.repeat(np.asarray(values, np.float64)[None], 1 + len(groups), axis=0)
         for row, places in zip(rows[1:], groups.values(), strict=True):
             row[chosen[places]] += steps[places]
@@ -193,10 +201,10 @@ class Predictor:
         """The row of some values by name, the others at their start."""
         return np.array([values.get(free.name, free.start) for free in self.free])
 
-    def _step(self, n: int, value: float) -> float:
+    def _step(self, n: int, value: float, least: float) -> float:
         free = self.free[n]
         size = max(abs(value), abs(free.start)) or 1e-3 * (free.high - free.low)
-        step = 1e-6 * size
+        step = max(1e-6 * size, least)
         return -step if value + step > free.high else step
 
 

@@ -170,13 +170,13 @@ def _why(fit: CandidateFit, share: float, conclusion: Conclusion) -> str:
     return f"{what}; {best[0].title} explains more"
 
 
-def not_excited(screening: Screening) -> dict[str, str]:
-    """Effects that these records cannot show, with the reason."""
+def not_excited(screening: Screening, named: Sequence[type[Effect]]) -> dict[str, str]:
+    """Effects that these records cannot show, with the reason; those that are named they show."""
     return {
         name: f"at its usual size {screened.effect.title} would change these records by "
         f"{screened.usual_change:.1g} of the noise floor"
         for name, screened in screening.declared.items()
-        if screened.usual_change < CONSTANTS.shown
+        if screened.usual_change < CONSTANTS.shown and screened.effect not in named
     }
 
 

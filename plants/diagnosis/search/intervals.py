@@ -2,8 +2,10 @@
 
     s^2 = (G - 1)/G sum_g d_g^2,    d_g = (H - H_g + 1)^-1 J_g^T r_g
 
-J is the derivative of the residuals r by the values in prior deviations, H = J^T J, g one of G
-groups of entries that belong together: blocks of time, or whole records. Residuals may have any
+J is the derivative of the residuals r by the values in prior deviations, over differences of a
+standard error, but a tenth of the value at most: where a drive sticks, residuals jump under less,
+and a friction at rest that was 2.4 % off was told to 0.1 %. H = J^T J, and g is one of G groups
+of entries that belong together: blocks of time, or whole records. Residuals may have any
 colour within a group, and a block that alone determines a value counts in full, where the sandwich
 of White (1980) has it near zero.
 
@@ -53,18 +55,20 @@ def intervals(
     moves = fitter.moves(fitted.predictor)
     if not PlantScale.of(fitter.model.model).has_cable:
         moves = moves[[fitted.predictor.free[n].name != FIRST_ZERO for n in moves]]
-    residuals, jacobian = fitted.predictor.linearise(
-        fitted.values, moves, fitted.entries, fitted.residuals
-    )
     free = [fitted.predictor.free[n] for n in moves]
     values = fitted.values[moves]
     prior = np.array([_deviation(f, v) for f, v in zip(free, values.tolist(), strict=True)])
-    columns = jacobian.T * prior[:, None]
     record = fitted.predictor.index.measurement[fitted.entries]
-    spread = prior * np.maximum(
-        jackknife(columns, residuals, fitter.group[fitted.entries]),
-        jackknife(columns, residuals, record, unequal=True),
-    )
+    spread = np.zeros(values.size)
+    for _ in range(3):
+        residuals, jacobian = fitted.predictor.linearise(
+            fitted.values, moves, fitted.entries, fitted.residuals, np.minimum(spread, 0.1 * prior)
+        )
+        columns = jacobian.T * prior[:, None]
+        spread = prior * np.maximum(
+            jackknife(columns, residuals, fitter.group[fitted.entries]),
+            jackknife(columns, residuals, record, unequal=True),
+        )
     explained, unexplained_length = (
         math.sqrt(max(power, 0.0) * residuals.size) for power in (base.J - model.J, model.J - 1.0)
     )
