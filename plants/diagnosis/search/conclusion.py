@@ -20,6 +20,7 @@ from plants.diagnosis.search.fitted_models import FittedModels, is_named
 from plants.diagnosis.search.model_fitter import CandidateFit, ModelFitter, family_of
 from plants.diagnosis.search.nameless_laws import NAMELESS
 from plants.diagnosis.search.screening import Screening
+from plants.effects import Effect
 from plants.effects.plant_scale import si
 
 
