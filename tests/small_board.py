@@ -218,15 +218,16 @@ def submit(message):
 
 
 COMMANDS = {
-    "lease": handle_lease,
-    "submit": submit,
-    "cancel": cancel,
-    "void": void,
-    "gains": set_gains,
-    "switch_off": refuse_switch_off,
-    "follow": refuse_setpoint,
-    "clear": clear,
+    "lease": (handle_lease, {"action", "lease"}, {"holder"}),
+    "submit": (submit, {"lease", "request", "digest"}, set()),
+    "cancel": (cancel, {"lease"}, {"trial_id"}),
+    "void": (void, {"lease", "trial_id", "digest"}, set()),
+    "gains": (set_gains, {"lease", "gains"}, set()),
+    "switch_off": (refuse_switch_off, {"lease", "tables"}, set()),
+    "follow": (refuse_setpoint, {"lease", "sent_s", "setpoint"}, set()),
+    "clear": (clear, set(), set()),
 }
+"""Function of each verb, and the fields that its message must and may have."""
 
 
 def question(words, payload):
@@ -295,7 +296,8 @@ def reply(key, payload):
                 case ["@cmd", _, "estop"]:
                     return emergency(payload)
                 case ["@cmd", _, verb]:
-                    return COMMANDS[verb](check_fields(verb, parse(payload)))
+                    execute, *names = COMMANDS[verb]
+                    return execute(check_fields(verb, parse(payload), names))
                 case words:
                     return question(words, payload)
     except Refused as refused:
