@@ -7,7 +7,6 @@ end is measured, too. In a process of its own, `python -m experiments.fleet ROUT
 rigs.
 """
 
-import contextlib
 import os
 import statistics
 import subprocess
@@ -28,7 +27,6 @@ from estune.remote.zenoh.endpoints import with_port
 from estune.support.child_process import child_process, next_line
 from estune.trial import TrialRequest
 from experiments.busy import busy
-from experiments.results import Target, at_most
 
 TUNER = "safe_bayesian"
 """The tuner; the default one computes 2.5 times as long for a trial."""
@@ -70,12 +68,11 @@ _CLOCK_Hz = os.sysconf("SC_CLK_TCK")
 
 
 class Usage(NamedTuple):
-    """Resources used by a process so far: CPU time, s; memory, MB; threads; context switches."""
+    """Resources used by a process so far: CPU time, s; memory, MB; threads."""
 
     cpu_s: float
     rss_MB: float
     threads: int
-    switches: int
     at_s: float
 
 
@@ -83,15 +80,9 @@ def usage(pid: int) -> Usage:
     """Usage of a process, by the kernel's own account."""
     fields = Path(f"/proc/{pid}/stat").read_text("utf-8").rpartition(")")[2].split()
     pages = int(Path(f"/proc/{pid}/statm").read_text("utf-8").split()[1])
-    switches = threads = 0
-    for task in Path(f"/proc/{pid}/task").iterdir():
-        threads += 1
-        with contextlib.suppress(OSError):  # it has ended meanwhile
-            for line in (task / "status").read_text("utf-8").splitlines():
-                if "ctxt_switches" in line:
-                    switches += int(line.split()[1])
+    threads = len(list(Path(f"/proc/{pid}/task").iterdir()))
     cpu_s = (int(fields[11]) + int(fields[12])) / _CLOCK_Hz
-    return Usage(cpu_s, pages * 4096 / 1e6, threads, switches, time.monotonic())
+    return Usage(cpu_s, pages * 4096 / 1e6, threads, time.monotonic())
 
 
 class Fleet(NamedTuple):
@@ -123,23 +114,17 @@ class FleetCosts(NamedTuple):
     all_tuned_s: float
     slowness: float
     limit: float
-    trials_per_s: float
     daemon_ms_per_trial: float
     rigs_ms_per_trial: float
     router_ms_per_trial: float
     tune_cores: float
     hold_cores: float
-    tune_switches_per_s: float
-    hold_switches_per_s: float
     threads: int
     rss_MB: float
     status_s: float
-    slowest_status_s: float
     leases_lost: int
     hold_leases_lost: int
-    rigs_lost: int
     recovered_s: float
-    load: float
 
 
 def serve_rigs(router: str, names: list[str]) -> None:
@@ -212,8 +197,6 @@ def measure(
         router_cpu_s = _cpu_s(found.router) - served_before[1]
         watch.for_s(hold_s)
         held, all_lost = usage(found.daemon), found.leases_lost()
-        load = os.getloadavg()[0]
-        rigs_lost = found.log.read_text("utf-8").count('"event": "lost"')
     tuned_s, held_s = tuned.at_s - before.at_s, held.at_s - tuned.at_s
     each = trials + OTHER_TRIALS  # of a second each
     ms_per_trial = 1e3 / (rigs * each)
@@ -222,23 +205,17 @@ def measure(
         all_tuned_s=tuned_s,
         slowness=tuned_s / each,
         limit=max(1.0, (rigs_cpu_s + router_cpu_s) / (len(os.sched_getaffinity(0)) * each)),
-        trials_per_s=rigs * each / tuned_s,
         daemon_ms_per_trial=(tuned.cpu_s - before.cpu_s) * ms_per_trial,
         rigs_ms_per_trial=rigs_cpu_s * ms_per_trial,
         router_ms_per_trial=router_cpu_s * ms_per_trial,
         tune_cores=(tuned.cpu_s - before.cpu_s) / tuned_s,
         hold_cores=(held.cpu_s - tuned.cpu_s) / held_s,
-        tune_switches_per_s=(tuned.switches - before.switches) / tuned_s,
-        hold_switches_per_s=(held.switches - tuned.switches) / held_s,
         threads=tuned.threads,
         rss_MB=max(tuned.rss_MB, held.rss_MB),
         status_s=statistics.median(watch.times_s),
-        slowest_status_s=max(watch.times_s),
         leases_lost=all_lost,
         hold_leases_lost=all_lost - lost,
-        rigs_lost=rigs_lost,
         recovered_s=recovered_s,
-        load=load,
     )
 
 
@@ -279,11 +256,6 @@ def _disturb(watch: _Watch, programs: int) -> float:
     ended_s = time.monotonic()
     watch.until(lambda statuses: not any(s.trouble or s.paused for s in statuses))
     return time.monotonic() - ended_s
-
-
-def targets_of(costs: FleetCosts) -> dict[str, Target]:
-    """The targets, at one number of rigs."""
-    return {f"fleet_{name}": at_most(getattr(costs, name), most) for name, most in LIMITS.items()}
 
 
 if __name__ == "__main__":

@@ -1,23 +1,23 @@
-"""What do a daemon of 10 to 200 rigs, a long run and a large sweep cost, and how does that grow?
+"""What do 200 rigs, a long run, a large sweep and many records cost, and how does that grow?
 
-Command: `python -m experiments.scale --rigs 10 25 50 100 200 --trials --cells`.
-Target: no lease lost; limits of time and memory for a fleet, a journal and a sweep.
+Command: `python -m experiments.scale --rigs 10 25 50 100 200 --trials --cells --records`.
+Target: no lease lost; limits of time and memory for a fleet, a journal, a sweep and a diagnosis,
+which is right.
 
 A daemon tunes and holds fleets of rigs (`experiments.fleet`). Journals hold real runs of a tuner
 on recorded trials of the reference reel, 632 samples each, with other noise in every trial. Sweeps
-have as many cells (`experiments.large_sweep`). Times are process times of whole commands, with the
-start of Python.
+have as many cells (`experiments.large_sweep`), diagnoses as many records of 10 000 samples
+(`experiments.many_records`). Times are process times, of whole commands with the start of Python.
 """
 
 import contextlib
 import functools
 import math
-import os
 import shutil
 import signal
 import sys
 import tempfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -29,26 +29,23 @@ from estune.run.journal import FILE_NAME, Journal
 from estune.run.loop import Stopped
 from estune.trial import RigDescription, TrialRecord, TrialRequest
 from experiments.command_costs import command_costs
-from experiments.fleet import HOLD_S, SEARCH_TRIALS, measure, targets_of
+from experiments.fleet import HOLD_S, SEARCH_TRIALS, measure
+from experiments.fleet import LIMITS as FLEET_LIMITS
 from experiments.fleet import TUNER as FLEET_TUNER
 from experiments.large_sweep import measure_sweep
-from experiments.results import (
-    Target,
-    at_most,
-    command_line,
-    print_figures,
-    print_results,
-    print_tables,
-)
+from experiments.many_records import measure_diagnosis
+from experiments.results import Target, at_least, at_most, command_line, print_results
 
-TRIALS = (1_000, 10_000, 100_000)
-QUICK_TRIALS = (200, 1_000)
-RIGS = (10, 25, 50, 100, 200)
-QUICK_RIGS = (25,)
+SIZES = {
+    "rigs": ((10, 25, 50, 100, 200), (25,)),
+    "trials": ((1_000, 10_000, 100_000), (200, 1_000)),
+    "cells": ((700, 7_000, 100_000), (70,)),
+    "records": ((10, 20, 40, 80), (2, 4)),
+}
+"""Sizes of fleets, journals, sweeps and diagnoses, in the full and in the short form."""
+
 QUICK_HOLD_S = 5.0
 QUICK_SEARCH_TRIALS = 4
-CELLS = (700, 7_000, 100_000)
-QUICK_CELLS = (70,)
 TUNER = "killingsworth"
 EPILOG = (
     "The full form holds fleets of 10 to 200 rigs, and makes journals of up to 100 000 trials "
@@ -56,6 +53,9 @@ EPILOG = (
 )
 LIMITS = {"show_s": 1.5, "resume_s": 4.0, "parquet_s": 60.0, "bytes_per_trial": 10_000.0}
 SWEEP_MB_MAX = 200.0
+DIAGNOSIS_LIMITS = {"cpu_s": 60.0, "memory_MB": 1000.0}
+"""Limits for the most records."""
+
 _RECORDED = 64
 """Recorded trials, each with noise of its own."""
 
@@ -146,71 +146,68 @@ def measure_journal(trials: int, folder: Path) -> JournalCosts:
     return costs
 
 
-def growth_exponents(
-    sizes: Sequence[float], rows: Sequence[Mapping[str, float]]
-) -> dict[str, float]:
-    """Exponent of each figure over the size, between the two largest sizes."""
+Rows = list[dict[str, float]]
+
+
+def growth_exponents(rows: Rows) -> dict[str, float]:
+    """Exponent of each figure over the size, the first one, between the two largest sizes."""
     if len(rows) < 2:
         return {}
-    span = math.log(sizes[-1] / sizes[-2])
     before, after = rows[-2], rows[-1]
-    return {
-        name: math.log(after[name] / before[name]) / span for name in after if before[name] > 0.0
+    grown = {name: math.log(after[name] / before[name]) for name in after if before[name] > 0.0}
+    span = next(iter(grown.values()))
+    return {name: value / span for name, value in grown.items()}
+
+
+def targets_of(rows: dict[str, Rows]) -> dict[str, Target]:
+    """The targets; those of growing costs at the largest size."""
+    targets = {
+        f"fleet_{name}": at_most(max(row[name] for row in rows["rigs"]), most)
+        for name, most in FLEET_LIMITS.items()
+        if rows["rigs"]
     }
-
-
-def print_table(name: str, rows: Sequence[Mapping[str, float]]) -> None:
-    """A row for each size, which is its first figure, and the growth exponents of the last two."""
-    sizes = [next(iter(row.values())) for row in rows]
-    table = {f"{size:g}": row for size, row in zip(sizes, rows, strict=True)}
-    print_figures({name: table | {"exponent": growth_exponents(sizes, rows)}})
-
-
-def journal_table(sizes: Sequence[int], folder: Path) -> list[dict[str, float]]:
-    """Costs of a journal at each length."""
-    rows = [dict(measure_journal(trials, folder)._asdict()) for trials in sizes]
-    print_table("journals", rows)
-    return rows
+    for what, size, limits in (
+        ("journal", "trials", LIMITS),
+        ("sweep", "cells", {"peak_MB": SWEEP_MB_MAX}),
+        ("diagnosis", "records", DIAGNOSIS_LIMITS),
+    ):
+        if rows[size]:
+            last = rows[size][-1]
+            targets |= {f"{what}_{n}": at_most(last[n], most) for n, most in limits.items()}
+    if rows["records"]:
+        right = min(row["is_right"] for row in rows["records"])
+        targets["diagnosis_is_right"] = at_least(right, 1.0)
+    return targets
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Measures, prints, and returns the exit code."""
-    parser = command_line(__doc__, quick="25 rigs, journals of 200 and 1 000 trials, 70 cells")
+    short = "25 rigs, journals of 200 and 1 000 trials, 70 cells, 2 and 4 records"
+    parser = command_line(__doc__, quick=short)
     parser.epilog = EPILOG
-    parser.add_argument("--rigs", type=int, nargs="*", help="numbers of rigs; none for no fleet")
-    parser.add_argument("--trials", type=int, nargs="*", help="lengths of journals; or none")
-    parser.add_argument("--cells", type=int, nargs="*", help="numbers of cells of sweeps; or none")
+    for name in SIZES:
+        parser.add_argument(f"--{name}", type=int, nargs="*", help=f"numbers of {name}; or none")
     parser.add_argument("--busy", type=int, default=0, help="programs that compute beside a fleet")
     parser.add_argument("--tuner", default=FLEET_TUNER, help="tuner of a fleet")
     options = parser.parse_args(arguments)
-    rigs = (QUICK_RIGS if options.quick else RIGS) if options.rigs is None else options.rigs
-    trials = QUICK_TRIALS if options.quick else TRIALS
-    trials = trials if options.trials is None else options.trials
-    cells = QUICK_CELLS if options.quick else CELLS
-    cells = cells if options.cells is None else options.cells
     hold_s = QUICK_HOLD_S if options.quick else HOLD_S
     search = QUICK_SEARCH_TRIALS if options.quick else SEARCH_TRIALS
-    targets: dict[str, Target] = {}
-    fleet, journal, sweep = [], [], []
-    with tempfile.TemporaryDirectory() as temporary, print_tables(hidden=options.json):
-        for number in rigs:
-            costs = measure(number, options.tuner, hold_s, busy=options.busy, trials=search)
-            fleet.append(dict(costs._asdict()))
-            print_figures(fleet[-1])
-            targets |= targets_of(costs)
-        if len(fleet) > 1:
-            print_figures({"growth exponent": growth_exponents(rigs, fleet)})
-        if trials:
-            print(f"load {os.getloadavg()[0]:.1f}")
-            journal = journal_table(trials, Path(temporary))
-            limits = LIMITS.items()
-            targets |= {f"journal_{name}": at_most(journal[-1][name], m) for name, m in limits}
-        if cells:
-            sweep = [dict(measure_sweep(n, Path(temporary))._asdict()) for n in cells]
-            print_table("sweeps", sweep)
-            targets["sweep_peak_MB"] = at_most(sweep[-1]["peak_MB"], SWEEP_MB_MAX)
-    figures = {"fleet": fleet, "journal": journal, "sweep": sweep}
-    return print_results(figures, targets, as_json=options.json)
+    rows: dict[str, Rows] = {}
+    with tempfile.TemporaryDirectory() as temporary:
+        folder = Path(temporary)
+        measures: dict[str, Callable[[int], NamedTuple]] = {
+            "rigs": lambda n: measure(n, options.tuner, hold_s, busy=options.busy, trials=search),
+            "trials": lambda n: measure_journal(n, folder),
+            "cells": lambda n: measure_sweep(n, folder),
+            "records": measure_diagnosis,
+        }
+        for name, call in measures.items():
+            sizes = getattr(options, name)
+            sizes = SIZES[name][options.quick] if sizes is None else sizes
+            rows[name] = [dict(call(size)._asdict()) for size in sizes]
+    grown = {name: growth_exponents(of_name) for name, of_name in rows.items()}
+    figures = {**rows, "growth exponents": {name: of for name, of in grown.items() if of}}
+    return print_results(figures, targets_of(rows), as_json=options.json, tables=True)
 
 
 if __name__ == "__main__":

@@ -13,7 +13,6 @@ from tests.support_experiments import run_experiment
 ROOT = Path(__file__).parents[1]
 TIMED = {
     "benchmark_trials",
-    "diagnosis_scale",
     "emergency_stop",
     "jitter",
     "live_page",
@@ -46,7 +45,6 @@ NIGHTLY = {
     "compensation",
     "diagnosis_constants",
     "diagnosis_numbers",
-    "diagnosis_scale",
     "faulty_rigs",
     "hidden_effects",
     "hidden_remedies",

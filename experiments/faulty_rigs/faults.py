@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 
-from estune.core.gains import Gains
 from estune.remote import messages
 from estune.remote.messages import Answer, Description, Inquire, commands
 from estune.remote.state_machine import events
@@ -94,6 +93,26 @@ STATE: dict[str, Step] = {
 # --- the commands ----------------------------------------------------------------------------
 
 _right = RequestHandler
+_ACCEPTED = Answer(ReplyCode.ACCEPTED)
+
+
+def _handler(**methods: Callable[..., Any]) -> type[RequestHandler]:
+    """A handler with other methods."""
+    return type("FaultyHandler", (RequestHandler,), methods)
+
+
+def _accepting(verb: str, words: str, answer: Answer = _ACCEPTED) -> type[RequestHandler]:
+    """A handler with another answer where the right one refuses a command with these words."""
+    execute = getattr(_right, verb)
+
+    def faulty(handler: RequestHandler, command: Any) -> Any:
+        given = execute(handler, command)
+        refusal = given.answer if isinstance(given, Handled) else given
+        if not isinstance(refusal, Answer) or words not in refusal.sentence:
+            return given
+        return Handled(answer) if isinstance(given, Handled) else answer
+
+    return _handler(**{verb: faulty})
 
 
 class _RunsAgain(RequestHandler):
@@ -105,174 +124,113 @@ class _RunsAgain(RequestHandler):
         return _right.submit(self, replace(command, request=again, digest=messages.digest(again)))
 
 
-class _OtherUnderUsedId(RequestHandler):
-    def submit(self, command: commands.Submit) -> Handled:
-        handled = _right.submit(self, command)
-        answer = handled.answer
-        refused = isinstance(answer, Answer) and "another trial" in answer.sentence
-        return Handled(Answer(ReplyCode.ENDED)) if refused else handled
-
-
-class _ReadsReasons(RequestHandler):
-    def command(self, verb: str, payload: bytes, reply: Callable[[bytes], None]) -> None:
-        try:
-            json.loads(payload)["reason"]
-        except (ValueError, KeyError, TypeError):
-            if verb == "estop":
-                reply(b'{"verdict":"refused","error":"ProtocolError"}')
-                return
-        _right.command(self, verb, payload, reply)
-
-
-class _NeverClears(RequestHandler):
-    def clear(self, _: commands.Clear) -> Answer:
-        return Answer(ReplyCode.ACCEPTED)
-
-
-class _ClearsInTrials(RequestHandler):
-    def clear(self, command: commands.Clear) -> Answer:
-        answer = _right.clear(self, command)
-        return Answer(ReplyCode.ACCEPTED) if answer.verdict is ReplyCode.BUSY else answer
-
-
-class _GainsInTrials(RequestHandler):
-    def gains(self, command: commands.SetGains) -> Answer:
-        answer = _right.gains(self, command)
-        return Answer(ReplyCode.ACCEPTED) if answer.verdict is ReplyCode.BUSY else answer
-
-
-class _TwoTrials(RequestHandler):
-    def submit(self, command: commands.Submit) -> Handled:
-        handled = _right.submit(self, command)
-        answer = handled.answer
-        busy = isinstance(answer, Answer) and answer.verdict is ReplyCode.BUSY
-        return Handled(Answer(ReplyCode.ACCEPTED)) if busy else handled
-
-
-class _DeafToCancel(RequestHandler):
-    def cancel(self, _: commands.Cancel) -> Answer:
-        return Answer(ReplyCode.ACCEPTED)
-
-
-class _CancelsAny(RequestHandler):
-    def cancel(self, command: commands.Cancel) -> Answer:
-        return _right.cancel(self, replace(command, trial_id=""))
-
-
-class _DeafToVoid(RequestHandler):
-    def void(self, command: commands.Void) -> Answer:
-        return Answer(ReplyCode.VOID, command.trial_id)
-
-
-class _Rewrites(RequestHandler):
-    """Accepts payloads that must be refused, by making valid ones of them."""
-
-    find, put = b"", b""
-
-    def command(self, verb: str, payload: bytes, reply: Callable[[bytes], None]) -> None:
-        made = re.sub(self.find, self.put, payload)
-        if made != payload and verb == "submit":  # the digest is the client's, of its own request
-            sent = messages.decode(commands.Submit, made)
-            made = messages.encode(replace(sent, digest=messages.digest(sent.request)))
-        _right.command(self, verb, made, reply)
-
-
-class _Late(RequestHandler):
-    def describe(self) -> Description:
-        if self.status().trial_id:
-            time.sleep(0.4)
-        return _right.describe(self)
-
-
-class _CountsNothing(RequestHandler):
-    def status(self) -> Any:
-        return replace(_right.status(self), ended=0)
-
-
-class _OtherInstance(RequestHandler):
-    def describe(self) -> Description:
-        return replace(_right.describe(self), instance="00000000")
-
-
-class _NewLedger(RequestHandler):
-    def describe(self) -> Description:
-        return replace(_right.describe(self), ledger=secrets.token_hex(8))
-
-
-class _FirstPartOnly(RequestHandler):
-    def result(self, trial_id: str, inquiry: Inquire) -> Answer | bytes:
-        return _right.result(self, trial_id, replace(inquiry, offset=min(inquiry.offset, 0)))
-
-
-class _KnowsAllTrials(RequestHandler):
-    def result(self, trial_id: str, inquiry: Inquire) -> Answer | bytes:
-        found = _right.result(self, trial_id, inquiry)
-        unknown = isinstance(found, Answer) and found.verdict is ReplyCode.UNKNOWN
-        return Answer(ReplyCode.VOID, trial_id) if unknown else found
+def _without_reason_refused(
+    handler: RequestHandler, verb: str, payload: bytes, reply: Callable[[bytes], None]
+) -> None:
+    try:
+        json.loads(payload)["reason"]
+    except (ValueError, KeyError, TypeError):
+        if verb == "estop":
+            reply(b'{"verdict":"refused","error":"ProtocolError"}')
+            return
+    _right.command(handler, verb, payload, reply)
 
 
 def _rewriting(find: bytes, put: bytes) -> type[RequestHandler]:
-    return type("_Rewriting", (_Rewrites,), {"find": find, "put": put})
+    """A handler that accepts payloads that must be refused, by making valid ones of them."""
+
+    def command(
+        handler: RequestHandler, verb: str, payload: bytes, reply: Callable[[bytes], None]
+    ) -> None:
+        made = re.sub(find, put, payload)
+        if made != payload and verb == "submit":  # the digest is the client's, of its own request
+            sent = messages.decode(commands.Submit, made)
+            made = messages.encode(replace(sent, digest=messages.digest(sent.request)))
+        _right.command(handler, verb, made, reply)
+
+    return _handler(command=command)
+
+
+def _late(handler: RequestHandler) -> Description:
+    if handler.status().trial_id:
+        time.sleep(0.4)
+    return _right.describe(handler)
+
+
+def _known(handler: RequestHandler, trial_id: str, inquiry: Inquire) -> Answer | bytes:
+    found = _right.result(handler, trial_id, inquiry)
+    unknown = isinstance(found, Answer) and found.verdict is ReplyCode.UNKNOWN
+    return Answer(ReplyCode.VOID, trial_id) if unknown else found
 
 
 COMMANDS: dict[str, type[RequestHandler]] = {
     "a submit repeated runs again": _RunsAgain,
-    "another request has a used id": _OtherUnderUsedId,
-    "an emergency stop needs its reason": _ReadsReasons,
-    "clear does nothing": _NeverClears,
-    "clear is accepted within a trial": _ClearsInTrials,
-    "gains are accepted within a trial": _GainsInTrials,
-    "a second trial is accepted": _TwoTrials,
-    "cancel does nothing": _DeafToCancel,
-    "cancel of another trial stops this": _CancelsAny,
-    "void does nothing": _DeafToVoid,
+    "another request has a used id": _accepting(
+        "submit", "another trial", Answer(ReplyCode.ENDED)
+    ),
+    "an emergency stop needs its reason": _handler(command=_without_reason_refused),
+    "clear does nothing": _handler(clear=lambda *_: _ACCEPTED),
+    "clear is accepted within a trial": _accepting("clear", "busy with trial"),
+    "gains are accepted within a trial": _accepting("gains", "busy with trial"),
+    "a second trial is accepted": _accepting("submit", "busy with trial"),
+    "cancel does nothing": _handler(cancel=lambda *_: _ACCEPTED),
+    "cancel of another trial stops this": _handler(
+        cancel=lambda handler, command: _right.cancel(handler, replace(command, trial_id=""))
+    ),
+    "void does nothing": _handler(
+        void=lambda _, command: Answer(ReplyCode.VOID, command.trial_id)
+    ),
     "an unknown field is accepted": _rewriting(rb',\s*"colour":\s*"red"', b""),
     "a gain of NaN is accepted": _rewriting(rb'"P":\s*NaN', b'"P":1.0'),
     "a negative gain is accepted": _rewriting(rb'"P":\s*-1.0', b'"P":1.0'),
     "P = 0 is accepted": _rewriting(rb'"P":\s*0.0', b'"P":1.0'),
     "a message of any size is accepted": _rewriting(rb"\s+$", b""),
-    "describe is 400 ms late within a trial": _Late,
-    "ended trials are not counted": _CountsNothing,
-    "describe has another instance": _OtherInstance,
-    "the ledger's identity changes": _NewLedger,
-    "all parts of a record are the first": _FirstPartOnly,
-    "a trial never submitted is void": _KnowsAllTrials,
+    "describe is 400 ms late within a trial": _handler(describe=_late),
+    "ended trials are not counted": _handler(
+        status=lambda handler: replace(_right.status(handler), ended=0)
+    ),
+    "describe has another instance": _handler(
+        describe=lambda handler: replace(_right.describe(handler), instance="00000000")
+    ),
+    "the ledger's identity changes": _handler(
+        describe=lambda handler: replace(_right.describe(handler), ledger=secrets.token_hex(8))
+    ),
+    "all parts of a record are the first": _handler(
+        result=lambda handler, name, part: _right.result(handler, name, replace(part, offset=0))
+    ),
+    "a trial never submitted is void": _handler(result=_known),
 }
 
 
 # --- the link --------------------------------------------------------------------------------
 
-
-class _ObeysWildcards(ListeningSession):
-    def serve(self, key: str, answer: Callable[[bytes, Reply], None], lane: Any) -> None:
-        def replies(_asked: str, payload: bytes) -> Iterable[tuple[str, bytes]]:
-            found: list[bytes] = []
-            answer(payload, found.append)
-            return [(key, data) for data in found]
-
-        self.serve_many(key, replies, lane)
+Serve = Callable[[str, str], bool]
+"""Whether a query of a key is answered: the key asked for, and the key served."""
 
 
-class _KnowsNoWildcards(ListeningSession):
-    def serve(self, key: str, answer: Callable[[bytes, Reply], None], lane: Any) -> None:
+def _answering(is_answered: Serve) -> type[ListeningSession]:
+    """A session that answers other queries than it must, those with wildcards."""
+
+    def serve(
+        session: ListeningSession, key: str, answer: Callable[[bytes, Reply], None], lane: Any
+    ) -> None:
         def replies(asked: str, payload: bytes) -> Iterable[tuple[str, bytes]]:
             found: list[bytes] = []
-            if asked == key:
+            if is_answered(asked, key):
                 answer(payload, found.append)
             return [(key, data) for data in found]
 
-        self.serve_many(key, replies, lane)
+        session.serve_many(key, replies, lane)
 
-
-class _Mute(ListeningSession):
-    def publish(self, key: str, data: bytes) -> None:
-        pass
+    return type("FaultySession", (ListeningSession,), {"serve": serve})
 
 
 LINK: dict[str, type[ListeningSession]] = {
-    "a wildcard command is obeyed": _ObeysWildcards,
-    "a wildcard query is not answered": _KnowsNoWildcards,
-    "the status is not published": _Mute,
+    "a wildcard command is obeyed": _answering(lambda _asked, _key: True),
+    "a wildcard query is not answered": _answering(lambda asked, key: asked == key),
+    "the status is not published": type(
+        "MuteSession", (ListeningSession,), {"publish": lambda *_: None}
+    ),
 }
 
 
@@ -281,21 +239,19 @@ LINK: dict[str, type[ListeningSession]] = {
 Run = Callable[[Rig, TrialRequest], TrialRecord]
 
 
-def _other_name(rig: Rig, request: TrialRequest) -> TrialRecord:
-    return replace(rig.run(request), rig="another")
+def _running(
+    other: Callable[[Rig, TrialRequest], TrialRequest],
+) -> Run:
+    """Runs another trial than the one requested, and says that it was this one."""
+    return lambda rig, request: replace(rig.run(other(rig, request)), gains=request.gains)
 
 
-def _other_gains(rig: Rig, request: TrialRequest) -> TrialRecord:
-    return replace(rig.run(request), gains=rig.describe().gains)
+def _reporting(other: Callable[[Rig, TrialRecord], TrialRecord]) -> Run:
+    """Runs the trial, and reports another record."""
+    return lambda rig, request: other(rig, rig.run(request))
 
 
-def _other_setpoint(rig: Rig, request: TrialRequest) -> TrialRecord:
-    record = rig.run(request)
-    return replace(record, setpoint_N=1.01 * record.setpoint_N)
-
-
-def _unmeasured(rig: Rig, request: TrialRequest) -> TrialRecord:
-    record = rig.run(request)
+def _unmeasured(_: Rig, record: TrialRecord) -> TrialRecord:
     tension = np.array(record.tension_N)
     tension[tension.size // 2 :] = math.nan
     return replace(record, tension_N=tension)
@@ -307,64 +263,53 @@ def _not_restored(rig: Rig, request: TrialRequest) -> TrialRecord:
     return record
 
 
-def _gains_ignored(rig: Rig, request: TrialRequest) -> TrialRecord:
-    ran = replace(request, gains=rig.describe().gains)
-    return replace(rig.run(ran), gains=request.gains)
-
-
-def _filter_ignored(rig: Rig, request: TrialRequest) -> TrialRecord:
-    ran = replace(request, gains=replace(request.gains, setpoint_filter_s=0.0))
-    return replace(rig.run(ran), gains=request.gains)
-
-
-def _current_in_newtons(rig: Rig, request: TrialRequest) -> TrialRecord:
-    record = rig.run(request)
-    return replace(record, current_A=record.current_A * rig.describe().newtons_per_ampere)
-
-
 def _moved_twice(rig: Rig, request: TrialRequest) -> TrialRecord:
     rig.run(replace(request, attempt=request.attempt + 90))
     return rig.run(request)
 
 
 MOTION: dict[str, Run] = {
-    "a record names another rig": _other_name,
-    "a record has other gains": _other_gains,
-    "a record has another setpoint": _other_setpoint,
-    "a record has no tension": _unmeasured,
+    "a record names another rig": _reporting(lambda _, record: replace(record, rig="another")),
+    "a record has other gains": _reporting(
+        lambda rig, record: replace(record, gains=rig.describe().gains)
+    ),
+    "a record has another setpoint": _reporting(
+        lambda _, record: replace(record, setpoint_N=1.01 * record.setpoint_N)
+    ),
+    "a record has no tension": _reporting(_unmeasured),
     "the live gains are not restored": _not_restored,
-    "a trial's gains are ignored": _gains_ignored,
-    "the setpoint filter is ignored": _filter_ignored,
-    "the current is in N": _current_in_newtons,
+    "a trial's gains are ignored": _running(
+        lambda rig, request: replace(request, gains=rig.describe().gains)
+    ),
+    "the setpoint filter is ignored": _running(
+        lambda _, request: replace(request, gains=replace(request.gains, setpoint_filter_s=0.0))
+    ),
+    "the current is in N": _reporting(
+        lambda rig, record: replace(
+            record, current_A=record.current_A * rig.describe().newtons_per_ampere
+        )
+    ),
     "a trial moves the rig twice": _moved_twice,
 }
 
 
-class FaultyRig:
-    """A rig whose trials have a fault; implements `estune.trial.Rig`."""
+def _ignore(_: object) -> None:
+    pass
 
-    def __init__(self, rig: Rig, run: Run | None = None, *, stops: bool = True) -> None:
-        self._rig, self._run = rig, run
-        self.describe, self.abort, self.apply = rig.describe, rig.abort, rig.apply
-        self.clear, self.close, self.stops = rig.clear, rig.close, stops
+
+class FaultyRig:
+    """A rig with a fault; implements `estune.trial.Rig`."""
+
+    def __init__(self, rig: Rig, fault: str) -> None:
+        self._rig, self._run = rig, MOTION.get(fault)
+        self.describe, self.abort = rig.describe, rig.abort
+        self.clear, self.close = rig.clear, rig.close
+        self.apply = _ignore if fault == DEAF_TO_GAINS else rig.apply
+        self.estop = _ignore if fault == RUNS_ON else rig.estop
 
     def run(self, request: TrialRequest) -> TrialRecord:
         """Runs a trial with the fault."""
         return self._rig.run(request) if self._run is None else self._run(self._rig, request)
-
-    def estop(self, reason: str) -> None:
-        """Stops the rig, unless that is its fault."""
-        if self.stops:
-            self._rig.estop(reason)
-
-
-class _DeafToGains(FaultyRig):
-    def __init__(self, rig: Rig) -> None:
-        super().__init__(rig)
-        self.apply = self._ignore
-
-    def _ignore(self, gains: Gains) -> None:
-        pass
 
 
 DEAF_TO_GAINS, RUNS_ON = "gains set have no effect", "a trial runs on after an emergency stop"
@@ -382,10 +327,3 @@ MISSED_ONCE = (
     "a trial moves the rig twice",
 )
 """Faults of which an earlier suite found none."""
-
-
-def with_fault(rig: Rig, fault: str) -> Any:
-    """A rig with a fault of its motion; the same rig for another fault."""
-    if fault == DEAF_TO_GAINS:
-        return _DeafToGains(rig)
-    return FaultyRig(rig, MOTION.get(fault), stops=fault != RUNS_ON)

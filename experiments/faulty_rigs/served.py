@@ -11,7 +11,7 @@ from estune.remote.state_machine import rig as machine
 from estune.remote.zenoh import rig_server, trial_execution
 from estune.remote.zenoh.listening_session import ListeningSession
 from estune.remote.zenoh.request_handler import RequestHandler
-from experiments.faulty_rigs.faults import COMMANDS, LINK, RUNS_ON, STATE, with_fault
+from experiments.faulty_rigs.faults import COMMANDS, LINK, RUNS_ON, STATE, FaultyRig
 
 PACE = 0.5
 """Duration of a second of a trial, s."""
@@ -27,8 +27,8 @@ def serve(fault: str) -> rig_server.RigServer:
     if fault == RUNS_ON:
         replaced = trial_execution.SharedRigState
         replaced._stop_trials = lambda _: None  # noqa: SLF001  the fault
-    rig = plants.reference_reel().rig(name="reel", seed=3, pace=PACE)
-    return rig_server.serve(with_fault(rig, fault))
+    rig: Any = FaultyRig(plants.reference_reel().rig(name="reel", seed=3, pace=PACE), fault)
+    return rig_server.serve(rig)
 
 
 if __name__ == "__main__":

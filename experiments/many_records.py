@@ -1,11 +1,8 @@
-"""What does a diagnosis of 10 to 80 records of 10 000 samples cost, and how does that grow?
+"""A diagnosis of many records of 10 000 samples: CPU time, memory, and whether it is right.
 
-Command: `python -m experiments.diagnosis_scale`.
-Target: 60 s of CPU time and 1 GB for the most records, and the right verdict for all.
-
-Records are closed-loop trials of the reference reel with dry friction, 10 000 samples each, at
-gains of 0.7 to 1.1 times its own, with steps, triangles and chirps in turn. Each size is diagnosed
-in a process of its own; its memory is the peak of the whole process, records included.
+Records are closed-loop trials of the reference reel with dry friction, at gains of 0.7 to 1.1
+times its own, with steps, triangles and chirps in turn. Each size is diagnosed in a process of its
+own; its memory is the peak of the whole process, records included.
 """
 
 import multiprocessing
@@ -21,14 +18,9 @@ import plants
 from estune.core.gains import Gains
 from estune.trial import TrialRecord, TrialRequest
 from estune.trial.profiles import AnyProfile, ChirpProfile, StepProfile, TriangleProfile
-from experiments.results import Target, at_least, at_most, command_line, print_results
-from experiments.scale import growth_exponents
 from plants.effects import CoulombFriction
 
 SAMPLES = 10_000
-RECORDS, QUICK_RECORDS = (10, 20, 40, 80), (2, 4)
-LIMITS = {"cpu_s": 60.0, "memory_MB": 1000.0}
-"""Limits for the most records."""
 FRICTION_Nm = 0.02
 
 
@@ -89,27 +81,8 @@ def diagnose(records: int) -> DiagnosisCosts:
     )
 
 
-def measure(records: int) -> DiagnosisCosts:
+def measure_diagnosis(records: int) -> DiagnosisCosts:
     """Diagnoses so many records in a new process."""
     spawn = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(1, mp_context=spawn) as pool:
         return pool.submit(diagnose, records).result()
-
-
-def main() -> int:
-    """Prints a row for each number of records; returns 1 where a target is missed."""
-    parser = command_line(__doc__, quick="2 and 4 records")
-    parser.add_argument("--records", type=int, nargs="+", help="numbers of records, ascending")
-    options = parser.parse_args()
-    sizes = options.records or (QUICK_RECORDS if options.quick else RECORDS)
-    rows = [dict(measure(records)._asdict()) for records in sizes]
-    targets: dict[str, Target] = {
-        **{name: at_most(rows[-1][name], limit) for name, limit in LIMITS.items()},
-        "is_right": at_least(min(row["is_right"] for row in rows), 1.0),
-    }
-    figures = {"sizes": rows, "growth exponents": growth_exponents(list(sizes), rows)}
-    return print_results(figures, targets, as_json=options.json, tables=True)
-
-
-if __name__ == "__main__":
-    raise SystemExit(main())
