@@ -85,18 +85,10 @@ def record(file: Path, rate_Hz: int = RECORDED_Hz) -> MeasuredRecord:
         name=file.stem,
         rig="emps",
         sampling_Hz=float(rate_Hz),
-        cable_length_m=None,
-        preload_N=0.0,
         loop="closed",
-        profile="custom",
-        gains=None,
         time_s=np.arange(samples) / rate_Hz,
-        setpoint_N=None,
         current_A=force_N[: samples * step].reshape(samples, step).mean(axis=1),
-        tension_N=None,
         angle_rad=position_m[: samples * step : step],
-        reference_N=None,
-        flags=None,
     )
 
 

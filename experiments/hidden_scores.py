@@ -158,7 +158,6 @@ def measurement(record: hidden_machines.MachineRecord) -> MeasuredRecord:
         tension_N=columns.get("tension_N"),
         angle_rad=columns.get("angle_rad"),
         reference_N=columns.get("reference_N"),
-        flags=None,
     )
 
 

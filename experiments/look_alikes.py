@@ -87,14 +87,10 @@ def record(model: Any, name: str, excitation: FloatArray, seed: int) -> Measured
         preload_N=preload,
         loop="open",
         profile=name,
-        gains=None,
         time_s=time,
         setpoint_N=setpoint,
-        current_A=None,
         tension_N=seen.tension_N if has_cable else None,
         angle_rad=seen.angle_rad,
-        reference_N=None,
-        flags=None,
     )
 
 

@@ -80,18 +80,10 @@ def _measurement(name: str, u: FloatArray, y: FloatArray) -> MeasuredRecord:
         name=name,
         rig="silverbox",
         sampling_Hz=SAMPLING_HZ,
-        cable_length_m=None,
-        preload_N=0.0,
         loop="open",
-        profile="custom",
-        gains=None,
         time_s=np.arange(u.size) / SAMPLING_HZ,
         setpoint_N=u,
-        current_A=None,
         tension_N=y,
-        angle_rad=None,
-        reference_N=None,
-        flags=None,
     )
 
 

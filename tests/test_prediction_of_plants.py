@@ -48,17 +48,15 @@ def swinging(sampling_Hz=500.0, hardening=40.0, slope=0.0):
     plant = plants.linear_plant(
         control.tf([gain * w**2], [1.0, 2.0 * z * w, w**2]), sampling_Hz=sampling_Hz
     )
-    nothing = dict.fromkeys(("gains", "cable_length_m", "current_A", "angle_rad", "reference_N"))
     return plant, MeasuredRecord(
-        *("swing", "rig", sampling_Hz),
-        preload_N=0.0,
+        name="swing",
+        rig="rig",
+        sampling_Hz=sampling_Hz,
         loop="open",
         profile="chirp",
         time_s=time,
         setpoint_N=u,
         tension_N=y,
-        flags=None,
-        **nothing,
     )
 
 
@@ -216,17 +214,15 @@ def test_sigma_of_a_free_drum_is_that_of_its_windows(wandering):
     rate = (push + stray) * drum.drum_radius_m / drum.drum_inertia_kg_m2
     velocity = 5.0 + h * np.append(0.0, np.cumsum(rate)[:-1])
     angle = h * np.append(0.0, np.cumsum(0.5 * (velocity[1:] + velocity[:-1])))
-    nothing = dict.fromkeys(("gains", "cable_length_m", "current_A", "tension_N", "reference_N"))
     record = MeasuredRecord(
-        *("turned", "rig", drum.sampling_Hz),
-        preload_N=0.0,
+        name="turned",
+        rig="rig",
+        sampling_Hz=drum.sampling_Hz,
         loop="open",
         profile="sine",
         time_s=h * samples,
         setpoint_N=push,
         angle_rad=count * np.round(angle / count),
-        flags=None,
-        **nothing,
     )
     predictor = Predictor(diagnosed(drum, [record]), [], [record])
     residuals = predictor.residuals(predictor.start[None])

@@ -116,8 +116,13 @@ def test_hardening_spring_is_localised_at_any_scale(rate):
     t = np.arange(n) / rate
     y = solve_ivp(slope, (0.0, t[-1]), [0.0, 0.0], t_eval=t, max_step=1.0 / rate, rtol=1e-8).y[0]
     m = MeasuredRecord(
-        *("spring", "", rate, None, 0.0, "open", "custom", None, t, u),
-        *(None, size * (y + rng.normal(0.0, 1e-3, n)), None, None, None),
+        name="spring",
+        rig="",
+        sampling_Hz=rate,
+        loop="open",
+        time_s=t,
+        setpoint_N=u,
+        tension_N=size * (y + rng.normal(0.0, 1e-3, n)),
     )
     model = LinearModel(((0.0, 1.0), (-(w**2), -0.2 * w)), (0.0, size * w**2), (1.0, 0.0))
     result = localise([m], [BaseNumbers(1.0, rate, linear=model)], noise_floor([m]))

@@ -21,7 +21,7 @@ ROUNDING = 1e-3
 """Difference of two columns, as a share of the greatest value, that rounding explains."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class MeasuredRecord:
     """One measured record. Columns have shape (samples,); a channel that is missing is None.
 
@@ -29,12 +29,12 @@ class MeasuredRecord:
         name: The trial's id.
         rig: Name of the rig.
         sampling_Hz: Sampling rate.
+        loop: `closed`, or `open` where the setpoint went straight to the current loop.
+        time_s: Time, evenly spaced.
         cable_length_m: Deployed cable length, or None where there is no cable.
         preload_N: Tension held before the excitation, N.
-        loop: `closed`, or `open` where the setpoint went straight to the current loop.
         profile: The kind of setpoint.
         gains: The controller's gains, where they are known.
-        time_s: Time, evenly spaced.
         setpoint_N: The setpoint; in open loop the tension command.
         current_A: The motor current as recorded: in closed loop the command; in open loop, where
             it differs from the command, what was measured.
@@ -48,18 +48,18 @@ class MeasuredRecord:
     name: str
     rig: str
     sampling_Hz: float
-    cable_length_m: float | None
-    preload_N: float
     loop: Literal["open", "closed"]
-    profile: str
-    gains: Gains | None
     time_s: FloatArray
-    setpoint_N: FloatArray | None
-    current_A: FloatArray | None
-    tension_N: FloatArray | None
-    angle_rad: FloatArray | None
-    reference_N: FloatArray | None
-    flags: NDArray[np.uint8] | None
+    cable_length_m: float | None = None
+    preload_N: float = 0.0
+    profile: str = "custom"
+    gains: Gains | None = None
+    setpoint_N: FloatArray | None = None
+    current_A: FloatArray | None = None
+    tension_N: FloatArray | None = None
+    angle_rad: FloatArray | None = None
+    reference_N: FloatArray | None = None
+    flags: NDArray[np.uint8] | None = None
     source: str = ""
 
     @classmethod

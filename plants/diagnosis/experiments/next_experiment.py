@@ -190,14 +190,11 @@ def _placeholder(
         preload_N=profile.preload_N,
         loop=profile.loop,
         profile=profile.kind,
-        gains=None,
         time_s=np.arange(setpoint.size) / rate,
         setpoint_N=setpoint,
-        current_A=None,
         tension_N=blank[0],
         angle_rad=blank[1],
         reference_N=blank[2],
-        flags=None,
     )
 
 
