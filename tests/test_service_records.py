@@ -119,6 +119,8 @@ def test_gains_that_did_not_run_are_the_first_line(busy):
     assert found.exit_code == 10
     assert found.heading().startswith("OTHER GAINS RAN")
     assert found.in_use.as_tuple() == pytest.approx(REEL.start.as_tuple(), rel=1e-3)
+    in_other_form = found.replay._replace(ran=wrong)
+    assert replace(found, replay=in_other_form).heading().startswith("OTHER FORM RAN")
 
 
 def test_stretches_at_a_limit_and_in_manual_are_left_out(busy):
@@ -128,6 +130,8 @@ def test_stretches_at_a_limit_and_in_manual_are_left_out(busy):
     limited = np.minimum(limited, top)
     limited[1000:1200] = limited[1000]
     log = busy._replace(parts=({**part, "effort": limited},))
+    unstated, _ = find_stretches(log, None)
+    assert all((s.effort < top).all() for s in unstated)
     stretches, left_out = find_stretches(log, REEL.start.P)
     reasons = {one.reason for one in left_out}
     assert any("upper limit" in reason for reason in reasons)
@@ -182,6 +186,10 @@ def test_command_reads_a_csv_and_writes_report_and_json(busy, tmp_path, capsys):
     [
         ("time_s,wanted,measured,output", "no channel is the setpoint"),
         ("time_s,setpoint_N,measurement_A,output", "same quantity"),
+        (
+            "Zeit,setpoint,measurement,output",
+            "no channel is the time; the file has Zeit, setpoint",
+        ),
     ],
 )
 def test_a_log_whose_columns_are_not_clear_is_refused_with_the_remedy(tmp_path, heading, message):
@@ -288,6 +296,18 @@ def test_columns_are_found_by_names_with_units_in_brackets(tmp_path, header):
     found = read_loop_log(tmp_path / "log.csv")
     assert set(found.sources) == {"time", "setpoint", "measurement", "effort"}
     assert found.sampling_Hz == pytest.approx(10.0)
+
+
+def test_a_log_whose_effort_is_not_found_says_what_was_not_read(tmp_path):
+    rows = [
+        "time_s,setpoint,measurement,furnace",
+        *(f"{k},{k % 7},{k % 5},{k}" for k in range(40)),
+    ]
+    (tmp_path / "log.csv").write_text("\n".join(rows))
+    (issue,) = read_loop_log(tmp_path / "log.csv").issues
+    assert "not read: furnace;" in str(issue)
+    named = read_loop_log(tmp_path / "log.csv", {"effort": "furnace"})
+    assert not named.issues
 
 
 def test_logs_that_show_nothing_start_no_tuning(tmp_path):

@@ -10,6 +10,7 @@ from estune.cli import output
 from estune.cli.options import NO_LIMITS, LimitOptions
 from estune.cli.values import Flag, Values, check_folder_exists, command_line, numbers_from
 from estune.errors import InvalidInput
+from estune.support.quantity_text import time_text
 
 if TYPE_CHECKING:
     from estune.core.controller_form import ControllerForm
@@ -154,7 +155,12 @@ def _show(found: "Suggestion", report: Path | None, trial: Path | None) -> None:
     output.show_table(("", "in use", "recommended"), found.rows())
     print()
     used = sum(s.samples for s in found.stretches) / found.trial.controller.sampling_Hz
-    facts: dict[str, object] = {"used": f"{used:.4g} s in {len(found.stretches)} stretches"}
+    count = len(found.stretches)
+    stretches = f"{count} stretch{'es' if count > 1 else ''}"
+    facts: dict[str, object] = {
+        "used": f"{time_text(used)} in {stretches}, "
+        f"a sample every {time_text(1.0 / found.trial.controller.sampling_Hz)}"
+    }
     for part in found.left_out:
         facts[f"not used, {part.log} {part.start_s:.4g} to {part.stop_s:.4g} s"] = part.reason
     if report is not None:

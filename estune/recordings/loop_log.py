@@ -5,7 +5,7 @@ a reel.
 """
 
 import re
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import NamedTuple
 
@@ -28,7 +28,8 @@ NAMES = {
     ),
     "effort": (
         *("effort", "output", "out", "op", "co", "mv", "control", "control output"),
-        *("controller output", "manipulated variable", "u"),
+        *("controller output", "control effort", "manipulated variable", "u"),
+        *("duty", "duty cycle", "pwm", "valve"),
     ),
 }
 """Names of channels, without unit, by which each column is found; the first that fits."""
@@ -38,6 +39,9 @@ _BRACKETED = re.compile(r"\s*[\[(][^\[\]()]*[\])]\s*$")
 
 COLUMNS = tuple(NAMES)
 """Columns of a log; effort may be missing, time where the rate is stated."""
+
+LISTED = 12
+"""Channels of a file that a message names at most."""
 
 FEWEST_SAMPLES = 3
 """Fewer rows have no sampling rate."""
@@ -85,15 +89,15 @@ def read_loop_log(
     channels = {c: ch for c in COLUMNS if (ch := _channel(raw, c, given.get(c)))}
     for column in ("setpoint", "measurement"):
         if column not in channels:
-            listed = ", ".join(channel.name for channel in raw.channels[:12])
             remedy = f"name it, as in --map {column}=NAME"
-            raise Unusable(f"no channel is the {column}; the file has {listed}: {remedy}")
+            raise Unusable(f"no channel is the {column}; the file has {_listed(raw)}: {remedy}")
     values = {c: _values(c, channel) for c, channel in channels.items()}
     time_s = values.pop("time", None)
     if time_s is None:
         if rate is None:
             raise Unusable(
-                "there is no time column; name it (--map time=NAME), or give --sampling"
+                f"no channel is the time; the file has {_listed(raw)}: name it, as in "
+                "--map time=NAME, or give --sampling"
             )
         time_s = np.arange(values["measurement"].size) / rate
     if time_s.size < FEWEST_SAMPLES:
@@ -109,15 +113,31 @@ def read_loop_log(
     if not parts:
         raise Unusable(f"no {FEWEST_SAMPLES} rows in a row are without a gap")
     named = {c: channel.name for c, channel in channels.items()}
-    return LoopLog(path.name, grid.sampling_Hz, parts, metadata.gains(), named, units, grid.issues)
+    issues = (*grid.issues, *_without_effort(raw, channels))
+    return LoopLog(path.name, grid.sampling_Hz, parts, metadata.gains(), named, units, issues)
+
+
+def _without_effort(raw: RawFile, channels: Mapping[str, Channel]) -> Iterator[DataIssue]:
+    """A warning where the effort may be among the channels that were not read."""
+    others = [one.name for one in raw.channels if one not in channels.values()]
+    if others and "effort" not in channels:
+        yield DataIssue(
+            "warning",
+            "no channel is the control effort, so limits are not seen and the stated gains are "
+            f"not checked; not read: {', '.join(others[:LISTED])}; if one is the effort, name it, "
+            "as in --map effort=NAME",
+        )
+
+
+def _listed(raw: RawFile) -> str:
+    return ", ".join(channel.name for channel in raw.channels[:LISTED])
 
 
 def _channel(raw: RawFile, column: str, source: str | None) -> Channel | None:
     if source:
         found = find_channel(source, raw.channels, column)
         if found is None:
-            listed = ", ".join(channel.name for channel in raw.channels[:12])
-            raise Unusable(f"there is no {source}; the file has {listed}", column)
+            raise Unusable(f"there is no {source}; the file has {_listed(raw)}", column)
         return found
     bare = {channel.name: _bare(channel.name) for channel in raw.channels}
     for name in NAMES[column]:

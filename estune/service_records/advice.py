@@ -13,6 +13,7 @@ from estune.loop_model.records import LoopRecord
 from estune.run.trial_file import TrialFile
 from estune.service_records.identification import ServiceLoop
 from estune.service_records.judgement import DEVIATIONS, HALF_WIDTH_MAX
+from estune.support.quantity_text import time_text
 from estune.trial.profiles import MultisineProfile
 
 SHARES = (0.01, 0.02, 0.05)
@@ -64,7 +65,7 @@ def advice(found: AdvisedExperiment | None) -> str:
     return (
         f"To know Ms to {math.expm1(found.aim):.0%}, hold the setpoint with a multisine of "
         f"{found.share:.0%} of the step (rms) from {_Hz(found.trial, first=True):.3g} to "
-        f"{_Hz(found.trial, first=False):.3g} Hz for {found.duration_s:.3g} s."
+        f"{_Hz(found.trial, first=False):.3g} Hz for {time_text(found.duration_s)}."
     )
 
 

@@ -72,7 +72,8 @@ class JudgedRecords:
         if self.verdict == "other gains ran":
             assert self.replay is not None  # noqa: S101  the verdict comes from it
             sentence = self.replay.sentence()
-            return f"OTHER GAINS RAN: {sentence.removeprefix(RAN_OTHERWISE)}."
+            other = "FORM" if self.replay.ran == self.replay.stated else "GAINS"
+            return f"OTHER {other} RAN: {sentence.removeprefix(RAN_OTHERWISE)}."
         if self.verdict == "cannot tell":
             return f"CANNOT TELL: {self.judgement.reason}."
         assert self.margins is not None  # noqa: S101  a judged loop has margins

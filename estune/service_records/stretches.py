@@ -57,13 +57,15 @@ class LeftOut(NamedTuple):
     reason: str
 
 
-def find_stretches(log: LoopLog, P: float) -> tuple[list[Stretch], list[LeftOut]]:
+def find_stretches(log: LoopLog, P: float | None) -> tuple[list[Stretch], list[LeftOut]]:
     """The usable stretches of a log, and its other parts with the reason.
 
     Args:
         log: The log.
-        P: Proportional gain that ran, by which it is known whether the effort should have moved.
+        P: Proportional gain that ran, by which it is known whether the effort should have moved;
+            None estimates it from the moves of effort and error.
     """
+    P = _proportional(log) if P is None else P
     stretches, left_out = [], []
     for before, after in zip(log.parts, log.parts[1:], strict=False):
         ends = float(before["time"][-1]), float(after["time"][0])
@@ -80,6 +82,17 @@ def find_stretches(log: LoopLog, P: float) -> tuple[list[Stretch], list[LeftOut]
             else:
                 stretches.append(_stretch(log.name, part, rows))
     return stretches, sorted(left_out, key=lambda part: part.start_s)
+
+
+def _proportional(log: LoopLog) -> float:
+    """About the proportional gain that ran, by least squares of moves of the effort on errors'."""
+    moves = [
+        (np.diff(part["effort"]), np.diff(part["setpoint"] - part["measurement"]))
+        for part in log.parts
+        if "effort" in part
+    ]
+    power = sum(float(error @ error) for _, error in moves)
+    return abs(sum(float(effort @ error) for effort, error in moves)) / max(power, 1e-300)
 
 
 def without(stretch: Stretch, bad: BoolArray, sampling_Hz: float) -> list[Stretch]:

@@ -172,7 +172,7 @@ def _usable(
     parts, left_out, replays = list[ServicePart](), list[LeftOut](), list[Replay]()
     for log in logs.logs:
         stated = gains_of(log, given)
-        stretches, without = find_stretches(log, stated.P if stated else 0.0)
+        stretches, without = find_stretches(log, stated.P if stated else None)
         left_out += without
         if not stretches:
             continue

@@ -5,7 +5,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from estune.recordings.loop_log import LoopLog
 from estune.service_records.sources import read_logs
 from estune.service_records.stretches import Stretch, find_stretches
 
@@ -36,7 +35,7 @@ def judged_stretches(path: Path) -> list[JudgedStretch]:
     """
     found = list[JudgedStretch]()
     for log in read_logs(path).logs:
-        P = log.gains.P if log.gains is not None else _proportional(log)
+        P = log.gains.P if log.gains is not None else None
         stretches, left_out = find_stretches(log, P)
         parts = [_judged(stretch, log.sampling_Hz) for stretch in stretches]
         parts += [JudgedStretch(*part) for part in left_out]
@@ -48,14 +47,3 @@ def _judged(stretch: Stretch, rate: float) -> JudgedStretch:
     stop_s = stretch.start_s + (stretch.samples - 1) / rate
     reason = "" if np.ptp(stretch.setpoint) > 0.0 else STILL
     return JudgedStretch(stretch.log, stretch.start_s, stop_s, reason)
-
-
-def _proportional(log: LoopLog) -> float:
-    """About the proportional gain that ran, by least squares of moves of the effort on errors'."""
-    moves = [
-        (np.diff(part["effort"]), np.diff(part["setpoint"] - part["measurement"]))
-        for part in log.parts
-        if "effort" in part
-    ]
-    power = sum(float(error @ error) for _, error in moves)
-    return abs(sum(float(effort @ error) for effort, error in moves)) / max(power, 1e-300)
