@@ -57,7 +57,7 @@ def test_complete_model_has_no_residual():
     result = localise_effects()
     assert {block.name for block in result.blocks} == {"force", "gauge"}
     assert all(0.5 < block.ratio < 1.2 for block in result.blocks)
-    assert "Nothing that the refitted model" in result.sentence
+    assert "leaves nothing unexplained above the noise" in result.sentence
 
 
 FORCES = "balance of forces"

@@ -148,8 +148,8 @@ def _cross_validated(
         return conclusion, stages
     titles = " and ".join(effect.title for effect in last.fit.effects)
     reason = (
-        f"{titles} would explain it, but on data left out only "
-        f"{100.0 * max(share, 0.0):.0f} % of it."
+        f"{titles} explains it where all data are fitted, but only "
+        f"{100.0 * max(share, 0.0):.0f} % of it on data left out."
     )
     return conclusion.unknown(reason), stages[: n + 1]
 

@@ -24,9 +24,9 @@ def page(d: DiagnosisResult) -> Page:
         "Short-prediction errors are cross-validated: the model is refitted three times, each "
         "time without one third of the data, and tested on that third. The model as given is not "
         "refitted. Free runs use models fitted to all data. No model was fitted to held-out "
-        "records, if there are any. The noise floor is the noise "
-        "of the sensors and an allowance for the model's form. A short prediction starts anew "
-        "from the measurement every few moments, a free run never.",
+        "records, if there are any. The noise floor is the noise of the sensors with an allowance "
+        "for the form of the model. A short prediction is restarted from the measurement at "
+        "regular intervals; a free run is not.",
         "soft",
     )
     sections = (
@@ -59,8 +59,9 @@ def _traces(d: DiagnosisResult) -> list[Block]:
         trace = summary.worst_trace(d)
         blocks += [
             Paragraph(
-                f"Record `{trace.name}` in free run: only the command goes in. Above, the stretch "
-                "in which the base model is worst; below, the error over the whole record."
+                f"Record `{trace.name}` in free run, with the recorded command as the only input. "
+                "Above: the part with the largest error of the base model; below: the error over "
+                "the whole record."
             ),
             Drawing(_trace_figure(trace), "traces", "a record before and after"),
             Heading("Over frequency"),
@@ -102,9 +103,9 @@ def _where(d: DiagnosisResult) -> list[Block]:
     height = 1.0 + 0.32 * len({v.name for b in where.blocks for v in b.views})
     blocks: list[Block] = [
         Paragraph(
-            "The residual of the base model with its own numbers fitted, before any effect was. "
-            "Each block is one of its balances, so that what is missing shows in the block it "
-            "belongs to; grey is what noise alone would give."
+            "The residual of the refitted base model, without any added effect. Each block is one "
+            "of the model's balance equations: a missing effect appears in the block it acts on. "
+            "Grey is the level that noise alone would give."
         ),
         _plot(lambda ax: residual_figures.draw_shares(ax, where), "shares", "shares", height),
     ]
@@ -118,12 +119,11 @@ def _where(d: DiagnosisResult) -> list[Block]:
 def _ranking(d: DiagnosisResult) -> list[Block]:
     blocks: list[Block] = [
         Paragraph(
-            "Every effect was tried as the first one. The screening R² is the share of the "
-            "residual along the direction in which the effect would change it. The best were "
-            "fitted together with the base model to all data, and judged by the share of the "
-            "error power above the noise floor that they explain; the others change the "
-            "predictions in another way. Beside the probability of each effect stands that of its "
-            "family, of which any other member may be there instead."
+            "Every effect was screened as the first missing one. The screening R² is the share of "
+            "the residual that is explained by the direction in which the effect changes the "
+            "predictions. The effects with the largest shares were fitted together with the base "
+            "model to all data, and are judged by the share of the error power above the noise "
+            "floor that they explain. The probability of a family is that of any of its members."
         )
     ]
     count = len(summary.fitted(d, figures.BARS_MAX).rows)
@@ -140,10 +140,10 @@ def _calibrations(d: DiagnosisResult) -> list[Block]:
     if not d.calibrations:
         return []
     text = (
-        "A missing effect biases the base model's numbers. Where they return to what was given "
-        "with the effect, that is evidence too."
+        "A missing effect biases the parameters of the base model. Parameters that return to the "
+        "given values when the effect is added are further evidence for it."
         if d.effects
-        else "Numbers of the base model that were free in every fit."
+        else "Parameters of the base model that were free in every fit."
     )
     blocks: list[Block] = [Paragraph(text)]
     count = len(figures.scalable(d))
@@ -168,9 +168,8 @@ def _data(d: DiagnosisResult) -> list[Block]:
     records = len({trace.name for trace in d.traces})
     blocks: list[Block] = [
         Paragraph(
-            f"{records} records. Models are fitted to all data and compared there. Prediction "
-            "errors are cross-validated: a model is refitted without one third of the data, a "
-            "stretch of every record, and tested on that third."
+            f"{records} records. Models are fitted to all data and compared on all data. A third "
+            "that is left out in cross-validation has a part of every record."
         ),
         Heading("Noise"),
         _table(summary.noises(d)),

@@ -288,8 +288,8 @@ def _of_blocks(blocks: Sequence[Block]) -> str:
     first = blocks[0]
     if not first.is_above_noise:
         return (
-            "Nothing that the refitted model leaves unexplained is above the noise; the most is "
-            f"in the {first.title}, {first.ratio:.2g} times the noise."
+            "The refitted model leaves nothing unexplained above the noise; the largest residual "
+            f"is in the {first.title}, {first.ratio:.2g} times the noise."
         )
     sentence = f"What the refitted model leaves unexplained in the {first.title} is "
     sentence += f"{first.ratio:.2g} times "
@@ -305,4 +305,4 @@ def _of_blocks(blocks: Sequence[Block]) -> str:
     shown = {READING: "force", "eyelet": "gauge"}.get(first.title)
     separate = [b for b in blocks[1:] if b.name != shown]
     others = [f"the {b.title} at {b.ratio:.2g} times" for b in separate if b.is_above_noise]
-    return sentence + (f" Above the noise, too: {', '.join(others)}." if others else "")
+    return sentence + (f" Also above the noise: {', '.join(others)}." if others else "")

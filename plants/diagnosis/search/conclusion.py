@@ -111,7 +111,9 @@ def _reason(
     titles = " and ".join(_title(models, name) for name in sorted(decision.leading))
     explained = _percent(explained_share(base.J, leading.J))
     share = f"The best of them, {titles}, explains {explained} of it"
-    return f"{share}." if leading.eligible else f"{share}, but at a bound, or too small to matter."
+    if leading.eligible:
+        return f"{share}."
+    return f"{share}, with a parameter at a bound or a size that is too small to matter."
 
 
 def _rest(models: FittedModels, decision: Decision, others: Sequence[ModelSummary]) -> str:
