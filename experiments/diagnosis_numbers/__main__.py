@@ -16,7 +16,7 @@ import itertools
 import json
 import sys
 import tempfile
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from functools import partial
@@ -280,6 +280,9 @@ def main() -> int:
         calls = (functions_of(name) for name in ENTERED) if options.functions else ()
         lines = max(calls, key=len, default=list(listed))
         print("\n".join(lines), f"{len(lines)} in all", sep="\n")
+        if options.list:
+            kinds = Counter(n.kind for n in known)
+            print(", ".join(f"{count} {kind}" for kind, count in kinds.items()))
         return 0
     rows = read_rows(options.rows or options.into)
     if options.rows is None:

@@ -45,6 +45,13 @@ class Number(NamedTuple):
         """Whether it stands in the table."""
         return ":" not in self.name
 
+    @property
+    def kind(self) -> str:
+        """Where it stands, in words."""
+        if self.in_table:
+            return "in the table"
+        return "in checks of single records" if self.name.startswith("checks/") else "elsewhere"
+
 
 class _Source(NamedTuple):
     path: Path

@@ -71,14 +71,6 @@ class Diagnosis(DiagnosisResult):
         """
         return _drawn("trace", ax, summary.trace_of(self, record))
 
-    def plot_error(self, record: str | None = None, ax: "Axes | None" = None) -> "Axes":
-        """Draws the free-run error over a whole record; see `plot_traces`."""
-        return _drawn("error", ax, summary.trace_of(self, record))
-
-    def plot_spectrum(self, ax: "Axes | None" = None) -> "Axes":
-        """Draws the free-run error over frequency, before and after."""
-        return _drawn("spectrum", ax, self)
-
     def plot_where(self, ax: "Axes | None" = None) -> "Axes":
         """Draws the share of each block's residual that follows time, speed, tension and so on."""
         return _drawn("shares", ax, self.where)
@@ -86,10 +78,6 @@ class Diagnosis(DiagnosisResult):
     def plot_ranking(self, ax: "Axes | None" = None) -> "Axes":
         """Draws the prediction error left by each effect that was fitted."""
         return _drawn("ranking", ax, self)
-
-    def plot_calibrations(self, ax: "Axes | None" = None) -> "Axes":
-        """Draws how the base model's numbers shifted."""
-        return _drawn("calibrations", ax, self)
 
     def figure(self) -> "Figure":
         """Before and after, the error step by step, and where it is, on one page."""
