@@ -72,7 +72,7 @@ def step_of(signal: FloatArray) -> float:
 
 
 def _segment(samples: int) -> int:
-    return int(min(1024, max(FEWEST // 2, samples // 8)))
+    return int(min(samples, 1024, max(FEWEST // 2, samples // 8)))
 
 
 def _spectrum(signal: FloatArray, average: str) -> tuple[FloatArray, float]:

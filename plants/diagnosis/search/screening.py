@@ -82,11 +82,13 @@ class Directions:
         self.column = {name: place[f"{effect.name}.{name}"] for name in self.declared}
         self.sizes = effect.named(Role.SIZE, Role.LIMIT)
         self.phases = effect.named(Role.PHASE)
+        sizes = [self.declared[name] for name in self.sizes]
+        # Sizes may only grow from their neutral values.
+        self.only_up = not self.phases and all(p.neutral in (p.low, p.high) for p in sizes)
         values = context.model.values
         # A wave over an angle whose zero each record has for itself, and nothing else tells.
         of_records = (f.name for f in predictor.free if f.owner.startswith("record "))
-        waves = bool(effect.named(Role.PHASE))
-        self.has_free_phase = waves and any(name not in values for name in of_records)
+        self.has_free_phase = bool(self.phases) and any(n not in values for n in of_records)
         self.without_effect = predictor.row(values)
         for name in self.sizes:
             self.without_effect[self.column[name]] = self.declared[name].neutral
@@ -166,7 +168,7 @@ class Directions:
             if products is None:
                 share, weights = self._turned(changes[block])
             else:
-                share, weights = products.of(block).explained(only_up=self._only_up)
+                share, weights = products.of(block).explained(only_up=self.only_up)
             directions.append(_Direction(share, self._start(shape, tried, weights)))
         return directions, usual_change
 
@@ -217,16 +219,6 @@ class Directions:
         step = usual - neutral or 1e-2 * (p.high - p.low)
         values: FloatArray = np.clip(neutral + step * 10.0**power, p.low, p.high)
         return values
-
-    @property
-    def _only_up(self) -> bool:
-        """Whether sizes may only grow from their neutral values."""
-        if self.phases:
-            return False
-        return all(
-            self.declared[n].neutral in (self.declared[n].low, self.declared[n].high)
-            for n in self.sizes
-        )
 
     def _rows(self, name: str, values: FloatArray) -> FloatArray:
         rows = np.tile(self.without_effect, (len(values), 1))
