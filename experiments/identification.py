@@ -98,11 +98,13 @@ def repeat(signal: BroadbandExcitation, reel: Reel, seeds: range) -> list[Trial]
     return [compare(reel, identify(reel, signal, seed)) for seed in seeds]
 
 
-def study(reels: list[Reel], signal: BroadbandExcitation, seeds: int) -> list[list[Trial]]:
-    """Trials of all conditions, each with its own seeds, on all cores."""
+def study(
+    reels: list[Reel], signal: BroadbandExcitation, seeds: int, jobs: int
+) -> list[list[Trial]]:
+    """Trials of all conditions, each with its own seeds, in so many processes; -1 is all cores."""
     ranges = [range(seeds * n, seeds * (n + 1)) for n in range(len(reels))]
     todo = zip(reels, ranges, strict=True)
-    return list(Parallel(n_jobs=-1)(delayed(repeat)(signal, *one) for one in todo))
+    return list(Parallel(n_jobs=jobs)(delayed(repeat)(signal, *one) for one in todo))
 
 
 def accuracy(reels: list[Reel], trials: list[list[Trial]]) -> dict[str, dict[str, float]]:
@@ -149,7 +151,9 @@ def main() -> int:
     parser.add_argument("--seeds", type=int, default=200, help="records of each condition")
     options = parser.parse_args()
     reels = conditions()
-    trials = study(reels, excitation(), 5 if options.quick else options.seeds)
+    # Five seeds take less than the processes to start.
+    seeds, jobs = (5, 1) if options.quick else (options.seeds, -1)
+    trials = study(reels, excitation(), seeds, jobs)
     by_condition, rates = accuracy(reels, trials), coverage(trials)
     worst = {name: max(row[name] for row in by_condition.values()) for name in LIMITS}
     figures = {"worst_error": worst, "coverage": rates, "conditions": by_condition}

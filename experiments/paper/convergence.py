@@ -36,7 +36,7 @@ def time_constant(cost: FloatArray) -> float:
 
 def figure_12(*, quick: bool = False) -> PaperFigure:
     """Fig. 12."""
-    count = 4 if quick else 20
+    count = 2 if quick else 20
     runs = {
         length: np.array([costs(length, seed) for seed in range(count * n, count * (n + 1))])
         for n, length in enumerate(LENGTHS_m)
