@@ -228,3 +228,12 @@ def test_sigma_of_a_free_drum_is_that_of_its_windows(wandering):
     residuals = predictor.residuals(predictor.start[None])
     assert predictor.index.sigma.max() < 1e-3 * record.angle_rad.std()
     assert 0.5 < np.sqrt(np.mean(residuals**2)) < 1.3
+
+
+def test_offset_of_an_input_does_not_bend_the_spring_that_is_found():
+    plant, m = swinging(hardening=0.2)
+    noise = 3e-4 * np.random.default_rng(0).standard_normal(m.samples)
+    m = replace(m, setpoint_N=m.setpoint_N - 0.2, tension_N=m.tension_N + noise)
+    d = plants.explain(plant, [m], effects=["cable_stiffening"])
+    cubic = d.effects[0].parameters["cubic_per_N2"]
+    assert cubic.low < 0.2 < cubic.high < 1.5 * cubic.low

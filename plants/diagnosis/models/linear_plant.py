@@ -16,6 +16,7 @@ from plants.diagnosis.data.noise_floor import noise_floor
 from plants.diagnosis.models.diagnosed_model import Local
 from plants.diagnosis.models.diagnosed_plant import DiagnosedPlant
 from plants.diagnosis.models.free_parameters import (
+    CALIBRATION,
     Free,
     Slot,
     either_way,
@@ -23,7 +24,7 @@ from plants.diagnosis.models.free_parameters import (
     positive,
 )
 from plants.diagnosis.models.initial_states import shifted
-from plants.effects import Effect
+from plants.effects import Effect, Port
 from plants.models.effect_applicability import unavailable
 from plants.models.linear_plant import LinearPlant, linear_plant
 from plants.models.linear_with_effects import LinearEffectStructure
@@ -71,12 +72,26 @@ class DiagnosedLinear(DiagnosedPlant):
         names = [name for name in self.kinds.own if name != "rate_rad_s"]
         slots = [Slot(_free(name, self.values[name]), name) for name in names]
         if "origin" in self.kinds.poles:  # where the output stands says nothing
-            torque = self.model.torque_unit
-            start = self.calibration.torque_offset_Nm * torque
-            reach = torque * max(self.sizes.torque_max_Nm, 1e-12)
-            free = either_way("input_offset", "", start, reach)
-            return [*slots, of_calibration(free, "torque_offset_Nm", 1.0 / torque)]
+            return [*slots, self.input_offset()]
         return [*slots, self.output_offset()]
+
+    def slots(self, added: Sequence[type[Effect]]) -> list[Slot]:
+        """The free parameters; beside a spring that bends, offsets of input and output differ."""
+        slots = super().slots(added)
+        springs = [law for law in (*map(type, self.effects), *added) if law.port is Port.CABLE]
+        if not springs or "origin" in self.kinds.poles:
+            return slots
+        slot = self.input_offset()
+        place = str(len(self.effects) + len(added))
+        return [*slots, slot._replace(column=slot.column.replace(CALIBRATION, place))]
+
+    def input_offset(self) -> Slot:
+        """Offset of the input."""
+        torque = self.model.torque_unit
+        start = self.calibration.torque_offset_Nm * torque
+        reach = torque * max(self.sizes.torque_max_Nm, 1e-12)
+        free = either_way("input_offset", "", start, reach)
+        return of_calibration(free, "torque_offset_Nm", 1.0 / torque)
 
     def sensors(self) -> list[Slot]:
         """Hold of the input between its samples, which records do not state."""
