@@ -14,29 +14,14 @@ import json
 import multiprocessing
 import os
 import sys
-import time
 from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from pathlib import Path
 from typing import Any
 
 from experiments.hidden_scores import DiagnosisTask, Row, diagnose
-from experiments.hidden_tables import (
-    confidence,
-    confusion,
-    draw_reliability,
-    reliability,
-    show,
-    summary,
-)
-from experiments.results import (
-    Target,
-    at_least,
-    at_most,
-    command_line,
-    print_results,
-    save_figure,
-)
+from experiments.hidden_tables import confidence, confusion, show, summary
+from experiments.results import Target, at_least, at_most, command_line, print_results
 
 SHARES = {
     "plain": 26,
@@ -60,7 +45,7 @@ FIRST_SEED = 70_030
 """First seed of the validation block; experiments/hidden_machines/seeds.md lists the blocks."""
 
 OUT = Path("out")
-QUICK_CASES, THROUGHPUT_CASES = 4, 8
+QUICK_CASES = 4
 
 LIMITS: dict[str, tuple[float, Callable[[float, float], Target]]] = {
     "exact_name": (0.95, at_least),
@@ -76,7 +61,6 @@ LIMITS: dict[str, tuple[float, Callable[[float, float], Target]]] = {
     "intervals_hold_truth": (0.90, at_least),
     "calibration_error": (0.05, at_most),
     "median_cpu_s": (3.0, at_most),
-    "throughput_two_workers": (1.8, at_least),
 }
 
 
@@ -90,22 +74,6 @@ def tasks(cases: int, seed0: int) -> list[DiagnosisTask]:
         for n in range(count)
     ]
     return [task for _, task in sorted(placed, key=lambda at: at[0])]
-
-
-def run(
-    todo: list[DiagnosisTask],
-    jobs: int,
-    each: Callable[[Any], None],
-    do: Callable[[DiagnosisTask], Any] = diagnose,
-) -> float:
-    """Does all of them in `jobs` processes; returns the time it took once they were up, s."""
-    spawn = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(jobs, mp_context=spawn) as pool:
-        list(pool.map(time.sleep, [0.5] * jobs))  # every process has started
-        start = time.perf_counter()
-        for done in as_completed([pool.submit(do, task) for task in todo]):
-            each(done.result())
-        return time.perf_counter() - start
 
 
 def read_rows(path: Path) -> list[Row]:
@@ -129,40 +97,12 @@ def run_all(todo: list[DiagnosisTask], jobs: int, path: Path) -> list[Row]:
             sign = "." if row.right or not row.truth else "!"
             print(sign, end="" if len(rows) % 80 else "\n", file=sys.stderr, flush=True)
 
-        took = run(todo, jobs, keep)
-    print(f"\n{len(rows)} cases in {took:.0f} s; rows in {path}", file=sys.stderr)
+        spawn = multiprocessing.get_context("spawn")
+        with ProcessPoolExecutor(jobs, mp_context=spawn) as pool:
+            for finished in as_completed([pool.submit(diagnose, task) for task in todo]):
+                keep(finished.result())
+    print(f"\n{len(rows)} cases; rows in {path}", file=sys.stderr)
     return rows
-
-
-def throughput(cases: int, seed0: int) -> dict[str, float]:
-    """Ratio of the throughput of two workers to that of one, of diagnoses and of a mere loop.
-
-    The loop shows what the machine itself allows.
-    """
-    todo = [DiagnosisTask(seed0 + n, "plain") for n in range(cases)]
-    run(todo, 2, lambda _: None)  # everything is compiled and in the cache
-    return {
-        "throughput_two_workers": _two_over_one(todo, diagnose),
-        "loop_two_workers": _two_over_one(todo, _loop),
-    }
-
-
-def _two_over_one(todo: list[DiagnosisTask], do: Callable[[DiagnosisTask], Any]) -> float:
-    """The same where each of the two has all of it to do.
-
-    So they are both at work to the end, however unlike a few cases are.
-    """
-    twice = [task for task in todo for _ in range(2)]
-    shares = ((todo, 1), (twice, 2))
-    alone, together = (
-        min(run(share, jobs, lambda _: None, do) for _ in range(2)) for share, jobs in shares
-    )
-    return 2.0 * alone / together
-
-
-def _loop(_: DiagnosisTask) -> int:
-    """Some seconds' work for nothing but the processor."""
-    return sum(n & 1 for n in range(30_000_000))
 
 
 def targets(figures: dict[str, float]) -> dict[str, Target]:
@@ -176,14 +116,13 @@ def targets(figures: dict[str, float]) -> dict[str, Target]:
 
 def main() -> int:
     """Prints the tables, or with --json one object; returns 1 where a target is missed."""
-    parser = command_line(__doc__, quick=f"{QUICK_CASES} cases, no throughput")
+    parser = command_line(__doc__, quick=f"{QUICK_CASES} cases")
     parser.add_argument("--cases", type=int, default=1000, help="number of cases")
     parser.add_argument("--seed0", type=int, default=FIRST_SEED, help="first seed")
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1, help="processes")
     parser.add_argument("--into", type=Path, help="continue this file of rows")
     parser.add_argument("--rows", type=Path, help="print the tables of this file; run nothing")
     options = parser.parse_args()
-    figures: dict[str, Any] = {}
     if options.rows:
         rows = read_rows(options.rows)
     else:
@@ -192,10 +131,7 @@ def main() -> int:
         if options.into is None:
             path.unlink(missing_ok=True)
         rows = run_all(todo, options.jobs, path)
-        if not options.quick:
-            figures |= throughput(THROUGHPUT_CASES, options.seed0)
-    figures = summary(rows) | figures
-    save_figure(draw_reliability(reliability(rows)), OUT, "hidden_reliability")
+    figures: dict[str, Any] = summary(rows)
     if not options.json:
         show(rows)
         print()

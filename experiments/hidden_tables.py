@@ -1,4 +1,4 @@
-"""Rates, tables and reliability diagram of diagnosed cases with hidden effects."""
+"""Rates and tables of diagnosed cases with hidden effects."""
 
 import math
 from collections import Counter
@@ -6,8 +6,6 @@ from collections.abc import Callable, Sequence
 from itertools import pairwise
 from statistics import median
 from typing import NamedTuple
-
-from matplotlib.figure import Figure
 
 from experiments.hidden_scores import Held, Row
 
@@ -152,20 +150,6 @@ def calibration_error(bins: list[Reliability]) -> float:
     """Expected calibration error: mean difference of probability and frequency."""
     number = sum(one.number for one in bins)
     return sum(abs(one.stated - one.there) * one.number for one in bins) / number if bins else 0.0
-
-
-def draw_reliability(bins: list[Reliability]) -> Figure:
-    """Reliability diagram: frequency over stated probability."""
-    figure = Figure(figsize=(4.0, 4.0), layout="constrained")
-    axes = figure.add_subplot()
-    axes.plot([0.0, 1.0], [0.0, 1.0], color="0.7")
-    axes.plot([b.stated for b in bins], [b.there for b in bins], "o-")
-    for b in bins:
-        axes.annotate(
-            f"{b.number}", (b.stated, b.there), xytext=(4, -10), textcoords="offset points"
-        )
-    axes.set(xlabel="stated probability of a family", ylabel="share of cases with it")
-    return figure
 
 
 def show(rows: list[Row]) -> None:

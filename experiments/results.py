@@ -7,11 +7,8 @@ else 1.
 """
 
 import argparse
-import contextlib
-import io
 import json
 import math
-import sys
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -74,11 +71,6 @@ def save_figure(figure: "Figure", folder: Path, name: str) -> Path:
     path = folder / f"{name}.png"
     path.write_bytes(to_png(figure))
     return path
-
-
-def print_tables(*, hidden: bool) -> contextlib.AbstractContextManager[object]:
-    """Context of an experiment that prints while it measures; hidden discards the output."""
-    return contextlib.redirect_stdout(io.StringIO() if hidden else sys.stdout)
 
 
 def print_figures(figures: Mapping[str, Any]) -> None:

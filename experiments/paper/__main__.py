@@ -12,7 +12,7 @@ import sys
 from estune.support.html_page import write
 from experiments import paper
 from experiments.paper.page import page
-from experiments.results import command_line, print_results, print_tables
+from experiments.results import command_line, print_results
 
 
 def main() -> int:
@@ -25,9 +25,9 @@ def main() -> int:
     except OSError as error:
         parser.error(f"--out {options.out}: {error.strerror}; name another folder")
     figures = []
-    with print_tables(hidden=options.json):
-        for number in paper.NUMBERS:
-            figures.append(paper.make(number, quick=options.quick))
+    for number in paper.NUMBERS:
+        figures.append(paper.make(number, quick=options.quick))
+        if not options.json:
             print(f"Fig. {number:<3} {figures[-1].verdict}  {figures[-1].measured}", flush=True)
     write(page(figures), out)
     values = {f"Fig. {one.number}": {"holds": one.holds, **one.numbers} for one in figures}
