@@ -1,7 +1,7 @@
 """How do verdicts and intervals of a diagnosis change with each number that decides it?
 
 Command: `python -m experiments.diagnosis_constants`.
-Target: none; a table and a figure for each number.
+Target: none; a table for each number.
 
 Each number of `plants.diagnosis.constants` is changed alone. Verdicts are worked out again
 from the fits that `experiments.hidden_effects` stored (`--rows`); without such a file cases of the
@@ -18,13 +18,11 @@ from statistics import median
 from typing import NamedTuple
 from unittest import mock
 
-from matplotlib.figure import Figure
-
 import plants
 from experiments import hidden_machines
 from experiments.hidden_effects import FIRST_SEED, OUT, tasks
 from experiments.hidden_scores import DiagnosisTask, Row, diagnose, measurement, model
-from experiments.results import command_line, print_results, save_figure
+from experiments.results import command_line, print_results
 from plants.diagnosis.constants import CONSTANTS, Constants
 from plants.diagnosis.data import noise_floor
 from plants.diagnosis.pipeline import intervals as interval_step
@@ -42,7 +40,7 @@ DECIDING = {
     "effective": (10.0, 20.0, 60.0, 200.0, 1000.0),
     "form": (0.0, 0.02, 0.05, 0.1, 0.2),
 }
-"""Numbers whose curve is drawn from stored fits: verdicts and probabilities."""
+"""Numbers whose curve takes stored fits: verdicts and probabilities."""
 WIDENING = {
     "base_least": (0.0, 0.0001, 0.0003, 0.001, 0.003),
     "form_least": (0.0, 0.0005, 0.001, 0.0025, 0.005),
@@ -164,24 +162,9 @@ def curve(
     return [Point(v, *rates(CONSTANTS._replace(**{name: v}))) for v in values]
 
 
-def draw(curves: dict[str, list[Point]]) -> Figure:
-    """All curves, one field each; the value in use is marked."""
-    columns = 4
-    lines = math.ceil(len(curves) / columns)
-    figure = Figure(figsize=(12.0, 2.6 * lines), layout="constrained")
-    for axes, (name, points) in zip(
-        figure.subplots(lines, columns, squeeze=False).flat, curves.items(), strict=False
-    ):
-        axes.plot([p.value for p in points], [p.good for p in points], "o-", label="good")
-        axes.plot([p.value for p in points], [p.bad for p in points], "s--", label="bad")
-        axes.axvline(getattr(CONSTANTS, name), color="0.7")
-        axes.set(title=name, ylim=(-0.03, 1.03))
-    return figure
-
-
 def main() -> int:
-    """Prints and draws the curves."""
-    parser = command_line(__doc__, quick="6 cases, two with noise", out="diagnosis_constants.png")
+    """Prints the curves."""
+    parser = command_line(__doc__, quick="6 cases, two with noise")
     parser.add_argument("--rows", type=Path, default=OUT / "hidden_effects.jsonl")
     options = parser.parse_args()
     if options.rows.exists() and not options.quick:
@@ -194,22 +177,23 @@ def main() -> int:
     noisy = 1 if options.quick else NOISE_CASES
     curves = {
         **{n: curve(n, v, lambda c: again(rows, c)) for n, v in DECIDING.items()},
-        **{n: curve(n, DECIDING[n], lambda c: confidence(rows, c)) for n in ("effective", "form")},
+        **{
+            f"{n}: probability": curve(n, DECIDING[n], lambda c: confidence(rows, c))
+            for n in ("effective", "form")
+        },
         **{n: curve(n, v, lambda c: coverage(right, c)) for n, v in WIDENING.items()},
         **{
             n: curve(n, v[1:4] if options.quick else v, lambda c: in_noise(noisy, c))
             for n, v in IN_NOISE.items()
         },
     }
-    if not options.json:
-        for name, points in curves.items():
-            in_use = getattr(CONSTANTS, name)
-            print(f"{name} (in use: {in_use:g}): value -> good, bad")
-            for p in points:
-                print(f"  {p.value:8g} -> {p.good:.3f}, {p.bad:.3f}")
-    save_figure(draw(curves), options.out, "diagnosis_constants")
-    figures = {name: [p._asdict() for p in points] for name, points in curves.items()}
-    return print_results(figures, {}, as_json=options.json)
+    figures = {
+        f"{name} (in use: {getattr(CONSTANTS, name.partition(':')[0]):g})": [
+            p._asdict() for p in points
+        ]
+        for name, points in curves.items()
+    }
+    return print_results(figures, {}, as_json=options.json, tables=True)
 
 
 if __name__ == "__main__":

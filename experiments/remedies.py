@@ -35,12 +35,12 @@ from estune.hardware import HardwareRig
 from estune.proof.patch import read_patch
 from estune.remote import zenoh
 from estune.run.results.export import write_record
-from estune.support.plot_style import BLUE, GREY, VERMILION, finish, legend, stacked
+from estune.support.plot_style import BLUE, GREY, VERMILION, finish, legend, stacked, to_png
 from estune.trial import TrialRecord, TrialRequest
 from estune.trial.profiles import MultisineProfile, Profile, StepProfile, TriangleProfile
 from estune.trial.tracking import tracking_profile
 from experiments.compensation import rig
-from experiments.results import at_least, at_most, command_line, print_results, save_figure
+from experiments.results import at_least, at_most, command_line, print_results
 from plants.diagnosis.interval import Interval
 from plants.diagnosis.result import NamedEffect
 from plants.effects import CoulombFriction, DahlHysteresis, Effect, LoadFriction, StribeckFriction
@@ -250,7 +250,7 @@ def ended_in(diagnosis: Path, number: int) -> bool:
         return killed and reel.describe() == before and not record.optional_columns
 
 
-def draw(folder: Path) -> Path:
+def draw(folder: Path) -> None:
     """The tension on a slow triangle with Coulomb friction, without the remedy and with it."""
     friction = CoulombFriction(0.05)
     reel = plants.reference_reel() + friction
@@ -271,7 +271,8 @@ def draw(folder: Path) -> Path:
     finish(tension, "tension (N)")
     finish(error, "error (N)", "time (s)")
     legend(tension)
-    return save_figure(figure, folder, "remedies")
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / "remedies.png").write_bytes(to_png(figure))
 
 
 def main() -> int:

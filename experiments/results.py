@@ -11,10 +11,7 @@ import json
 import math
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+from typing import Any, NamedTuple
 
 
 class Target(NamedTuple):
@@ -61,16 +58,6 @@ def command_line(about: str | None, *, quick: str, out: str = "") -> argparse.Ar
         text = f"folder for {out}; default: out, in the current directory"
         parser.add_argument("--out", type=Path, default=Path("out"), metavar="FOLDER", help=text)
     return parser
-
-
-def save_figure(figure: "Figure", folder: Path, name: str) -> Path:
-    """Writes a figure as PNG into a folder, which is created if missing; its path."""
-    from estune.support.plot_style import to_png  # noqa: PLC0415  it loads Matplotlib
-
-    folder.mkdir(parents=True, exist_ok=True)
-    path = folder / f"{name}.png"
-    path.write_bytes(to_png(figure))
-    return path
 
 
 def print_figures(figures: Mapping[str, Any]) -> None:

@@ -3,7 +3,7 @@
 Powers are mean squares of whitened residuals: 1 is the noise floor. Measured on hidden machines of
 the development and validation seeds (experiments/hidden_machines/seeds.md) and on two measured
 plants, a positioning drive and an oscillator with a cubic spring; `python -m
-experiments.diagnosis_constants` draws what each number costs when it is another.
+experiments.diagnosis_constants` prints what each number costs when it is another.
 """
 
 from typing import NamedTuple
