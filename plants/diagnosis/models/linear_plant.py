@@ -78,8 +78,9 @@ class DiagnosedLinear(DiagnosedPlant):
     def slots(self, added: Sequence[type[Effect]]) -> list[Slot]:
         """The free parameters; beside a spring that bends, offsets of input and output differ."""
         slots = super().slots(added)
-        springs = [law for law in (*map(type, self.effects), *added) if law.port is Port.CABLE]
-        if not springs or "origin" in self.kinds.poles:
+        laws = (*(type(effect) for effect in self.effects), *added)
+        bends = any(law.port is Port.CABLE for law in laws)
+        if not bends or "origin" in self.kinds.poles:
             return slots
         slot = self.input_offset()
         place = str(len(self.effects) + len(added))
