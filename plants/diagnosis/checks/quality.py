@@ -79,12 +79,12 @@ def _unmoved(m: MeasuredRecord) -> Iterator[DataIssue]:
         # Of 300 pairs of white noise 99 % stay below 13.
         moving = [name for name, share in shares.items() if share * m.samples > 20.0]
     if still and not moving:
-        yield DataIssue("refused", "nothing moves beyond its noise; excite the reel")
+        yield DataIssue("refused", "nothing moves beyond its noise; excite the plant")
     elif still:
         sentence = f"the command stands still while {' and '.join(moving)} moves"
         yield DataIssue("warning", f"{sentence}: it shows drift and disturbances only")
     elif not moving:
-        yield DataIssue("refused", "no output moves beyond its noise; excite the reel more")
+        yield DataIssue("refused", "no output moves beyond its noise; excite the plant more")
 
 
 def _moves(column: FloatArray) -> bool:

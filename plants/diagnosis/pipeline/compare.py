@@ -157,7 +157,7 @@ def _cross_validated(
 def _not_contradicted(
     conclusion: Conclusion, last: ModelStage, where: ResidualLocation
 ) -> Conclusion:
-    """Unknown where short predictions are within the noise, but something else is far off."""
+    """Unknown where short predictions are within the noise, but a balance or free run is not."""
     if conclusion.verdict != "none":
         return conclusion
     model = last.fitter.model

@@ -62,7 +62,7 @@ def report(
     plant, steps = after.fitter.model, compared.steps
     scale = PlantScale.of(plant.model)
     effects = [_named(e, stated.believed, plant.model) for e in compared.effects]
-    # Base numbers that were fitted without the waves have bent to make up for them.
+    # Base numbers that were fitted without the waves compensate for them.
     believed = after.fit if compared.waves is None else compared.models.given
     values = believed.values
     if compared.waves is not None:

@@ -143,7 +143,7 @@ def _unrepeated_rms(
 ) -> float:
     """Rms of a channel that repeated commands do not reproduce in windows; 0 without repeats."""
     index, repeats = of.index, unrepeated(of.measurements)
-    # Of a current, which does not follow the initial state, nothing has to be known.
+    # A current does not depend on the initial state: its deviations are not needed.
     deviation = np.where(index.channel == CHANNELS.index("current_A"), 0.0, np.nan)
     for n, columns in enumerate(repeats):
         for name, column in columns.items():
@@ -158,7 +158,7 @@ def _unrepeated_rms(
     windows = np.unique(index.window[chosen])
     square = np.bincount(index.window[chosen], unexplained[chosen] ** 2)[windows]
     square /= np.bincount(index.window[chosen])[windows]
-    # A few impacts are no noise floor.
+    # A few impacts must not raise the noise floor.
     return float(np.sqrt(np.minimum(square, 5.0 * np.median(square)).mean()))
 
 

@@ -72,7 +72,7 @@ def _explained(turning: ResidualOverAngle, step: float, size: int) -> FloatArray
         [[place.size + twice.real, -twice.imag], [-twice.imag, place.size - twice.real]]
     )
     normal -= np.einsum("akn,bkn->abn", columns, columns)
-    # A wave has to differ from a straight line where the samples are.
+    # Regularised: over a short range of angles a wave resembles a straight line.
     normal[[0, 1], [0, 1]] += 1e-3 * place.size
     weights = np.linalg.solve(
         normal.transpose(2, 0, 1), np.stack([pull.real, -pull.imag], axis=1)[:, :, None]

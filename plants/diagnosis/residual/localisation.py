@@ -83,7 +83,7 @@ class Block:
 
     @property
     def is_above_noise(self) -> bool:
-        """Whether it is to be reported: it leaves more than a model that lacks nothing may."""
+        """Whether it exceeds what a complete model may leave, and is to be reported."""
         return self.ratio**2 > CONSTANTS.floor
 
     @property
@@ -225,7 +225,7 @@ def _dependence(
 
 
 def _responsible(blocks: Sequence[Block], sampling_Hz: float) -> list[Block]:
-    """The blocks in order, first the one whose cause also shows in others.
+    """The blocks, first the one that contains the cause of residuals in the others.
 
     The gauge's reading is in the force and the gauge balance: an error of the reading shows in
     both with opposite signs, an error of the cable in the gauge block alone. Eyelet friction shows

@@ -87,7 +87,7 @@ class CurrentLaw(NamedTuple):
         return unexplained
 
     def left_out(self, parts: list[TorqueMotion]) -> float:
-        """Root mean square of what is left in each part by a fit to the others, N m."""
+        """Root mean square residual of each part after a fit to the others, N m."""
         residuals = [
             self.residual(part, self.fitted(parts[:n] + parts[n + 1 :]))
             for n, part in enumerate(parts)
@@ -164,7 +164,7 @@ def torque_waves(
         return None
     parts = _parts(motions)
     K, rate_Hz = first.newtons_per_ampere * first.drum_radius_m, first.sampling_Hz
-    # What inertia and friction explain by themselves is no wave.
+    # The current is compared with a law of inertia and friction alone.
     before, plain = _best((), parts)
     after, law = _best(orders, parts)
     fitted = law.fitted(parts)
@@ -209,7 +209,7 @@ def _motion(m: MeasuredRecord, b: BaseNumbers) -> TorqueMotion:
     angle, velocity, inertial = (smoother.sampled(m.angle_rad, *c) for c in orders)
     inside = np.isfinite(torque) & np.isfinite(angle)
     speed = np.abs(velocity[inside])
-    # What is five times as fast as usual starts or jumps.
+    # Motion at more than five times the usual speed is a start or a jump.
     slow = speed <= 5.0 * max(float(np.median(speed)), 1e-300)
     v = velocity[inside][slow]
     terms = np.column_stack([v, np.sign(v)])
@@ -227,7 +227,7 @@ def _parts(motions: Sequence[TorqueMotion]) -> list[TorqueMotion]:
 
 
 def _orders(motions: Sequence[TorqueMotion]) -> tuple[float, ...]:
-    """Periods a turn of the waves that are worth it, the greatest first; three in a record."""
+    """Periods a turn of the waves that explain enough, the greatest first."""
     extent = max(float(np.ptp(m.angle_rad)) for m in motions)
     angle = np.concatenate([m.angle_rad for m in motions])
 
@@ -243,7 +243,7 @@ def _orders(motions: Sequence[TorqueMotion]) -> tuple[float, ...]:
         if not best:
             break
         tried = {(*orders, best[0]): residual_of((*orders, best[0]))}
-        # Over a turn, the next whole number is meant that takes off nearly as much.
+        # Over a whole turn the nearest integer is used if it explains nearly as much.
         if extent >= 2.0 * math.pi:
             whole = (*orders, float(round(best[0])))
             tried[whole] = residual_of(whole)

@@ -67,6 +67,6 @@ def _per_turn(
     if not common:
         return per_turn(turnings, read)
     joined = ResidualOverAngle(*map(np.concatenate, zip(*common, strict=True)))
-    # What friction hides here shows in predictions.
+    # Friction may hide a wave in the balance that predictions show.
     turn = 2.0 * math.pi / float(np.ptp(joined.angle_rad))
     return [*per_turn([*turnings, joined], read), *(n * turn for n in (1.0, 1.5, 2.0, 3.0, 4.0))]

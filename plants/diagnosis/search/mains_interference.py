@@ -112,9 +112,9 @@ def _interference(
     waves = {line.number: line.wave(frequency_Hz) for line in lines}
     sizes = np.array([math.hypot(*w) for w in waves.values()])
     middle = float(np.median(sizes))
-    # Interference ignores the motion: its amplitude is the same in all records.
+    # Interference does not depend on the motion: its amplitude is the same in all records.
     alike = (sizes > 0.5 * middle) & (sizes < 2.0 * middle)
-    # What a model lacks may make lines, too, but not in records of every kind.
+    # A missing effect may produce lines, too, but not in records of every kind.
     alike &= np.array([line.stands_out(frequency_Hz) for line in lines])
     if middle < CONSTANTS.audible * math.sqrt(2.0) * noise_N or alike.mean() < 0.5:
         return None

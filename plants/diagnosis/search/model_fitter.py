@@ -57,7 +57,7 @@ class CandidateFit:
         return sum(f.owner in self.names and not edges(f, value) for f, value in listed)
 
     def at_bound(self, effect: type[Effect]) -> bool:
-        """Whether an effect's size, or the length of its wave, is the most it can be."""
+        """Whether an effect's size, or the length of its wave, is at its greatest or least value."""
         waves = {f"{effect.name}.{name}" for name in effect.named(Role.PERIODS)}
         listed = zip(self.fitted.predictor.free, self.fitted.values.tolist(), strict=True)
         for f, value in listed:
@@ -117,8 +117,8 @@ class ModelFitter:
     def base_fit(self) -> CandidateFit:
         """The model without effects, from its own numbers and from those that fit best.
 
-        The second begins with the fit in which what is known of the numbers does not count: a
-        number that is given far wrong is then left for good where that takes the error off.
+        The second starts from a fit without the prior: a number that is given far wrong then keeps
+        its new value if the error is smaller there.
         """
         near = self.fit((), self.base.start, 40)
         if CONSTANTS.floor >= near.J or all(f.prior is None for f in self.base.free):
@@ -170,14 +170,14 @@ class ModelFitter:
         return self.fit(model.effects, model.fitted.values, rounds)
 
     def final(self, model: CandidateFit) -> CandidateFit:
-        """The same, fitted until nothing is gained."""
+        """The same, fitted until it has converged."""
         fitted = model.fitted
         moved = fitted.moved
         done = fit(fitted.predictor, fitted.values, moved, self.entries, 60, tolerance=1e-5)
         return CandidateFit(model.effects, done)
 
     def best_starts(self, predictor: Predictor, rows: FloatArray, most: int) -> FloatArray:
-        """The rows of values that leave the least."""
+        """The rows of values with the smallest residuals."""
         if len(rows) <= 1:
             return rows
         squares = _squares(predictor, rows, self.entries, np.zeros(1, np.int64))[:, 0]
@@ -187,9 +187,9 @@ class ModelFitter:
     def placed(self, effects: Effects, rows: FloatArray) -> FloatArray:
         """Rows with each record's own values moved to where the residuals are least.
 
-        An effect that bends the cable's law shifts the angle at which it is taut, further than
-        a fit from elsewhere finds back. A wave over the angle is turned where nothing else tells
-        each record's zero.
+        An effect that bends the cable's law shifts the angle at which the cable is taut by more
+        than a fit can correct. A wave over the angle is shifted in records whose zero only the
+        wave shows.
         """
         predictor = self.predictor(effects)
         kinds: dict[str, dict[int, int]] = {}
@@ -256,7 +256,7 @@ class ModelFitter:
         return group
 
     def free_run(self, model: CandidateFit) -> list[Prediction]:
-        """Each record from its start, with nothing put right on the way."""
+        """Each record simulated from its start, without resets."""
         values = model.values
         running = Predictor(self.model, model.effects, self.measurements, None, self.floor)
         known = {f.name for f in running.free}

@@ -54,7 +54,7 @@ def _properties(measurements: Sequence[MeasuredRecord]) -> FloatArray:
 
 
 def refitted(fitter: ModelFitter, models: FittedModels, conclusion: Conclusion) -> FittedModels:
-    """The base model, what is believed and what comes near, fitted to other records."""
+    """The base model, the models believed and those with the smallest errors, refitted."""
     ranked = sorted(models.with_effects.values(), key=lambda fit: fit.J)
     believed = [fit for fit in conclusion.stages if fit.effects]
     tied = [f for names, f in models.with_effects.items() if names & {*conclusion.tied}]
@@ -107,8 +107,8 @@ def on_all_records(
 ) -> AllRecords:
     """The models of a search fitted to all records.
 
-    Mains interference is looked for again beside the effects that are believed: what they do may
-    look like a line where they are missing.
+    Mains interference is estimated again with the effects that are believed: without them their
+    response may resemble a line.
     """
     all_searched = len(searched.measurements) == len(plant.measurements)
     if line is None and all_searched:

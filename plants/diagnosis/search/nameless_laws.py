@@ -1,9 +1,8 @@
-"""Laws without a name that every named effect has to do better than.
+"""Laws without a name, with which every named effect is compared.
 
-Each is a way in which a model and a machine may differ that is no declared effect, but may be
-taken for one: a loop of the same height at any tension for friction at the eyelet, whose loop
-grows with it; a gain that changes with time for a zero that does; any function of the velocity
-for dry friction.
+Each is a difference between model and machine that is no declared effect but may be mistaken for
+one: a loop of constant height for friction at the eyelet, whose loop grows with the tension; a
+gain that changes with time for an offset that does; any function of the velocity for dry friction.
 """
 
 from dataclasses import dataclass

@@ -42,7 +42,7 @@ class ScoreContext(NamedTuple):
         entries, residual = fitted.entries[screened], fitted.residuals[screened]
         moves = fitter.moves(fitted.predictor)
         slope = fitted.predictor.linearise(fitted.values, moves, entries, residual)[1].T
-        # What is known of base parameters is a residual of its own, which no effect changes.
+        # The prior of base parameters is a residual of its own, which no effect changes.
         scale = Coordinates.of(fitted.predictor, moves)
         weight = residual.size * prior_weight(model.J)
         known, apart = scale.equations(fitted.values, weight)

@@ -20,8 +20,8 @@ from plants.diagnosis.search.score_context import ScoreContext
 from plants.effects import Effect, RecordScale, Role
 
 DECADES = np.arange(-3.0, 4.0)
-"""Sizes tried, in powers of ten of the usual one, between which one is found that moves the
-residual: less than the first moves it in proportion, and is not seen better."""
+"""Sizes tried, in powers of ten of the usual one; the size at which the residual changes by about
+its rms is interpolated. Below the smallest the residual changes in proportion to the size."""
 ACTING = 1e-6
 """Change of the residual, in noise floors, from which on a limit acts at all: less is rounding."""
 
@@ -101,7 +101,7 @@ class Directions:
         limited = bool(self.effect.named(Role.LIMIT))
         directions, usual_change = self._limits() if limited else self._amplitudes()
         directions.sort(key=lambda direction: -direction.share)
-        most = 8 + len(self.phases)  # a period is soon lost
+        most = 8 + len(self.phases)  # a period has many local minima
         starts = np.array([direction.start for direction in self._apart(directions)[:most]])
         grids = self._grids()
         return ScreeningResult(
@@ -135,7 +135,7 @@ class Directions:
         if not acting.size:
             return [_Direction(0.0, self.without_effect.copy())], 0.0
         top = min(int(acting[-1]) + 1, levels.size - 1)
-        # From where it does not act to where it changes as much as there is to explain.
+        # From where it does not act to where it changes as much as the residual is.
         enough = acting[change[acting] > max(1.0, 2.0 * self.context.size)]
         bottom = int(enough[-1]) if enough.size else int(acting[0])
         rows = self._rows(name, np.geomspace(levels[bottom], levels[top], levels.size))
@@ -143,7 +143,7 @@ class Directions:
         directions = []
         for n in np.flatnonzero(products.rms > ACTING).tolist():
             share, weights = products.of(slice(n, n + 1)).explained(only_up=True)
-            # It does not act in proportion: what has to be stretched far is no direction.
+            # A limit does not act in proportion to its level: a weight far from 1 is discounted.
             fits = math.exp(-0.1 * math.log(max(float(weights[0]), 1e-9)) ** 2)
             directions.append(_Direction(share * fits, rows[n]))
         return directions or [_Direction(0.0, self.without_effect.copy())], float(change.max())
@@ -192,13 +192,13 @@ class Directions:
         return share, np.array([amplitude, 0.0])
 
     def _sizes(self) -> tuple[list[dict[str, float]], float]:
-        """Sizes that move the residual by about what it is, and more; how far the usual does."""
+        """Sizes that change the residual by its rms and more; the change at the usual size."""
         values = {name: self._scaled(name, DECADES) for name in self.sizes}
         rows = np.concatenate([self._rows(name, tried) for name, tried in values.items()])
         moved = self.context.products(self._changes(rows)).rms.reshape(-1, DECADES.size)
-        # A greater size than that which changes the most holds the drum.
+        # At still greater sizes friction holds the drum, and the change is smaller.
         rising = [np.log(np.maximum.accumulate(m[: m.argmax() + 1]) + 1e-12) for m in moved]
-        # A law that is bent points another direction when it acts strongly.
+        # The direction of a nonlinear law depends on its size.
         levels = (0.5,) if self.effect.named(Role.FREQUENCY) else (0.5, 3.0)
         sizes: list[dict[str, float]] = []
         for share in levels:

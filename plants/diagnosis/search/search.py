@@ -79,7 +79,7 @@ def fit_promising(
     least = math.inf
     for n, candidate in enumerate(chosen):
         progress(f"fitting {candidate.effect.title}", n / len(chosen))
-        # Beside a model that leaves nothing only those count that point the same way.
+        # Once a model leaves nothing, only effects with a similar direction compete with it.
         if max(least, 1.0) <= CONSTANTS.floor and candidate.screening_R2 < CONSTANTS.aimed * best:
             continue
         simpler = _simpler(candidate.effect, fits)
@@ -116,8 +116,8 @@ def screen_beside(
 ) -> Screening:
     """Directions beside a model of the effects of other families, and of the nameless laws.
 
-    All are worked out alone first, which takes little; then the most promising beside the effects
-    there are. What those do not let through, or bend, has another direction without them.
+    All are screened without the effects of the model first, which takes little time, and the most
+    promising then with them: these may change the direction of an effect.
     """
     family = family_of(current.effects[0])
     declared = [s.effect for s in screening.declared.values() if family_of(s.effect) != family]

@@ -1,9 +1,9 @@
 """Starts of fits with one more effect, and the choice of the best.
 
-Starts are laid over a grid of shapes, from the calibrations of the model as given and from those
-of the current one, which may have bent to make up for what is missing. Successive halving goes on
-with the better half each time, with shapes held at first: all values at once often end in a local
-minimum beside a shape that was good enough (Jamieson & Talwalkar 2016).
+Starts lie on a grid of shapes, with the base parameters of the model as given and with those of
+the current fit, which may compensate for the missing effect. Successive halving keeps the better
+half of the starts in each round (Jamieson & Talwalkar 2016). Shapes are held at first: if all
+values move at once, a fit often ends in a local minimum.
 """
 
 import itertools
@@ -35,11 +35,11 @@ def fit_added(
         current: The current model.
         screened: The effect's screening.
         simpler: The model with a simpler law that does a part of what the effect does.
-        least: What another model leaves: far above it a fit is not gone on with.
+        least: J of the best other model: a fit that stays far above it is ended.
     """
     effects = fitter.ordered((*current.effects, screened.effect))
     predictor = fitter.predictor(effects)
-    # What leaves less to begin with may lead nowhere: each place has starts of its own.
+    # A start with a small residual may end in a poor minimum: each origin keeps its own starts.
     pools = [[predictor.row(v) for v in _suggested(current, screened)]]
     if simpler is not None:
         pools.append([predictor.row(v) for v in _beside(fitter, screened, simpler, current)])
@@ -61,7 +61,7 @@ def halved(
     least: float,
 ) -> CandidateFit:
     """The best of several starts by successive halving."""
-    # Rounds with shapes held, and how many starts are gone on with.
+    # Rounds with shapes held, and the number of starts kept after them.
     for rounds, most in ((2, 4), (3, 2), (2, 1)):
         if len(rows) > most:
             fits = [fitter.fit(effects, row, rounds, held=shapes) for row in rows]

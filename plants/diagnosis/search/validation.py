@@ -106,7 +106,7 @@ def held_errors(fitter: ModelFitter, model: CandidateFit) -> ModelErrors:
 
 
 def free_run_rms(fitter: ModelFitter, model: CandidateFit) -> float:
-    """Error of the main channel where nothing is put right on the way, rms."""
+    """Error of the main channel in free run, rms."""
     name = main_channel(fitter.measurements, fitter.model.output)
     errors = []
     for m, run in zip(fitter.measurements, fitter.free_run(model), strict=True):
