@@ -5,8 +5,8 @@ Target: none; a line for each number, with the cases whose verdict or names it c
 
 Numbers are those of `numbers.py`, in cases of the development seeds of
 `experiments.hidden_machines` and `experiments.independent_drives`. Those last used in one step are
-changed all at once; where that changes the answer, halves of the group are, until each number that
-does is alone. A case begins with the step in which one is first used, and ends where records,
+changed all at once, those of the table apart; where that changes the answer, halves of the group
+are, until each number that does is alone. A case begins with the step in which one is first used, and ends where records,
 noise and base fit are as they were and no later step uses one. `--list` prints the numbers,
 `--rows` the table of a file, `--functions` the functions of the room that a call of `explain`
 enters: of a drive and of a reel that is left unexplained, whose is more.
@@ -212,11 +212,11 @@ def measure(name: str, todo: list[Number]) -> Iterator[dict[str, Any]]:
         with fits_made_once(made):
             first = diagnose(case, {}, lambda *_: False)
         assert first is not None  # noqa: S101  nothing stops it
-        groups: dict[str, list[Number]] = defaultdict(list)
+        groups: dict[tuple[str, bool], list[Number]] = defaultdict(list)
         for number in todo:
             steps = [step for step, entered in first.used.items() if entered & number.uses]
             if steps:
-                groups[steps[-1]].append(number)
+                groups[steps[-1], number.in_table].append(number)
         for group, factor in itertools.product(groups.values(), (0.5, 2.0)):
             answer = partial(answer_with, case, factor=factor, first=first, made=made)
             after = changed_by(group, answer, first.answer)

@@ -57,7 +57,7 @@ class CandidateFit:
         return sum(f.owner in self.names and not edges(f, value) for f, value in listed)
 
     def at_bound(self, effect: type[Effect]) -> bool:
-        """Whether an effect's size, or the length of its wave, is at its greatest or least value."""
+        """Whether an effect's size, or the length of its wave, is at a bound of its range."""
         waves = {f"{effect.name}.{name}" for name in effect.named(Role.PERIODS)}
         listed = zip(self.fitted.predictor.free, self.fitted.values.tolist(), strict=True)
         for f, value in listed:
