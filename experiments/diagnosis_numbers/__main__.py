@@ -6,10 +6,10 @@ Target: none; a line for each number, with the cases whose verdict or names it c
 Numbers are those of `numbers.py`, in cases of the development seeds of
 `experiments.hidden_machines` and `experiments.independent_drives`. Those last used in one step are
 changed all at once, those of the table apart; where that changes the answer, halves of the group
-are, until each number that does is alone. A case begins with the step in which one is first used, and ends where records,
-noise and base fit are as they were and no later step uses one. `--list` prints the numbers,
-`--rows` the table of a file, `--functions` the functions of the room that a call of `explain`
-enters: of a drive and of a reel that is left unexplained, whose is more.
+are, until each number that does is alone. A case begins with the step in which one is first used,
+and ends where records, noise and base fit are as they were and no later step uses one. `--list`
+prints the numbers, `--rows` the table of a file, `--functions` the functions of the room that a
+call of `explain` enters: of a drive and of a reel that is left unexplained, whose is more.
 """
 
 import itertools
