@@ -61,7 +61,8 @@ class TuneOptions(Search):
         Mapping[str, tuple[float, float]] | None,
         Setting(
             "Lowest and highest value of gains, by name (P, I, D, setpoint_filter_s)",
-            otherwise="a hundredth and a hundred times the initial value",
+            otherwise="the initial value over and times 10 000 with `model_based`, 100 with other "
+            "tuners",
         ),
     ] = None
     step: Annotated[

@@ -194,10 +194,22 @@ def test_intervals_contain_the_gains_of_this_and_of_other_runs():
         assert sum("interval of a gain" in remark for remark in one.remarks()) == 1
 
 
-def test_headline_says_that_the_bounds_ended_the_search():
+def a_fiftieth():
     gains = plants.reference_reel(0.8).rig().describe().gains
-    start = Gains(gains.P / 50, gains.I / 50, gains.D / 50, gains.setpoint_filter_s)
-    result = tune(plants.reference_reel(0.8), start=start)
+    return Gains(gains.P / 50, gains.I / 50, gains.D / 50, gains.setpoint_filter_s)
+
+
+def test_search_follows_its_model_further_than_a_hundred_times_the_start(tuned):
+    result = tune(plants.reference_reel(0.8), start=a_fiftieth())
+    assert result.gains.P > 100.0 * a_fiftieth().P
+    for name in ("P", "I", "D"):
+        assert getattr(result.gains, name) == pytest.approx(getattr(tuned.gains, name), rel=0.2)
+
+
+def test_headline_says_that_the_bounds_ended_the_search():
+    start = a_fiftieth()
+    bounds = {name: (getattr(start, name), 100.0 * getattr(start, name)) for name in ("P", "I")}
+    result = tune(plants.reference_reel(0.8), start=start, bounds=bounds)
     assert "the search ended at its bounds of P and I" in result.heading()
     assert re.search(r"improvement is at most \S+ within the bounds", result.message)
 

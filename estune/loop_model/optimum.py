@@ -194,6 +194,7 @@ class RegionSearch:
             scattered: Number of low-discrepancy points of which the best is one more start.
         """
         starts = [*starts, *([self._best_of(scattered)] if scattered else [])]
+        self.all_predicted([np.clip(x, self.low, self.high) for x in starts])
         stable: list[FloatArray] = []
         for start in starts:
             x = self._stabilised(start)
@@ -209,6 +210,14 @@ class RegionSearch:
             if sum(one.feasible for one in found) == asked:
                 break
         return min(found, key=self._rank)
+
+    def ends(self, x: FloatArray) -> list[FloatArray]:
+        """The point with each coordinate by itself at either end of the box.
+
+        No slope leads away from a gain that is too small to matter.
+        """
+        moves = np.diag(np.concatenate([self.low - x, self.high - x]))
+        return list(x + moves[:, : x.size] + moves[:, x.size :])
 
     def predicted(self, x: FloatArray) -> Prediction:
         """The expected cost and constraints at some coordinates."""

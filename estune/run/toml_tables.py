@@ -62,7 +62,7 @@ _PRESET = Setting(
 )
 _BOUNDS = Setting(
     "Lowest and highest value of gains, by name, in their own units",
-    otherwise="a hundredth and a hundred times the initial value",
+    otherwise="the initial value over and times 10 000 with `model_based`, 100 with other tuners",
 )
 STEP = SettingsGroup("The step trial", LoadStepProfile, ("loop", "kind"))
 COST = SettingsGroup(

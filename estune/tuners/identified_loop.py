@@ -58,6 +58,10 @@ FORESEEN = 0.1
 """Error of the last prediction of the log cost below which the last optimum is enough to start
 from."""
 
+FLAT = 0.01
+"""Difference of predictions a logarithm back from the end of the reach, up to which that holds
+nothing back: a setpoint filter of an eighth of a sample acts as none, 0.5 % of cost and limits."""
+
 WORTH_DRAWING = 0.1
 """Improvement of the model's optimum over the best trial, in the log cost, below which the
 remaining improvement is worth estimating."""
@@ -323,7 +327,7 @@ class IdentifiedLoopTuner:
         search = self._search(state, fit.model)
         foreseen = abs(state.errors[-1]) < FORESEEN  # not with NaN
         optimum = search.minimise(
-            [np.array(state.centre), best],
+            [np.array(state.centre), best, *search.ends(best)],
             iterations=FIRST_ITERATIONS if len(state.costs) < CLOSE_FROM else ITERATIONS,
             scattered=0 if foreseen else SCATTERED,
         )
@@ -363,18 +367,22 @@ class IdentifiedLoopTuner:
         close = best - math.log(optimum.prediction.cost) < WORTH_DRAWING
         if len(state.costs) < CLOSE_FROM or not (close and optimum.feasible):
             return None
-        if self._at_edge(state, optimum):
+        if self._at_edge(state, fit, optimum):
             return None
         loop = SearchedLoop(fit, lambda model: self._search(state, model), optimum, state.surface)
         return model_convergence(loop, self.space, state.errors, seed=len(state.costs))
 
-    def _at_edge(self, state: IdentifiedLoopState, optimum: Optimum) -> bool:
+    def _at_edge(self, state: IdentifiedLoopState, fit: LoopFit, optimum: Optimum) -> bool:
         """Whether the reach, not a bound of the space, holds the optimum back."""
-        away = optimum.coordinates - np.array(state.base)
-        inside = (optimum.coordinates > np.array(self.space.coordinates_low) + 1e-6) & (
-            optimum.coordinates < np.array(self.space.coordinates_high) - 1e-6
+        x = optimum.coordinates
+        away, reach = x - np.array(state.base), self.reach * state.step_scale
+        inside = (x > np.array(self.space.coordinates_low) + 1e-6) & (
+            x < np.array(self.space.coordinates_high) - 1e-6
         )
-        return bool(np.any(inside & (np.abs(away) > 0.99 * self.reach * state.step_scale)))
+        held = np.flatnonzero(inside & (np.abs(away) > 0.99 * reach))
+        back = [x - np.sign(away[i]) * np.eye(x.size)[i] for i in held]
+        beside = (self._at(state, fit, tuple(there.tolist())) for there in back)
+        return any(difference(there, optimum.prediction) > FLAT for there in beside)
 
     def _trial(self, state: IdentifiedLoopState) -> StepTrial:
         """The step trial with the effort at rest of the last record."""
