@@ -30,7 +30,7 @@ BANDS = 16
 16 and 32 of them a search for the optimum of loops with modes took a mean of 152, 46, 26 and 33
 evaluations."""
 
-ZOOMED = 13
+ZOOMED = 25
 """Points of a second grid about the lowest |1 + L| of each band: resonances of the closed loop are
 not those of the plant."""
 

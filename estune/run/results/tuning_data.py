@@ -26,7 +26,7 @@ DRAWS_MIN = 8
 CURVES = 12
 """Trials whose response is shown where they are nearest."""
 WIDEST = 100.0
-"""Factor from the initial gains to the ends of a slider, as of the default bounds of a search."""
+"""Factor from the initial gains to the ends of a slider, where the tuned ones lie no further."""
 POINTS = 200
 """Points of such a response."""
 
@@ -55,7 +55,7 @@ def tuning_data(result: RunResult) -> dict[str, Any] | None:
         "command_unit": rig.command.rpartition(", ")[2] if ", " in rig.command else "",
         "labels": _labels(rig),
         "tuned": [name for name, value in _values(result.start_gains).items() if value > 0.0],
-        "bounds": _bounds(space, result.start_gains),
+        "bounds": _bounds(space, result.start_gains, result.gains),
         "limits": {
             "Ms": limits.max_sensitivity or SENSITIVITY_MAX,
             "overshoot": 0.05 if limits.max_overshoot is None else limits.max_overshoot,
@@ -98,13 +98,15 @@ def _values(gains: Gains) -> dict[str, float]:
     return dict(zip(GAIN_NAMES, gains.as_tuple(), strict=True))
 
 
-def _bounds(space: SearchSpace, start: Gains) -> dict[str, dict[str, float]]:
-    """Bounds of the sliders: those of the search where it tuned the gains themselves."""
-    low = {name: value / WIDEST for name, value in _values(start).items()}
-    high = {name: value * WIDEST for name, value in _values(start).items()}
+def _bounds(space: SearchSpace, start: Gains, tuned: Gains) -> dict[str, dict[str, float]]:
+    """Ends of the sliders: within the bounds of the search, and with the tuned gains."""
+    first, last = _values(start), _values(tuned)
+    low = {name: min(value / WIDEST, last[name]) for name, value in first.items()}
+    high = {name: max(value * WIDEST, last[name]) for name, value in first.items()}
     if space.form == "parallel":
-        low |= dict(zip(space.names, space.low, strict=True))
-        high |= dict(zip(space.names, space.high, strict=True))
+        for name, least, most in zip(space.names, space.low, space.high, strict=True):
+            low[name] = max(low[name], least)
+            high[name] = min(high[name], most) if first[name] else most
     return {"low": low, "high": high}
 
 
