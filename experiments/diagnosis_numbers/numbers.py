@@ -2,7 +2,7 @@
 
 A number decides if it stands in the table `constants.py`, under a name of its own at the top of a
 module, or in a comparison. Left out are 0, 1, 2 and 0.5, guards of a division (1e-6 and less), and
-what is only shown or planned: `report`, `experiments` and `data/preview.py`.
+what is only shown or planned: `report` and `experiments`.
 """
 
 import ast
@@ -18,8 +18,8 @@ import plants.diagnosis
 from plants.diagnosis.constants import CONSTANTS
 
 FOLDER = Path(plants.diagnosis.__file__).parent
-SHOWN = ("report", "experiments", "data/preview.py")
-"""Folders, and a file, that decide no verdict."""
+SHOWN = ("report", "experiments")
+"""Folders that decide no verdict."""
 PLAIN = (0.0, 0.5, 1.0, 2.0)
 GUARD = 1e-6
 Functions = ast.FunctionDef | ast.AsyncFunctionDef
@@ -81,7 +81,7 @@ class _Source(NamedTuple):
 
 def _sources() -> list[_Source]:
     paths = sorted(FOLDER.rglob("*.py"))
-    return [_Source.of(p) for p in paths if not str(p.relative_to(FOLDER)).startswith(SHOWN)]
+    return [_Source.of(p) for p in paths if p.relative_to(FOLDER).parts[0] not in SHOWN]
 
 
 def numbers() -> list[Number]:

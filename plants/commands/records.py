@@ -16,8 +16,8 @@ if TYPE_CHECKING:
     from estune.recordings.issue import DataIssue
     from estune.service_records.usable import JudgedStretch
     from plants.diagnosis.data.measured_record import MeasuredRecord
-    from plants.diagnosis.data.preview import Preview
     from plants.diagnosis.data.records import ColumnSource
+    from plants.explain_page.preview import Preview
 
 COMMANDS_SHOWN = 12
 SHOWN = 60
@@ -56,8 +56,8 @@ def records(
         InvalidInput: there is no record, or an option cannot be used.
     """
     from estune.recordings.units import NO_DRUM  # noqa: PLC0415  slow to import
-    from plants.diagnosis.data.preview import preview, warnings  # noqa: PLC0415  as above
     from plants.diagnosis.data.records import drum_of, read_measurements  # noqa: PLC0415
+    from plants.explain_page.preview import preview, warnings  # noqa: PLC0415  as above
 
     columns, drum = column_map(map_, unit, scale, save_map), NO_DRUM
     if model is not None:

@@ -16,8 +16,8 @@ from estune.recordings.issue import Unusable
 from estune.recordings.raw_file import formats, is_readable, read_raw
 from estune.recordings.units import NO_DRUM, UNITS
 from plants.diagnosis.data.measured_record import CHANNELS, MeasuredRecord
-from plants.diagnosis.data.preview import preview, warnings
 from plants.diagnosis.data.records import drum_of, read_measurements
+from plants.explain_page.preview import preview, warnings
 from plants.explain_page.search_process import SearchProcess
 from plants.models.model_file import load_model
 from plants.models.model_tables import KINDS, form_of
