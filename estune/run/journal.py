@@ -184,7 +184,8 @@ class Journal(Closing):
                     *place,
                 )
                 self._file.write("INSERT INTO record VALUES (?, ?, ?)", *place, frame)
-                self._drop_old_records(request.number)
+                if self._records_max is not None:
+                    self._drop_records_to(request.number - self._records_max)
             if following is not None:
                 request, phase = following
                 self._file.write(
@@ -194,14 +195,13 @@ class Journal(Closing):
                     *(*request.gains.as_tuple(), now),
                 )
 
-    def _drop_old_records(self, number: int) -> None:
-        """Drops records of the search that are older than the latest `records_max`."""
-        if self._records_max is not None:
-            self._file.write(
-                "DELETE FROM record WHERE rowid IN (SELECT record.rowid FROM record"
-                " JOIN trial USING (number, attempt) WHERE number <= ? AND phase = ?)",
-                *(number - self._records_max, Phase.SEARCH.value),
-            )
+    def _drop_records_to(self, number: int) -> None:
+        """Drops records of the search up to a number: the latest `records_max` are kept."""
+        self._file.write(
+            "DELETE FROM record WHERE rowid IN (SELECT record.rowid FROM record"
+            " JOIN trial USING (number, attempt) WHERE number <= ? AND phase = ?)",
+            *(number, Phase.SEARCH.value),
+        )
 
     def changes(self) -> int:
         """A number that changes with every commit of another process."""

@@ -247,7 +247,7 @@ def _check_posed(tuning: TuningRun) -> None:
     """Refuses to search on a rig that does not answer, or by noise, unless forced."""
     session, first = tuning.session, tuning.first_record
     first_phases = (Phase.SEARCH, Phase.EXCITE)
-    begins = session.phase in first_phases and session.number == tuning.plan.baseline_trials
+    begins = session.phase in first_phases and session.number == len(session.baseline)
     if begins and first is not None and not tuning.plan.forced:
         check_answer(first, tuning.plan, tuning.description)
         check_noise(first, tuning.plan, tuning.description, session.baseline[0])

@@ -93,9 +93,8 @@ def constraint_margin(record: TrialRecord, rig: RigDescription) -> float:
         return math.inf
     effort = record.current_A * rig.newtons_per_ampere
     setpoint = record.setpoint_N
-    limits, controller, signals = rig.limits, rig.controller, rig.signals
-    alike = signals.measurement_unit == signals.command_unit
-    held = setpoint if alike else _holding(setpoint, effort)
+    limits, controller = rig.limits, rig.controller
+    held = setpoint if rig.have_one_unit else _holding(setpoint, effort)
     margins = [
         *_room(setpoint, record.tension_N, limits.tension_min_N, limits.tension_max_N),
         *_room(held, effort, controller.output_min_N, controller.output_max_N),

@@ -45,6 +45,11 @@ class NamedSignals:
         return _split(self.command)[1]
 
     @property
+    def have_one_unit(self) -> bool:
+        """Whether measurement and command have the same unit, so that they can be compared."""
+        return _split(self.measurement)[1] == _split(self.command)[1]
+
+    @property
     def gain_units(self) -> dict[str, str]:
         """By name of the gain, for a controller from this measurement to this effort."""
         return gain_units(self.measurement_unit, self.command_unit)

@@ -56,9 +56,8 @@ def _faults(rig: RigDescription) -> Iterator[str]:
     except InvalidInput as error:
         yield f"the rig refuses the step it suggests itself ({error})"
     highest = max(step.extremes_N)
-    # Commands and setpoints of another unit cannot be compared.
     holds = not controller.output_max_N < min(limits.tension_max_N, highest)
-    if rig.command_unit == rig.measurement_unit and not holds:
+    if rig.have_one_unit and not holds:
         yield (
             f"the highest {rig.command_name}, {rig.commanded(controller.output_max_N)}, is less "
             f"than the {rig.measured(highest)} of the step it suggests"
