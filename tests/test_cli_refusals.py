@@ -179,6 +179,8 @@ def test_list_shows_other_runs_beside_an_unreadable_one(arithmetic_run, here):
     states = {row["run"]: row["state"] for row in listed}
     assert states["one"] == str(estune.load(arithmetic_run).ending)
     assert states["torn"].startswith("unreadable: ")
+    last = here("list", "--folder", arithmetic_run.parent).splitlines()[-1]
+    assert last == f"torn: {states['torn'].removeprefix('unreadable: ')}"
 
 
 def test_apply_refuses_another_rig_unless_named(refused, here, arithmetic_run):

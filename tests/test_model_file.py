@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 import plants
 from estune.core.gains import Gains
 from estune.errors import InvalidInput
+from estune.support.toml_file import read_toml
 from plants.effects import EFFECTS, CoulombFriction, CurrentSaturation, EyeletFriction
 from plants.models import model_file
 from plants.models.model_tables import KINDS
@@ -246,6 +247,13 @@ torque_Nm = 1.0
     ):
         assert sum(f"{path}: {place}" in line and words in line for line in lines) == 1, place
     assert len(lines) == 9
+
+
+def test_file_with_the_byte_order_mark_of_windows_is_read(tmp_path):
+    path = tmp_path / "reel.toml"
+    path.write_text("[reel]\ncable_length_m = 1.2\n", encoding="utf-8-sig")
+    assert plants.load_model(path).cable_length_m == 1.2
+    assert read_toml(path)["reel"] == {"cable_length_m": 1.2}
 
 
 @pytest.mark.parametrize(

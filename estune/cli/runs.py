@@ -6,6 +6,8 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from rich.text import Text
+
 from estune import api
 from estune.cli import output
 from estune.cli.values import Flag, RunName, command_line
@@ -27,7 +29,7 @@ _COLUMNS: dict[str, Callable[[dict[str, Any]], str]] = {
     "begun": lambda row: output.local_time(row["created_at"]) if row["created_at"] else "-",
     "rig": lambda row: _cell(row["rig"]),
     "trials": lambda row: _cell(row["trials"]),
-    "state": lambda row: str(row["state"]),
+    "state": lambda row: _state_and_reason(row)[0],
     "rise": lambda row: "-" if row["rise_time_s"] is None else time_text(row["rise_time_s"]),
     "overshoot": lambda row: "-" if row["overshoot"] is None else f"{row['overshoot']:.1%}",
     "Ms": lambda row: "-" if row["Ms"] is None else f"{row['Ms']:.2f}",
@@ -53,6 +55,9 @@ def list_runs(folder: Path = Path(api.RUNS), *, json: Flag = False) -> None:
         print(f"no runs in {folder}; make one with: estune tune TARGET")
     else:
         output.show_table(_COLUMNS, ([show(row) for show in _COLUMNS.values()] for row in rows))
+        for row in rows:
+            if reason := _state_and_reason(row)[1]:
+                output.console().print(Text(f"{row['run']}: {reason}"), soft_wrap=True)
 
 
 def show(
@@ -177,6 +182,12 @@ def find_run(run: str, folder: Path) -> Path:
         f"there is no run {run}, neither as a folder nor in {folder}; "
         "list the runs with: estune list"
     )
+
+
+def _state_and_reason(row: dict[str, Any]) -> tuple[str, str]:
+    """State of a run in a word or two, and its reason if it has one."""
+    state, _, reason = str(row["state"]).partition(":")
+    return state, reason.strip()
 
 
 def _summary(path: Path) -> dict[str, Any]:

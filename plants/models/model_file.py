@@ -158,7 +158,7 @@ def from_toml(
         InvalidInput: the text is invalid; the message has one line per mistake.
     """
     try:
-        tables = tomllib.loads(text)
+        tables = tomllib.loads(text.removeprefix("\ufeff"))  # the mark of editors on Windows
     except tomllib.TOMLDecodeError as error:
         raise InvalidInput(f"{source}: this is not TOML: {error}") from error
     if tables.get("format", FORMAT) != FORMAT:
