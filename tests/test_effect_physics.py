@@ -200,7 +200,7 @@ def cogging(effect):
             }
         )
     )
-    angles = np.cumsum(np.r_[0.1, 8.0 * SUBSTEP_s * np.cos(np.arange(3000) / 900.0)])
+    angles = np.cumsum(np.r_[0.1, 8.0 * SUBSTEP_s * np.cos(np.arange(750) / 900.0)])
     law.settle(0.0, angle=angles[0])
     torque = [law.pass_(0.0, angle=angle) for angle in angles]
     expected = -sum(size * np.sin(order * angles + phi) for size, order, phi in waves)

@@ -83,7 +83,7 @@ def trace(entries) -> list[tuple]:
 @pytest.mark.parametrize("tuner", TUNERS)
 def test_run_killed_at_any_event_resumes_as_if_undisturbed(tuner, tmp_path):
     # The events do not depend on the tuner: all of them for one, every fifth for the others.
-    stride = 1 if tuner == "safe_bayesian" else 5
+    stride = 1 if tuner == "otis" else 5
     rig = ArithmeticRig()
     whole = begin(tmp_path / "whole", tuner, rig)
     loop.run(whole, rig)

@@ -166,7 +166,7 @@ def test_plant_that_changes_between_trials_is_not_claimed():
         def run(self, request):
             return self._rigs[request.number % 2].run(request)
 
-    result = tune(Changing(), trials=8, tuner="otis")
+    result = tune(Changing(), trials=4, tuner="otis")
     assert result.claim.margins is None
     assert result.heading().startswith("TUNED, LIMITS NOT SHOWN")
 
@@ -180,7 +180,7 @@ def test_unstable_plant_is_tuned_without_a_claim():
         profile=StepProfile(0.0, 1.0, 0.2, 3.0),
         settling_time_s=1.0,
     )
-    result = tune(unstable, trials=8, tuner="otis")
+    result = tune(unstable, trials=4, tuner="otis")
     assert result.claim.margins is None
     assert result.claim.reason
 

@@ -163,12 +163,16 @@ def main() -> int:
     parser = command_line(__doc__, quick="six faults of the link, two of the daemon")
     parser.add_argument("--faults", type=int, default=500)
     parser.add_argument("--trials", type=int, default=1000)
+    parser.add_argument(
+        "--daemon-faults", type=int, default=140, help="and a seventh as many clients and outages"
+    )
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--keep", type=Path, help="folder for logs, ledgers and journals")
     arguments = parser.parse_args()
     extent = QUICK
     if not arguments.quick:
-        extent = Extent(arguments.faults, arguments.trials, 0.2, 140, 20, 20)
+        daemon, seventh = arguments.daemon_faults, arguments.daemon_faults // 7
+        extent = Extent(arguments.faults, arguments.trials, 0.2, daemon, seventh, seventh)
 
     def report(text: str) -> None:
         print(text, file=sys.stderr, flush=True)
