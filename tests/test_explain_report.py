@@ -180,7 +180,7 @@ def test_plots_use_given_axes_without_pyplot(named):
     import sys  # noqa: PLC0415  its only use
 
     before = "matplotlib.pyplot" in sys.modules
-    for name in ("gap", "traces", "error", "spectrum", "where", "ranking", "calibrations"):
+    for name in ("gap", "traces", "where", "ranking"):
         ax = new_figure(4.0, 3.0).add_subplot()
         assert getattr(named, f"plot_{name}")(ax=ax) is ax
         assert ax.has_data()

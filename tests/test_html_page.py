@@ -48,6 +48,12 @@ def test_code_bold_minus_and_units_are_set():
     assert "<b>Note</b> <code>x**2</code> is &minus;3&nbsp;N, not 2**3&nbsp;or 4**5" in text
 
 
+def test_a_long_first_cell_may_break_and_does_not_cover_the_next():
+    text = body(Section("S", (Table(("effect", "why"), (("gain", "a"), ("gain, " * 20, "b"))),)))
+    assert '<td class="short">gain</td>' in text
+    assert "<td>gain, gain" in text
+
+
 def test_page_is_self_contained_and_includes_its_data():
     text = body(Section("S", (drawing(csv="a,b\n1,2\n"),)))
     addresses = re.findall(r'(?:src|href)="([^"]*)"', text)
