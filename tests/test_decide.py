@@ -89,6 +89,13 @@ def test_second_effect_beside_a_far_greater_one_is_named_where_it_explains_the_r
     assert not decide(base(8450.0), [*useless, model("gravity+bend", 1.4, 30)]).best
 
 
+def test_no_pair_is_named_for_another_that_is_rather_not_there():
+    """Of a backlash that is not determined alone, with one of two effects that add nothing."""
+    play = model("play", 2.56, 2, eligible=False)
+    pairs = [model("play+gravity", 2.52, 3), model("play+friction", 2.55, 3)]
+    assert not decide(base(14.5), [play, *pairs]).best
+
+
 def test_law_with_fewer_values_that_does_about_as_well_is_likelier():
     assert decide(base(50.0), [model("a", 1.3, 4), model("b", 1.6, 1)]).best == {"b"}
 

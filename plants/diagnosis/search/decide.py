@@ -107,7 +107,8 @@ def _supported(
     doubtful = min(best.families, key=lambda family: known[family])
     if known[doubtful] >= CONSTANTS.second:
         return best
-    first = best_of([m for m in models if doubtful not in m.families])
+    others = [m for m in models if doubtful not in m.families]
+    first = _supported(best_of(others), others, p)
     if first is None or not first.families < best.families:
         return first
     rest = beats(best, first, CONSTANTS.named_share, CONSTANTS.incomplete)
