@@ -51,6 +51,25 @@ def test_gravity_of_a_link_points_where_the_encoder_says(tmp_path):
     assert phase.low < phase.value + error < phase.high < phase.low + 0.1
 
 
+def test_fuller_law_does_not_stand_for_a_simpler_one_and_another_effect(tmp_path):
+    """Stribeck friction that fades over most speeds explains 0.996 of the two."""
+    drive = draw("stage", 7, 3005)
+    rng = np.random.default_rng([3005, 7, 1, *b"stage"])
+    logger = Logger.drawn("stage", rng)
+    logger.write(drive, tmp_path, rng)
+    hidden = ["bent_viscous_friction", "coulomb_friction"]
+    d = plants.explain(
+        load_model(tmp_path / "model.toml"),
+        tmp_path / "logs",
+        columns=logger.columns,
+        effects=[*hidden, "stribeck_friction"],
+    )
+    assert sorted(effect.name for effect in d.effects) == hidden
+    found = {effect.name: effect.parameters for effect in d.effects}
+    dry = found["coulomb_friction"]["torque_Nm"]
+    assert dry.value == pytest.approx(drive.numbers["dry"], rel=0.01)
+
+
 def resting(seed, rate_Hz=250.0, seconds=20.0):
     """A motor that sticks through slow ramps of its torque, and turns fast in between."""
     rng, substeps = np.random.default_rng(seed), 20

@@ -44,6 +44,10 @@ def search(
     # Whether an effect is of a size that matters shows beside the right partner.
     _, *summaries = relative(models.summaries(fitter.scale))
     pair = best_of([s._replace(eligible=True) for s in summaries])
+    # The fuller law of a family may stand for a simpler one and another effect.
+    if pair is not None and len(pair.names) < 2 and single.effects[0].extends is not None:
+        pairs = [s for s in summaries if s.named and len(s.names) == 2]
+        pair = min(pairs, key=lambda s: s.J, default=None)
     if pair is None or len(pair.names) < 2:
         return models
     progress("comparing pairs", 0.95)
