@@ -21,7 +21,7 @@ from estune.run.toml_tables import SearchTable
 from estune.studies.sweep.cells import expand_cells
 from estune.studies.sweep.design import SweepDesign, SweptRig, read_design
 from estune.studies.sweep.figures import draw_integral
-from estune.studies.sweep.outcome import CellOutcome, failed
+from estune.studies.sweep.outcome import TRACE, CellOutcome, failed
 from estune.studies.sweep.result import SweepResult
 from estune.studies.sweep.sweep import show_outcomes
 from estune.support.toml_file import validate
@@ -213,10 +213,13 @@ def test_law_excludes_and_lists_unsafe_and_unconverged_tunings(tmp_path):
     assert not any(o.safe for o in unsafe.outcomes)
 
 
-def test_integral_gain_is_drawn_over_searches_that_end_within_few_trials(tmp_path):
+def test_integral_gain_is_drawn_from_its_initial_value_over_searches_of_few_trials(tmp_path):
     swept = run_sweep(tmp_path / "short", {**SMALL, "trials": 4})
     (ax,) = draw_integral(swept.outcomes).axes
-    assert [len(line.get_xdata()) for line in ax.lines] == [4] * len(SMALL["lengths_m"])
+    assert [[*line.get_xdata()] for line in ax.lines] == [[0, 1, 2, 3, 4]] * len(ax.lines)
+    starts = {outcome.trace[0, TRACE.index("I")] for outcome in swept.outcomes}
+    assert {line.get_ydata()[0] for line in ax.lines} == starts
+    assert len(ax.lines) == len(SMALL["lengths_m"])
 
 
 def test_sweep_command_writes_laws_report_and_cells(tmp_path, capsys, monkeypatch):

@@ -82,7 +82,8 @@ def _headline(results: Mapping[str, TuneResult]) -> str:
     if not needed:
         return told
     soonest = min(needed, key=lambda name: needed[name])
-    return f"{told}; {soonest} came within 5 % of it first, after {needed[soonest]} search trials"
+    trials = f"{needed[soonest]} search trial{'s' if needed[soonest] > 1 else ''}"
+    return f"{told}; {soonest} came within 5 % of it first, after {trials}"
 
 
 def table(results: Mapping[str, TuneResult]) -> StudyTable:

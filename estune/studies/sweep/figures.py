@@ -46,8 +46,8 @@ def draw_costs(outcomes: LazySequence[CellOutcome]) -> Figure:
     figure, (ax,) = stacked(1, 3.0)
     for length, color, costs in _by_length(outcomes, _safe_costs):
         median = _median(costs)
-        trial = np.arange(1, median.size + 1)
-        ax.plot(trial, median, ".-", color=color, label=f"{length:g} m", lw=1.1, ms=3.0)
+        trial = np.arange(median.size)
+        ax.plot(trial, median, ".-", color=color, label=f"{length:g} m", lw=1.1, ms=4.0)
     ax.set_yscale("log")
     _over_trials(ax, "cost η")
     return figure
@@ -60,17 +60,17 @@ def draw_integral(outcomes: LazySequence[CellOutcome]) -> Figure:
     for length, color, gains in _by_length(outcomes, lambda search: search[:, column].copy()):
         width = min(_SMOOTHED, max(1, min(gain.size for gain in gains) // 4))
         median = _median([_running_mean(gain, width) for gain in gains])
-        trial = np.arange(width, width + median.size)
-        ax.plot(trial, median, ".-", color=color, label=f"{length:g} m", lw=1.1, ms=3.0)
+        trial = np.arange(median.size) + width - 1
+        ax.plot(trial, median, ".-", color=color, label=f"{length:g} m", lw=1.1, ms=4.0)
     _over_trials(ax, axis_label("I", outcomes[0].cell.signals.gain_units["I"]))
     return figure
 
 
 def _over_trials(ax: Axes, label: str) -> None:
     """Completes an axis over the search trials, which may be few."""
-    ax.set_xlim(0.5, max(float(ax.dataLim.x1), 1.0) + 0.5)
+    ax.set_xlim(-0.2, max(float(ax.dataLim.x1), 1.0) + 0.2)
     ax.xaxis.set_major_locator(MaxNLocator(integer=True, min_n_ticks=1))
-    finish(ax, label, "search trial")
+    finish(ax, label, "search trial; 0 is of the initial gains")
     _legend(ax)
 
 
@@ -133,15 +133,25 @@ def _safe_costs(search: FloatArray) -> FloatArray:
 def _by_length(
     outcomes: LazySequence[CellOutcome], column: Callable[[FloatArray], FloatArray]
 ) -> Iterator[tuple[float, str, list[FloatArray]]]:
-    """Length, colour, and a column of each search there; the other columns are not kept."""
+    """Length, colour, and a column of each search there; the other columns are not kept.
+
+    The first row of a search is the first trial of the initial gains.
+    """
     at = outcomes.where(attrgetter("trials")).groups(attrgetter("cell.length_m"))
     # The colour map is distinguishable in grey; its palest end is not used.
     shares = np.linspace(0.0, 0.88, len(at))
     for length, share in zip(sorted(at), shares, strict=True):
-        columns = (column(trace[trace[:, 0] == 1.0]) for trace in read_traces(at[length]))
+        columns = (column(_from_start(trace)) for trace in read_traces(at[length]))
         searches = [values for values in columns if values.size]
         if searches:
             yield length, to_hex(mpl.colormaps["viridis"](share)), searches
+
+
+def _from_start(trace: FloatArray) -> FloatArray:
+    """The first trial of a trace and those of its search."""
+    shown = trace[:, 0] == 1.0
+    shown[:1] = True
+    return trace[shown]
 
 
 def _median(rows: Sequence[FloatArray]) -> FloatArray:

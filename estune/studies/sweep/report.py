@@ -74,7 +74,7 @@ def _figures(n: int, series: Series, law: GainLaw | str) -> Iterator[Block]:
             series.plot_integral(),
             f"integral-{n}",
             "Integral gain over search trials",
-            "Fig. 13. The integral gain over the search, as a running mean of eight trials; "
+            "Fig. 13. The integral gain over the search, as a running mean; "
             "median of the tunings at each length.",
         )
     if isinstance(law, str):
