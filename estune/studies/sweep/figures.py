@@ -151,7 +151,8 @@ def _from_start(trace: FloatArray) -> FloatArray:
     """The first trial of a trace and those of its search."""
     shown = trace[:, 0] == 1.0
     shown[:1] = True
-    return trace[shown]
+    rows: FloatArray = trace[shown]
+    return rows
 
 
 def _median(rows: Sequence[FloatArray]) -> FloatArray:
