@@ -8,7 +8,7 @@ import pytest
 
 import plants
 from estune.core.gains import Gains
-from experiments.many_records import trials
+from experiments.scale.records import trials
 from plants.diagnosis.constants import CONSTANTS
 from plants.diagnosis.data.measured_record import MeasuredRecord
 from plants.diagnosis.search import more_records

@@ -20,7 +20,7 @@ from estune.studies.sweep.design import read_design
 from estune.studies.sweep.executors import run_cell
 from estune.studies.sweep.outcome import CellOutcome
 from estune.studies.sweep.store import SweepStore
-from experiments.command_costs import command_costs
+from experiments.scale.command_costs import command_costs
 
 LENGTHS_m = (0.5, 0.65, 0.8, 0.95, 1.1, 1.25, 1.4)
 SPREAD = 0.02

@@ -3,8 +3,8 @@
 The rigs are simulated reels in real time, in processes of their own behind a Zenoh router, all on
 this machine. Each is tuned in trials of a second, 26 in the full form, and then held.
 Programs that compute may run beside it while all tune: then the time until all is well after their
-end is measured, too. In a process of its own, `python -m experiments.fleet ROUTER NAME...` serves
-rigs.
+end is measured, too. In a process of its own, `python -m experiments.scale.fleet ROUTER NAME...`
+serves rigs.
 """
 
 import os
@@ -162,7 +162,7 @@ def fleet(rigs: int, tuner: str, folder: Path, trials: int) -> Iterator[Fleet]:
         quiet, some = {"stderr": subprocess.DEVNULL}, RIGS_PER_PROCESS
         served = [
             opened.enter_context(
-                started("experiments.fleet", router, *names[first:][:some], **quiet)
+                started("experiments.scale.fleet", router, *names[first:][:some], **quiet)
             )
             for first in range(0, rigs, some)
         ]
