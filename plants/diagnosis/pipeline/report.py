@@ -46,16 +46,7 @@ def report(
     held_out: DiagnosedModel | None,
     rig: RigDescription | None,
 ) -> Diagnosis:
-    """The diagnosis.
-
-    Args:
-        model: The model as given.
-        usable: The records, and the issues of all.
-        compared: The model that is believed.
-        stated: Intervals of its numbers.
-        held_out: The model as given for records that no model was fitted to, or None.
-        rig: The rig of the next experiment; None derives it from the records.
-    """
+    """The diagnosis; `held_out` is the model as given for records that no model was fitted to."""
     fitted, choices = compared.fitted, compared.fitted.choices
     before, after = compared.stages[0], compared.stages[-1]
     # In words as of the plant that was fitted: a system of python-control has units only there.

@@ -34,7 +34,7 @@ def fit_added(
         fitter: Model and records.
         current: The current model.
         screened: The effect's screening.
-        simpler: The model with a simpler law that does a part of what the effect does.
+        simpler: The model with a simpler law that has a part of the effect, if there is one.
         least: J of the best other model: a fit that stays far above it is ended.
     """
     effects = fitter.ordered((*current.effects, screened.effect))
