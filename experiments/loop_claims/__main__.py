@@ -128,12 +128,15 @@ def main() -> int:
     parser.add_argument("--seed0", type=int, default=1000, help="first seed: see seeds.md")
     parser.add_argument("--random", type=int, default=30, help="random loops, and modes")
     parser.add_argument("--noise", type=float, default=0.03, help="noise of the cost, as a share")
+    parser.add_argument(
+        "--evaluations", type=int, default=EVALUATIONS, help="of the optimum, from each start"
+    )
     parser.add_argument("--only", choices=list(KINDS), help="only plants of this kind")
     parser.add_argument("--plant", default="", help="only plants with this in their names")
     options = parser.parse_args()
     quick = options.quick
     seeds = range(options.seed0, options.seed0 + (1 if quick else options.seeds))
-    evaluations = EVALUATIONS // 4 if quick else EVALUATIONS
+    evaluations = options.evaluations // 4 if quick else options.evaluations
     count = 0 if quick else options.random
     kinds = [options.only] if options.only else list(KINDS)
     cases = [case for kind in kinds for case in KINDS[kind](count, options.seed0)]
