@@ -22,6 +22,7 @@ from estune.run.session import Phase
 from estune.trial import Outcome, TrialRequest
 from estune.trial.loop_records import loop_signals
 from estune.trial.profiles import LoadStepProfile, StepProfile
+from estune.tuners.identified_loop import IdentifiedLoopTuner
 from experiments.loop_claims import true_sensitivity
 from experiments.loop_claims.truth import TrueLoop, constrained_optimum
 from plants.effects import CableStiffening, CoulombFriction, EyeletFriction
@@ -174,6 +175,31 @@ def test_run_cut_before_or_after_an_excitation_resumes_with_the_same_proposals(
     assert resumed.gains == tuned.gains
     assert len(resumed.excitations) == len(tuned.excitations)
     assert estune.load(tmp_path / "cut").ending is tuned.ending
+
+
+@pytest.mark.parametrize("cut_after", [3, 6])
+def test_run_whose_model_differs_in_its_last_digits_resumes_with_the_recorded_gains(
+    tmp_path, monkeypatch, cut_after
+):
+    reel, tuner, run = plants.reference_reel(0.8), IdentifiedLoopTuner, tmp_path / "cut"
+    proposed = tuner._propose
+
+    def moved(self, state, fit):
+        state = proposed(self, state, fit)
+        centre = tuple(x + 1e-5 for x in state.centre)
+        return state._replace(centre=centre, proposal=self.space.point(centre))
+
+    def stop(progress):
+        if progress.session.number == cut_after:
+            raise KeyboardInterrupt
+
+    with pytest.raises(Stopped):
+        tune(reel, journal=True, folder=tmp_path, run="cut", watch=stop)
+    before = [entry.gains for entry in estune.load(run).entries]
+    monkeypatch.setattr(tuner, "_propose", moved)
+    resumed = estune.resume(run, reel, watch=None)
+    assert [entry.gains for entry in resumed.entries[:cut_after]] == before
+    assert resumed.ending is RunEnding.TUNED
 
 
 def test_claimed_sensitivity_holds_the_true_one(tuned):

@@ -16,6 +16,7 @@ from estune.run.failed_trials import declined, run_trial
 from estune.run.first_trial import BACKWARDS, adopted, check_answer, moved_backwards
 from estune.run.journal import CompletedTrial, Journal, JournalEntry
 from estune.run.plan import Plan
+from estune.run.recorded import with_recorded
 from estune.run.session import (
     Phase,
     Session,
@@ -24,7 +25,6 @@ from estune.run.session import (
     new_session,
     next_request,
     with_excitation,
-    with_recorded_repeat,
 )
 from estune.run.start import first_record_fault
 from estune.run.trial_quality import check_noise
@@ -149,7 +149,7 @@ def replay(plan: Plan, description: RigDescription, journal: Journal) -> TuningR
         recorded = entry.trial_id, entry.gain_values
         requested = _requested(tuning.session)
         if requested != recorded:
-            tuning.session = with_recorded_repeat(tuning.session, entry.gains)
+            tuning.session = with_recorded(tuning.session, entry.gains)
             requested = _requested(tuning.session)
         if requested != recorded:
             raise JournalError(

@@ -9,7 +9,7 @@ gains, interleaved, until the interval of the improvement is narrow. Choice and 
 different trials, so that lucky costs in the choice do not bias the confirmed improvement. A search
 by an identified loop is short and chooses by no cost, so that its baseline counts as the first
 repeat of the initial gains. Nothing here reads a clock or a file: replaying a journal's trials
-restores the session and all later proposals bit for bit.
+restores the session and all later proposals, bit for bit unless `estune.run.recorded` had to help.
 """
 
 import math
@@ -234,7 +234,7 @@ def after_trial(
         changed = {"choice": choice}
         if choice.next_index is None and choice.best is not None:
             changed["confirmation"] = confirming(
-                session.plan, choice.gains[choice.best], _known_costs(session)
+                session.plan, choice.gains[choice.best], known_costs(session)
             )
     else:
         assert session.confirmation is not None, phase  # noqa: S101  the last phase there is
@@ -315,7 +315,7 @@ def _after_end(session: Session) -> dict[str, Any]:
     gains = tuple(map(tuner.space.gains, points))
     if not tuner.space.is_same(points[0], points[-1]):
         return {"choice": InterleavedRepeats.new(gains, plan.repeats)}
-    return {"confirmation": confirming(plan, gains[0], _known_costs(session))}
+    return {"confirmation": confirming(plan, gains[0], known_costs(session))}
 
 
 def with_excitation(session: Session, rig: RigDescription) -> Session:
@@ -326,7 +326,7 @@ def with_excitation(session: Session, rig: RigDescription) -> Session:
     """
     tuner, plan = session.plan.tuner, session.plan
     before = session.confirmation
-    confirmed = before is not None and before.costs != (_known_costs(session), ())
+    confirmed = before is not None and before.costs != (known_costs(session), ())
     if session.phase not in (Phase.SEARCH, Phase.CONFIRM) or confirmed:
         return session
     if session.excitation_refused or len(session.excitations) >= EXCITATIONS_MAX:
@@ -362,20 +362,7 @@ def _after_excitation(session: Session, record: LoopRecord | None) -> dict[str, 
     return changed
 
 
-def with_recorded_repeat(session: Session, gains: Gains) -> Session:
-    """The session whose confirmation repeats these gains next; unchanged where they are not in it.
-
-    The statistic that ends a confirmation may be another in the version that ran these trials; the
-    repeats that it asked for are repeats all the same.
-    """
-    repeats = session.confirmation
-    if repeats is None or gains not in repeats.gains:
-        return session
-    recorded = repeats._replace(recorded=repeats.gains.index(gains))
-    return replace(session, confirmation=recorded)
-
-
-def _known_costs(session: Session) -> tuple[float, ...]:
+def known_costs(session: Session) -> tuple[float, ...]:
     """Costs of the initial gains before the confirmation that count as repeats of theirs."""
     return session.baseline if session.plan.is_predicted(session.tuner_state) else ()
 
