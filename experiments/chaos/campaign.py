@@ -11,8 +11,7 @@ from random import Random
 from typing import NamedTuple
 
 from experiments.chaos import faults
-from experiments.chaos.client import INTERRUPTED
-from experiments.chaos.errand import Errand
+from experiments.chaos.client import INTERRUPTED, Errand
 from experiments.chaos.faults import Fault, LinkFault
 from experiments.chaos.processes import end, started
 from experiments.chaos.stand import NAME, Stand

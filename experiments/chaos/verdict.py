@@ -14,7 +14,7 @@ from estune.run.journal import Journal
 from estune.support.sqlite import SqliteFile
 from estune.trial import Outcome, TrialRecord, record_frame
 from experiments.chaos.campaign import Absence, Diary
-from experiments.chaos.errand import Errand
+from experiments.chaos.client import Errand
 from experiments.chaos.faults import LEASE_S
 from experiments.chaos.motions import LoggedMotion
 from experiments.chaos.rig import reference_rig
