@@ -138,7 +138,14 @@ def test_every_command_has_help_for_every_option(capsys):
         for argument in app[name].assemble_argument_collection(parse_docstring=True):
             assert argument.parameter.help, f"{name} {argument.name}"
         assert run([name, "--help"]) == 0
-        assert capsys.readouterr().out.startswith(f"Usage: estune {name}")
+        shown = capsys.readouterr().out
+        assert shown.startswith(f"Usage: estune {name}")
+        for nothing in (
+            '[default: ""]',
+            "[default: ()]",
+            "/.",
+        ):  # "/." is a <name> taken for markup
+            assert nothing not in shown, f"{name}: {nothing}"
 
 
 def test_tune_finds_a_user_module_in_the_working_directory(tmp_path):

@@ -13,7 +13,7 @@ from rich.live import Live
 from rich.text import Text
 
 from estune.cli import output
-from estune.cli.values import Flag, security_from, share_from
+from estune.cli.values import Flag, OptionalText, security_from, share_from
 from estune.core.gains import GAIN_NAMES
 from estune.errors import InvalidInput, RigError
 from estune.remote.messages.daemon import DaemonStatus, DaemonVerb, History
@@ -84,7 +84,7 @@ def daemon_control(
     /,
     *,
     rig: str | None = None,
-    why: str = "",
+    why: OptionalText = "",
     limit: int = 20,
     watch: Flag = False,
     security: Path | None = None,

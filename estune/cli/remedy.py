@@ -27,7 +27,8 @@ def remedy(
     Args:
         diagnosis: The diagnosis, JSON of estune explain --json.
         rig: The rig's file, such as my-rig.toml.
-        effect: The effect to be remedied, whatever is predicted; by default that of most gain.
+        effect: The effect to be remedied, whatever is predicted; by default that of the greatest
+            predicted gain.
         out: The patch; EFFECT.remedy.json beside the rig's file by default.
 
     Raises:
@@ -67,8 +68,8 @@ def prove(
 
     Args:
         patch: The patch, as estune remedy writes it; the result is added to it. A diagnosis is
-            also taken, JSON of estune explain --json: its remedy of most gain is proven, and
-            becomes a patch beside it.
+            also taken, JSON of estune explain --json: its remedy of the greatest predicted gain
+            is proven, and becomes a patch beside it.
         target: The rig: an endpoint such as tcp/127.0.0.1:7447.
         pairs: Pairs of trials with it and without; 2 show 5 % of a cost, 16 show 1 %.
         trials: Trials of the tuning with it on, where it is proven; 0 for none.

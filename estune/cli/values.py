@@ -20,6 +20,9 @@ if TYPE_CHECKING:
 Flag = Annotated[bool, Parameter(negative=(), show_default=False)]
 """An option without a value."""
 
+OptionalText = Annotated[str, Parameter(show_default=False)]
+"""A text that is empty unless given."""
+
 Values = Annotated[tuple[str, ...], Parameter(negative=(), show_default=False)]
 """An option that may be repeated."""
 

@@ -227,7 +227,7 @@ class RigSupervisor:
         self._disk = DiskForecast(run.journal) if run.journal is not None else None
         try:
             done = f"{run.session.number} trials done, " if run.session.number else ""
-            sentence = f"tuning {run.plan.run}: {done}at most {run.plan.max_trials}"
+            sentence = f"tuning {run.plan.run}: {done}at most {run.plan.max_trials} trials"
             self._rig.log_event(EventKind.TUNING, sentence)
             self._follow_phase(run)
             with self._connection.trials():

@@ -75,8 +75,8 @@ def check_noise(record: TrialRecord, plan: Plan, rig: RigDescription, cost: floa
         larger = abs(plan.step.step_N) * math.sqrt(share / NOISE_SHARE_HIGH)
         raise InvalidInput(
             f"noise makes up {share:.0%} of the cost of trial {record.trial_id}, more than "
-            f"{NOISE_SHARE_MAX:.0%}: D would be tuned away; step by {rig.measured(larger, 2)}, "
-            "lower the move weight, or force the run (--force)"
+            f"{NOISE_SHARE_MAX:.0%}: D would be tuned away; step by {rig.measured(larger, 2)} "
+            "(--step-N), lower the move weight (--move-weight), or force the run (--force)"
         )
 
 

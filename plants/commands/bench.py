@@ -23,12 +23,12 @@ if TYPE_CHECKING:
 
 
 def bench(
-    targets: Annotated[tuple[str, ...], Parameter(negative=())] = (),
+    targets: Values = (),
     /,
     *,
-    run: Annotated[tuple[str, ...], Parameter(negative=())] = (),
+    run: Values = (),
     gain: Values = (),
-    force: Annotated[tuple[float, ...], Parameter(negative=())] = (),
+    force: Annotated[tuple[float, ...], Parameter(negative=(), show_default=False)] = (),
     outside: Path | None = None,
     drum_radius: float = 0.025,
     part: float = 9.0,

@@ -49,7 +49,8 @@ def explain(
         save: Write the model with the identified effects as a model file.
         next_: Folder for the trial that would distinguish the candidates, for estune
             run-experiment.
-        hold_out: A record, or folder of records, that nothing is fitted to; its errors are told.
+        hold_out: A record, or folder of records, that nothing is fitted to; its errors are
+            reported.
         effects: Effects of your own that join the search, each as module:Class.
         map_: Where the columns come from: time=t,current=vir,angle=qm, or a TOML file of them.
         unit: Their units, such as angle=mm,tension=lbf.

@@ -4,11 +4,18 @@ import threading
 from datetime import datetime
 from pathlib import Path
 
+from estune.cli.values import OptionalText
+
 PORT = 8766
 
 
 def explain_page(
-    data: Path | None = None, /, *, model: str = "", folder: Path | None = None, port: int = PORT
+    data: Path | None = None,
+    /,
+    *,
+    model: OptionalText = "",
+    folder: Path | None = None,
+    port: int = PORT,
 ) -> None:
     """Explain records in the browser: columns, model, verdict.
 

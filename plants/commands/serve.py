@@ -9,7 +9,7 @@ from typing import Annotated, Any
 
 from cyclopts import Parameter
 
-from estune.cli.values import Flag, Values, security_from, settings_from
+from estune.cli.values import Flag, OptionalText, Values, security_from, settings_from
 from estune.errors import InvalidInput, RigError
 from estune.remote import zenoh
 from estune.remote.ledger import LEDGER
@@ -28,7 +28,7 @@ def serve(
     seed: int = 0,
     pace: float = 0.0,
     set_: Annotated[Values, Parameter(name="--set")] = (),
-    ledger: str = "",
+    ledger: OptionalText = "",
     allow_remote: Flag = False,
     security: Path | None = None,
     log_format: LogFormat = "text",
@@ -43,7 +43,7 @@ def serve(
         seed: Seed of the measurement noise.
         pace: Wall-clock seconds per simulated second: 1 is real time, 0 is as fast as possible.
         set_: A setting of the plant, as cable_length_m=1.1 or tension_N=20; repeat for more.
-        ledger: File of the trials that have run; rigs/<name>.ledger by default. "memory" keeps
+        ledger: File of the trials that have run; rigs/NAME.ledger by default. "memory" keeps
             them only until the server ends.
         allow_remote: Let other machines reach the rig; without --security, any of them can move
             it.
