@@ -1,4 +1,4 @@
-"""The reproduced figures of the paper, and the page that shows them."""
+"""The reproduced figures of the paper, and the page that shows them; by day one of them."""
 
 import base64
 import math
@@ -57,7 +57,7 @@ class Page(HTMLParser):
         self.words.append(data)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_page_has_every_figure_with_claim_and_verdict(paper_figures):
     figures, out = paper_figures
     assert set(figures) == set(paper.NUMBERS)
@@ -74,7 +74,7 @@ def test_page_has_every_figure_with_claim_and_verdict(paper_figures):
     assert [p.name for p in out.parent.iterdir()] == [out.name]
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_page_has_no_external_references(paper_figures):
     _, out = paper_figures
     text = out.read_text()
@@ -96,7 +96,7 @@ def test_page_has_no_external_references(paper_figures):
     assert targets == {f"figure-{number}" for number in paper.NUMBERS}
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_figure_sentence_agrees_with_its_numbers(paper_figures):
     figures, _ = paper_figures
     for figure in figures.values():
@@ -107,7 +107,7 @@ def test_figure_sentence_agrees_with_its_numbers(paper_figures):
             assert near <= 0.06 * abs(value) + 1e-9, (figure.number, name, value)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_bandwidth_figures_recover_the_reels_parameters(paper_figures):
     figures, _ = paper_figures
     for number, length in ((10, 0.5), (11, 1.4)):
@@ -122,7 +122,7 @@ def test_bandwidth_figures_recover_the_reels_parameters(paper_figures):
         assert figures[9].numbers[name] == pytest.approx(damping, rel=0.02)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_eyelet_figures_recover_the_benches_parameters(paper_figures):
     figures, _ = paper_figures
 

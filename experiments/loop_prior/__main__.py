@@ -24,7 +24,7 @@ from experiments.results import at_least, command_line, print_results
 FIRST_SEED = 10_000
 """The prior was fitted to searches with seeds below."""
 
-LOOPS, QUICK_LOOPS = 300, 10
+LOOPS, QUICK_LOOPS = 300, 5
 STEPS = 80  # of a fit
 
 
