@@ -9,10 +9,8 @@ Eleven runs of a small chamber under an Arduino PID (`oven` of cellularmitosis/l
 names state the gains. The controller sees the reading of a thermistor, which falls with the
 temperature; its output goes from 0 to 255, without its fraction. A model of all runs but one
 predicts the one left out in closed loop, from its first seconds and its setpoint alone. It is
-fitted to simulated outputs; `by_suggestion` is the error of the model that `suggest` finds in all
-runs, which predicts the next sample and has a load in place of the slow pole. The data
-are not part of this project: `--data` or the environment variable ESTUNE_DATA is the folder with
-oven/run02_kp2.0_ki1.0_kd0.5.csv and further runs.
+the one that `suggest` finds. The data are not part of this project: `--data` or the environment
+variable ESTUNE_DATA is the folder with oven/run02_kp2.0_ki1.0_kd0.5.csv and further runs.
 """
 
 import math
@@ -29,13 +27,11 @@ from estune.core.filtering import lfilter
 from estune.core.gains import Gains
 from estune.core.pidf import ControllerSettings
 from estune.core.quantities import FloatArray
-from estune.loop_model.identification import PoleFit, by_cost, improve
-from estune.loop_model.least_squares import Solution, signals_of
 from estune.loop_model.margins import robustness
 from estune.loop_model.model import LoopModel, exchanged
-from estune.loop_model.poles import pair_coordinates, polynomial
+from estune.loop_model.poles import polynomial
 from estune.recordings.loop_log import LoopLog
-from estune.service_records.identification import ServicePart, loop_record
+from estune.service_records.identification import ServicePart
 from estune.service_records.replay import replay
 from estune.service_records.sources import Logs
 from estune.service_records.stretches import find_stretches
@@ -56,12 +52,6 @@ BEGUN_s, STEP_s = 5.0, 20.0
 REPLAYED, PREDICTED, ABOUT_STEPS_K, POOLED = 0.0005, 0.008, 0.025, 0.15
 RECORD_s, FOLDER_s = 3.0, 10.0
 """Targets."""
-
-SETTLING_s, DEAD_MAX, LONG = 12.0, 5, 150
-LAGS_s = (200.0, 10.0, 1.0)
-"""About how long a step takes to settle, samples of dead time that are tried, samples of the
-shortest stretch that shows the slow pole, and the lags that the search begins from: from others it
-may end with a swing of minutes, which no chamber has."""
 
 
 class ChamberRun(NamedTuple):
@@ -183,25 +173,6 @@ def predicted_degC(model: LoopModel, run: ChamberRun, level: float) -> FloatArra
     return temperature_degC(y)
 
 
-def simulating(runs: Sequence[ChamberRun]) -> LoopModel:
-    """The model of three poles whose output without any noise is next to that of some runs.
-
-    A model of load, which predicts the next sample, takes the place of the slowest pole.
-    """
-    parts = [part for run in runs for part in run.parts if part.stretch.samples >= LONG]
-    records = [loop_record(part, SETTINGS) for part in parts]
-    records = [record._replace(effort_N=np.floor(record.effort_N)) for record in records]
-    signals = signals_of(records, SETTLING_s * SAMPLING_Hz, DEAD_MAX)
-    slow, middle, fast = (1.0 / (SAMPLING_Hz * lag_s) for lag_s in LAGS_s)
-    poles = np.exp([-slow, -middle])
-    pair = pair_coordinates(-float(poles.sum()), float(poles.prod()))
-    start = np.append(pair, math.log(fast))
-    fits = [improve(signals, PoleFit(math.inf, start, dead)) for dead in range(DEAD_MAX)]
-    best = min(fits, key=by_cost)
-    at = Solution.at(signals, best.coordinates, best.dead)
-    return LoopModel(tuple(best.coordinates.tolist()), tuple(at.numerator.tolist()), best.dead)
-
-
 def prediction(
     model: LoopModel, others: Sequence[ChamberRun], run: ChamberRun
 ) -> tuple[float, float]:
@@ -218,8 +189,9 @@ def prediction(
 def left_out(runs: Sequence[ChamberRun], number: int) -> dict[str, float]:
     """Errors of the closed-loop prediction of a run by a model of all others."""
     others, run = [r for i, r in enumerate(runs) if i != number], runs[number]
-    error, about_steps_K = prediction(simulating(others), others, run)
-    return {"predicted": error, "about_steps_K": about_steps_K}
+    fit = suggest(Logs(tuple(r.log for r in others), (), SETTINGS)).fit
+    error, about_steps_K = prediction(fit.model, others, run)
+    return {"predicted": error, "about_steps_K": about_steps_K, "poles": fit.order}
 
 
 def alone(run: ChamberRun, pooled: LoopModel) -> dict[str, Any]:
@@ -279,10 +251,7 @@ def main() -> int:
     pooled = suggest(Logs(tuple(run.log for run in judged), (), SETTINGS)).fit
     folder_s = time.process_time() - begun
     rows = {
-        run.log.name: alone(run, pooled.model)
-        | left_out(runs, runs.index(run))
-        | {"by_suggestion": prediction(pooled.model, runs, run)[0]}
-        for run in judged
+        run.log.name: alone(run, pooled.model) | left_out(runs, runs.index(run)) for run in judged
     }
     figures = {"runs": rows, "pooled_poles": pooled.order, "folder_cpu_s": folder_s}
     targets = targets_of([*rows.values()], folder_s)

@@ -25,6 +25,8 @@ def lfilter(
     driven = numerator[0] * rows
     for delay, coefficient in enumerate(numerator[1:], 1):
         driven[:, delay:] += coefficient * rows[:, :-delay]
+    if len(denominator) == 1:
+        return np.asarray(driven.reshape(samples.shape) / denominator[0])
     # a_0 y_k = driven_k - a_1 y_k-1 - ...: a lower triangular band of equal diagonals.
     band = np.empty((rows.shape[1], len(denominator)))
     band[:] = denominator

@@ -76,10 +76,19 @@ class FitSignals(NamedTuple):
         return sum(g.effort.shape[0] * (g.effort.shape[1] - g.history) for g in self.groups)
 
     @property
+    def longest(self) -> int:
+        """Residuals of the longest record."""
+        return max(int(g.effort.shape[1]) - g.history for g in self.groups)
+
+    @property
     def records(self) -> int:
         """Number of records."""
         return sum(len(g.members) for g in self.groups)
 
+
+REACH = 16
+"""Samples beside the dead time that the filters of a residual reach back: six poles, the
+forgetting of the load and a colour of eight."""
 
 RESOLUTION = 1e-4
 """Share of the largest response below which residuals are not told from one another: the
@@ -101,7 +110,7 @@ def signals_of(
     groups = []
     for (samples, at_rest), members in by_kind.items():
         chosen = [records[number] for number in members]
-        history = 0 if at_rest else min(longest_dead + 8, samples // 2)
+        history = 0 if at_rest else min(longest_dead + REACH, samples // 2)
         effort = np.array([r.effort_N for r in chosen])
         measurement = np.array([r.measurement_N for r in chosen])
         before = [slice(0, max(r.step_index, 1) if at_rest else None) for r in chosen]
@@ -218,7 +227,7 @@ class Solution(NamedTuple):
             driven = self.numerator[-1] * late
             for term in self.numerator[-2::-1]:
                 driven = _moving(driven, 1.0) + term * late
-            driven = _moving(driven, -float(H.slow[1]))
+            driven = lfilter(H.effort, [1.0], driven)
             left = whiten(group.measurement, H.zeros, H.poles) - whiten(driven, H.zeros, ())
             Q = _nuisance(group, coordinates, noise, signals)
             parts.append(without(left[:, group.history :], Q).ravel())
@@ -234,7 +243,7 @@ class Solution(NamedTuple):
 
 def search_vector(coordinates: FloatArray, noise: NoiseModel) -> FloatArray:
     """What is searched: coordinates, and the logarithms of what the noise has."""
-    return np.array([*coordinates, *(math.log(k) for k in noise if k > 0.0)])
+    return np.array([*coordinates, *(math.log(k) for k in noise.sizes if k > 0.0)])
 
 
 def split_vector(x: FloatArray, like: Solution) -> tuple[FloatArray, NoiseModel]:
@@ -246,7 +255,8 @@ def split_vector(x: FloatArray, like: Solution) -> tuple[FloatArray, NoiseModel]
 def noise_of(logarithms: FloatArray, like: NoiseModel) -> NoiseModel:
     """The noise of these sizes, of what another one has."""
     sizes = iter(np.exp(np.clip(logarithms, -NOISE_RANGE, NOISE_RANGE)).tolist())
-    return NoiseModel(*(next(sizes) if k > 0.0 else 0.0 for k in like))
+    load, drift = (next(sizes) if k > 0.0 else 0.0 for k in like.sizes)
+    return NoiseModel(load, drift, like.colour)
 
 
 def _tap_slopes(x: FloatArray) -> list[FloatArray]:
@@ -277,7 +287,7 @@ def _whitened(
             driven = lfilter([1.0], section.taps, driven)
     else:
         H = shaping(coordinates, noise, settling)
-        driven = _moving(driven, -float(H.slow[1]))
+        driven = lfilter(H.effort, [1.0], driven)
         for zeros in H.zeros:
             driven = lfilter([1.0], zeros, driven)
         target = whiten(target, H.zeros, H.poles)
@@ -314,14 +324,21 @@ def _nuisance(
         # of all where a mode is hardly damped.
         coordinates = coordinates[:2]
     poles = tuple(coordinates.tolist())
-    return _nuisance_basis(poles, noise, signals.settling_samples, samples, signals.hum)
+    columns = _nuisance_columns(
+        poles, noise, signals.settling_samples, signals.longest, signals.hum
+    )
+    matrix = columns[:, :samples]
+    matrix = matrix / np.maximum(np.linalg.norm(matrix, axis=1, keepdims=True), 1e-300)
+    # Start state and level span the response to an offset of the effort, but for integrators.
+    left, sizes, _ = np.linalg.svd(matrix.T, full_matrices=False)
+    return np.asarray(left[:, sizes > NUISANCE_APART * sizes[0]])
 
 
-@lru_cache(maxsize=8)
-def _nuisance_basis(
+@lru_cache(maxsize=4)
+def _nuisance_columns(
     coordinates: tuple[float, ...], noise: NoiseModel, settling: float, samples: int, hum: float
 ) -> FloatArray:
-    """Orthonormal basis of free responses, offsets and hum, shape (samples, up to n + 6)."""
+    """Free responses, offsets and hum, shape (up to n + 6, samples); fewer begin alike."""
     pulse, levels = np.eye(1, samples), [np.ones(samples)]
     if hum:
         # With an amplitude that changes along the record: its frequency is not exact.
@@ -340,11 +357,7 @@ def _nuisance_basis(
         columns += [delayed(free, i)[0] for i in range(taps.size - 1)]
     if noise.is_white:
         offsets.append(np.cumsum(columns[-1] if poles[-1].size == 2 else columns[-2]))
-    matrix = np.array([*columns, *offsets])
-    matrix /= np.maximum(np.linalg.norm(matrix, axis=1, keepdims=True), 1e-300)
-    # Start state and level span the response to an offset of the effort, but for integrators.
-    left, sizes, _ = np.linalg.svd(matrix.T, full_matrices=False)
-    return np.asarray(left[:, sizes > NUISANCE_APART * sizes[0]])
+    return np.array([*columns, *offsets])
 
 
 def delayed(signals: FloatArray, samples: int) -> FloatArray:

@@ -3,11 +3,12 @@
 With A of the plant and P = 1 - (1 - 1/(30 T)) q^-1, T the settling time in samples, the
 measurement is y = G u + H e, e white, and
 
-    H = C / (A P),     g C C* = A A* P P* + k1 |A(1)|^2 + k2 A A*
+    H = C / (A P N),     g C C* = A A* P P* + k1 |A(1)|^2 + k2 A A*
 
-where C begins with one (spectral factorisation), k1 >= 0 is of the load and k2 >= 0 of the drift;
-without both H = 1. In s = z + 1/z - 2 the factors are p p* = (1-p)^2 - p s for each pole p, which
-keeps the digits of slow poles.
+where C begins with one (spectral factorisation), k1 >= 0 is of the load and k2 >= 0 of the drift,
+and N is the colour of the sensor's noise, one where it is white; without load and drift H = 1.
+In s = z + 1/z - 2 the factors are p p* = (1-p)^2 - p s for each pole p, which keeps the digits of
+slow poles.
 """
 
 import math
@@ -17,26 +18,37 @@ from typing import NamedTuple
 
 import numpy as np
 
+from estune.core.filtering import lfilter
 from estune.core.quantities import FloatArray
 from estune.loop_model.poles import ComplexArray, sections_of
 
 FASTEST = 1e-9
 """Least magnitude of a pole that counts: a faster one is none."""
 
+RESPONSE = 1024
+"""Samples after which a colour has died out: it stands for less than ten."""
+
 SLOW = 30.0
 """Settling times in which load and drift forget."""
 
 
 class NoiseModel(NamedTuple):
-    """Sizes of load and drift against the white noise.
+    """Sizes of load and drift against the sensor's noise, and its colour.
 
     Attributes:
         load: k1.
         drift: k2.
+        colour: Coefficients of N behind its leading one.
     """
 
     load: float = 0.0
     drift: float = 0.0
+    colour: tuple[float, ...] = ()
+
+    @property
+    def sizes(self) -> tuple[float, float]:
+        """k1 and k2."""
+        return self.load, self.drift
 
     @property
     def is_white(self) -> bool:
@@ -52,14 +64,14 @@ class Shaping(NamedTuple):
 
     Attributes:
         zeros: C in sections, polynomials in q^-1.
-        poles: A P in sections.
-        slow: P.
-        gain: g, the variance of e over that of the white noise of the measurement.
+        poles: A P N in sections.
+        effort: P N, which the effort is filtered by beside C.
+        gain: Variance of e over that of the sensor's noise.
     """
 
     zeros: tuple[FloatArray, ...]
     poles: tuple[FloatArray, ...]
-    slow: FloatArray
+    effort: FloatArray
     gain: float
 
 
@@ -89,8 +101,15 @@ def _shaping(
     spectrum[-1] += noise.load * at_one
     roots = _inside(np.asarray(unit * np.roots(spectrum), complex))
     gain = abs(leading) / max(float(np.abs(np.prod(roots))), 1e-300)
-    P = np.array([1.0, -slow])
-    return Shaping(_real_sections(roots), (*(one.taps for one in sections), P), P, gain)
+    PN = np.convolve([1.0, -slow], [1.0, *noise.colour])
+    gain /= _power_gain(noise.colour)
+    return Shaping(_real_sections(roots), (*(one.taps for one in sections), PN), PN, gain)
+
+
+def _power_gain(colour: tuple[float, ...]) -> float:
+    """Variance of noise of this colour over that of the white noise that it is made of."""
+    response = lfilter([1.0], [1.0, *colour], np.eye(1, RESPONSE)[0])
+    return float(response @ response)
 
 
 def _inside(s: ComplexArray) -> ComplexArray:

@@ -6,8 +6,9 @@ nothing does.
 """
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from itertools import product
+from operator import attrgetter
 from typing import NamedTuple
 
 import numpy as np
@@ -25,12 +26,17 @@ from estune.loop_model.least_squares import (
 )
 from estune.loop_model.noise_model import NoiseModel, shaping
 from estune.loop_model.poles import pair_coordinates, sections_of
+from estune.loop_model.sensor_colour import recoloured
 from estune.loop_model.whiteness import is_white, rows_of
 
 POLES_MAX = 6
 
 FREQUENCIES, DAMPINGS = 9, (0.5, 0.1)
 """Coarse grid of a further pair of poles, between the slowest pole and the sampling rate."""
+
+HIGHEST = 2.8
+"""Highest frequency, rad/sample, that a further pair begins at: next to half the sampling rate a
+plant is not told from the colour of the sensor's noise, which the controller feeds back."""
 
 PEAKS, PEAK_SHIFTS, PEAK_DAMPINGS = 2, (-0.9, -0.4, 0.0, 0.4, 0.9), (0.03, 0.01, 0.003)
 """Peaks of the spectrum of the errors that a further pair begins from, in bins beside them, for
@@ -41,6 +47,12 @@ SINGLES = 6
 
 SLOWEST_SINGLE, FASTEST_SINGLE = math.log(1e-4), math.log(2.0)
 """Logarithms of the decay per sample between which a single pole begins."""
+
+COLOURS, COLOUR_GAIN = 4, 2.0
+"""Colours that are found in turn, at most, and the decrease of the criterion that ends it."""
+
+SLOWER = (3.0, 10.0, 30.0)
+"""Ratios of a pole in place of the load to the slowest of the others."""
 
 TRIED = 2
 """Starts that are improved."""
@@ -65,23 +77,69 @@ class Selected(NamedTuple):
     criterion: float
 
 
+by_criterion = attrgetter("criterion")
+
+
 def select_order(signals: FitSignals, start: PoleFit) -> PoleFit:
-    """The fit of the order and noise that the records ask for, from one of low order."""
+    """The fit of the order and noise that the records ask for, from one of low order.
+
+    Load and drift come first, then the colour of what they leave, which else stands for them.
+    """
     best = _judged(signals, start)
-    while True:
-        solution = Solution.at(signals, best.fit.coordinates, best.fit.dead, best.fit.noise)
+    in_motion = any(group.history for group in signals.groups)
+    while in_motion:
+        solution = solution_of(signals, best.fit)
         if is_white(signals, solution.residual):
             return best.fit
-        promising = sorted(_further(signals, solution), key=lambda one: one.criterion)[:TRIED]
-        tried = [_judged(signals, improve(signals, one.fit)) for one in promising]
-        if _is_resolved(signals, best.fit.coordinates):
-            tried = [one for one in tried if _is_resolved(signals, one.fit.coordinates)]
-        better = [one for one in tried if one.criterion < best.criterion]
-        if not better:
+        better = _best_of(signals, best, _with_noise(signals, solution))
+        if better is None:
+            break
+        best = better
+    while True:
+        best = _recoloured(signals, best)
+        solution = solution_of(signals, best.fit)
+        if is_white(signals, solution.residual):
             return best.fit
-        best = min(better, key=lambda one: one.criterion)
+        options = [*_further(signals, solution)]
+        if in_motion:
+            options += _with_noise(signals, solution)
+        options += _without_load(signals, solution)
+        better = _best_of(signals, best, options)
+        if better is None:
+            return best.fit
         # Dead time stands for poles that a model lacks: with more of them it is shorter.
-        best = _judged(signals, searched_dead_time(signals, [best.fit]))
+        best = _judged(signals, searched_dead_time(signals, [better.fit]))
+
+
+def _best_of(signals: FitSignals, best: Selected, options: Sequence[Selected]) -> Selected | None:
+    """The best of the options that promise most; None where none is better than a fit."""
+    promising = sorted(options, key=by_criterion)[:TRIED]
+    tried = [_judged(signals, improve(signals, one.fit)) for one in promising]
+    if _is_resolved(signals, best.fit.coordinates):
+        tried = [one for one in tried if _is_resolved(signals, one.fit.coordinates)]
+    better = min(tried, key=by_criterion, default=best)
+    return better if better.criterion < best.criterion else None
+
+
+def _recoloured(signals: FitSignals, best: Selected) -> Selected:
+    """The fit with the colour that its errors have, where the criterion falls by it.
+
+    In turn, for the errors have another colour with other poles.
+    """
+    for _ in range(COLOURS):
+        noise = recoloured(signals, solution_of(signals, best.fit))
+        if noise == best.fit.noise:
+            break
+        tried = _judged(signals, improve(signals, best.fit._replace(noise=noise)))
+        gained, best = best.criterion - tried.criterion, min(best, tried, key=by_criterion)
+        if gained < COLOUR_GAIN:
+            break
+    return best
+
+
+def solution_of(signals: FitSignals, fit: PoleFit) -> Solution:
+    """The solution at the poles, the noise and the dead time of a fit."""
+    return Solution.at(signals, fit.coordinates, fit.dead, fit.noise)
 
 
 def without_slowest_pole(signals: FitSignals, fit: PoleFit) -> PoleFit:
@@ -128,8 +186,10 @@ def without_spare_pole(signals: FitSignals, fit: PoleFit) -> PoleFit:
 
 
 def _judged(signals: FitSignals, fit: PoleFit) -> Selected:
-    """A fit with its criterion, infinite where it failed."""
-    if not math.isfinite(fit.cost) or any(0.0 < k < NOISE_LEAST for k in fit.noise):
+    """A fit with its criterion, infinite where it failed; a load or a drift of no size is none."""
+    load, drift = (k if k >= NOISE_LEAST else 0.0 for k in fit.noise.sizes)
+    fit = fit._replace(noise=fit.noise._replace(load=load, drift=drift))
+    if not math.isfinite(fit.cost) or (fit.noise.is_white and fit.noise.colour):
         return Selected(fit, math.inf)
     return Selected(fit, criterion(signals, 2.0 * fit.cost, fit.coordinates.size, fit.noise))
 
@@ -142,19 +202,14 @@ def criterion(
     # Below the resolution of the measurement nothing is left to explain.
     variance = squares / n + signals.resolution_N**2
     free = sum(free_parameters(group, poles, noise) for group in signals.groups)
-    count = 2 * poles + 1 + sum(k > 0.0 for k in noise) + free + further
+    noises = sum(k > 0.0 for k in noise.sizes) + len(noise.colour)
+    count = 2 * poles + 1 + noises + free + further
     return n * math.log(variance) + count * math.log(n)
 
 
 def _further(signals: FitSignals, solution: Solution) -> Iterator[Selected]:
-    """Starts of fits with one thing more, and the criterion that the start alone would reach."""
+    """Starts of fits with further poles, and the criterion that the start alone would reach."""
     poles, noise, dead = solution.coordinates, solution.noise, solution.dead
-    # In trials from rest what looks like a load is the answer to the step of what no model has.
-    in_motion = any(group.history for group in signals.groups)
-    for option in _further_noise(noise) if in_motion else ():
-        yield _judged(
-            signals, PoleFit(Solution.at(signals, poles, dead, option).cost, poles, dead, option)
-        )
     extras = _pairs(signals, solution) if poles.size % 2 == 0 else []
     slowest = max(_slowest(poles), 1e-3)
     extras += [np.log([rate]) for rate in np.geomspace(slowest / 10.0, 2.0, SINGLES)]
@@ -165,11 +220,36 @@ def _further(signals: FitSignals, solution: Solution) -> Iterator[Selected]:
             yield _judged(signals, PoleFit(cost, more, dead, noise))
 
 
-def _further_noise(noise: NoiseModel) -> Iterator[NoiseModel]:
-    if not noise.load:
-        yield from (noise._replace(load=size) for size in LOADS)
-    if not noise.drift:
-        yield from (noise._replace(drift=size) for size in DRIFTS)
+def _with_noise(signals: FitSignals, solution: Solution) -> list[Selected]:
+    """Starts of fits with a load or a drift more.
+
+    Not of trials from rest: what looks like a load there is the answer to the step of what no
+    model has.
+    """
+    poles, noise, dead = solution.coordinates, solution.noise, solution.dead
+    options = [noise._replace(load=size) for size in LOADS if not noise.load]
+    options += [noise._replace(drift=size) for size in DRIFTS if not noise.drift]
+    costs = [Solution.at(signals, poles, dead, option).cost for option in options]
+    return [
+        _judged(signals, PoleFit(cost, poles, dead, option))
+        for cost, option in zip(costs, options, strict=True)
+    ]
+
+
+def _without_load(signals: FitSignals, solution: Solution) -> list[Selected]:
+    """Starts of fits with a slow pole in place of the load, improved.
+
+    Either explains slow errors. Beside the load a slow pole is not found, for its share of the
+    response is small while the load takes the rest.
+    """
+    poles, noise, dead = solution.coordinates, solution.noise, solution.dead
+    if not noise.load or poles.size == POLES_MAX:
+        return []
+    noise = noise._replace(load=0.0, drift=noise.drift or DRIFTS[-1])
+    rates = math.log(_slowest(poles)) - np.log(SLOWER)
+    starts = [_with_single(poles, float(rate)) for rate in rates]
+    fits = [PoleFit(Solution.at(signals, x, dead, noise).cost, x, dead, noise) for x in starts]
+    return [_judged(signals, improve(signals, min(fits, key=by_cost)))]
 
 
 def at_least_two(poles: FloatArray) -> FloatArray:
@@ -193,7 +273,7 @@ def _slowest(poles: FloatArray) -> float:
 def _pairs(signals: FitSignals, solution: Solution) -> list[FloatArray]:
     """Coordinates of pairs that a search may begin from."""
     slowest = min(_slowest(solution.coordinates), 1.0)
-    frequencies = np.geomspace(max(slowest, 1e-3), 2.8, FREQUENCIES)
+    frequencies = np.geomspace(max(slowest, 1e-3), HIGHEST, FREQUENCIES)
     pairs = [np.log(pair) for pair in product(frequencies, DAMPINGS)]
     for row in rows_of(signals, solution.residual):
         spectrum = np.sum(np.abs(np.fft.rfft(row, axis=1)) ** 2, axis=0)
@@ -202,7 +282,8 @@ def _pairs(signals: FitSignals, solution: Solution) -> list[FloatArray]:
             peak = int(np.argmax(smooth))
             for shift, damping in product(PEAK_SHIFTS, PEAK_DAMPINGS):
                 w = 2.0 * math.pi * (peak + 1 + shift) / row.shape[1]
-                pairs.append(np.log([w, damping]))
+                if w < HIGHEST:
+                    pairs.append(np.log([w, damping]))
             smooth[max(peak - 2, 0) : peak + 3] = 0.0
     return pairs
 

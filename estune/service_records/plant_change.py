@@ -23,7 +23,6 @@ from estune.core.quantities import FloatArray
 from estune.loop_model.friction_motion import friction_of, less_friction
 from estune.loop_model.least_squares import Solution, signals_of
 from estune.loop_model.loop_fit import LoopFit
-from estune.loop_model.noise_model import NoiseModel
 from estune.loop_model.records import LoopRecord
 
 LOADS = (-14.0, 8.0)
@@ -55,7 +54,7 @@ def evidence(fit: LoopFit, record: LoopRecord) -> PlantEvidence:
     x, numerator = np.array(model.coordinates), np.array(model.numerator)
 
     def at(log_load: float) -> Solution:
-        noise = NoiseModel(math.exp(log_load), fit.noise.drift)
+        noise = fit.noise._replace(load=math.exp(log_load))
         return Solution.at(signals, x, model.dead_samples, noise, numerator)
 
     found = minimize_scalar(
