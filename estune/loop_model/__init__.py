@@ -12,8 +12,8 @@ white.
   samples a period. Ms is read on a grid that is finer about each resonance, and again about its
   peak; the loop is stable where the characteristic polynomial neither turns about the origin nor
   is negative at one: without the second a negative gain had Ms 1.31 with a pole at 1.015.
-- `noise_model`: H holds a load at the input, a drift at the output and white noise by two
-  numbers.
+- `noise_model`: H holds a load at the input, a drift at the output and the noise of the sensor,
+  white or of a colour that its errors show (`sensor_colour`).
 - `drawn_models` are models that the records allow: linear in the coefficients of A and B, which
   the records know where they do not know each pole.
 - `least_squares`: for given poles, noise and dead time all else is linear. `identification`
@@ -52,6 +52,9 @@ Choices that are not obvious
   where the mode hardly decays.
 - The criterion counts the start states of every record. Without them it chose a drift of size
   1e-11, because a noise model has more of them.
+- Load and drift are searched before the colour, and the colour before further poles: a plant that
+  is given the sensor's colour has poles that it has not. A load explains what a slow pole does;
+  where there is one, a slow pole is tried in its place.
 - In trials from rest no load is searched, and what is left of them counts as error of the plant:
   the answer of a plant that is not linear repeats with every trial and does not average out.
 - The direct method uses what the noise excites through the feedback, too. It excites a band the
