@@ -35,8 +35,8 @@ FREQUENCIES, DAMPINGS = 9, (0.5, 0.1)
 """Coarse grid of a further pair of poles, between the slowest pole and the sampling rate."""
 
 HIGHEST = 2.8
-"""Highest frequency, rad/sample, that a further pair begins at: next to half the sampling rate a
-plant is not told from the colour of the sensor's noise, which the controller feeds back."""
+"""Highest frequency, rad/sample, that a further pair begins at in records of service: next to half
+the sampling rate a plant is not told from the colour of the sensor's noise, which is fed back."""
 
 PEAKS, PEAK_SHIFTS, PEAK_DAMPINGS = 2, (-0.9, -0.4, 0.0, 0.4, 0.9), (0.03, 0.01, 0.003)
 """Peaks of the spectrum of the errors that a further pair begins from, in bins beside them, for
@@ -275,6 +275,7 @@ def _pairs(signals: FitSignals, solution: Solution) -> list[FloatArray]:
     slowest = min(_slowest(solution.coordinates), 1.0)
     frequencies = np.geomspace(max(slowest, 1e-3), HIGHEST, FREQUENCIES)
     pairs = [np.log(pair) for pair in product(frequencies, DAMPINGS)]
+    highest = HIGHEST if any(group.history for group in signals.groups) else math.pi
     for row in rows_of(signals, solution.residual):
         spectrum = np.sum(np.abs(np.fft.rfft(row, axis=1)) ** 2, axis=0)
         smooth = np.convolve(spectrum[1:-1], [0.5, 1.0, 0.5], mode="same")
@@ -282,7 +283,7 @@ def _pairs(signals: FitSignals, solution: Solution) -> list[FloatArray]:
             peak = int(np.argmax(smooth))
             for shift, damping in product(PEAK_SHIFTS, PEAK_DAMPINGS):
                 w = 2.0 * math.pi * (peak + 1 + shift) / row.shape[1]
-                if w < HIGHEST:
+                if w < highest:
                     pairs.append(np.log([w, damping]))
             smooth[max(peak - 2, 0) : peak + 3] = 0.0
     return pairs
