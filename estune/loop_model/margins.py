@@ -30,9 +30,9 @@ BANDS = 16
 16 and 32 of them a search for the optimum of loops with modes took a mean of 152, 46, 26 and 33
 evaluations."""
 
-ZOOMED = 25
-"""Points of a second grid about the lowest |1 + L| of each band: resonances of the closed loop are
-not those of the plant."""
+ZOOM_REACH, ZOOMED = 0.6, 13
+"""Share of the distance to the next points of the grid, and number of points, of a second grid
+about the lowest |1 + L| of each band: resonances of the closed loop are not those of the plant."""
 
 
 class Robustness(NamedTuple):
@@ -257,8 +257,9 @@ def _lowest_in_bands(
     lowest = inside[np.arange(BANDS), np.argmin(size[:, inside], axis=2)]
     inner = np.clip(lowest, ends[:-1] + 1, ends[1:] - 1)
     own = rows if len(models) > 1 else np.zeros_like(rows)
-    begin, end = (theta[own, inner + side][..., np.newaxis] for side in (-1, 1))
-    near = begin + (end - begin) * np.linspace(0.0, 1.0, ZOOMED)
+    begin, middle, end = (theta[own, inner + side][..., np.newaxis] for side in (-1, 0, 1))
+    share = ZOOM_REACH * np.linspace(-1.0, 1.0, ZOOMED)
+    near = middle + share * np.where(share < 0.0, middle - begin, end - middle)
     zoom = FrequencyGrid.at(models, near.reshape(count, -1))
     S, R = laws.at(zoom.later)
     zoomed = np.abs(1.0 + zoom.zeros * S / (zoom.poles * R)).reshape(-1, ZOOMED)
