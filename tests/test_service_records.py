@@ -298,6 +298,29 @@ def test_columns_are_found_by_names_with_units_in_brackets(tmp_path, header):
     assert found.sampling_Hz == pytest.approx(10.0)
 
 
+def test_rows_of_a_log_without_a_measurement_are_a_gap(tmp_path):
+    rows = [f"{k},1,{'' if 20 <= k < 24 else k % 5},{k % 3}" for k in range(60)]
+    (tmp_path / "log.csv").write_text("\n".join(["time_s,setpoint,measurement,output", *rows]))
+    found = read_loop_log(tmp_path / "log.csv")
+    assert [part["time"].tolist() for part in found.parts] == [
+        list(range(20)),
+        list(range(24, 60)),
+    ]
+    assert "4 rows lack a value" in str(found.issues[0])
+
+
+def test_replay_names_the_unit_of_time_where_times_are_a_thousand_times_too_long():
+    random = np.random.default_rng(2)
+    setpoint = np.repeat(random.standard_normal(20), 100)
+    measured = np.convolve(setpoint, np.full(40, 1 / 40))[: setpoint.size]
+    gains, ran = Gains(2.0, 20.0, 0.0, 0.0), ControllerSettings(100.0, 0.0, -math.inf, math.inf)
+    effort = unlimited_effort(ran, gains, setpoint, measured, first_N=3.0)
+    stretch = Stretch("log", 0.0, setpoint, measured, effort)
+    as_read = replace(ran, sampling_Hz=0.1)
+    assert "check the unit of the time" in replay([stretch], as_read, gains).sentence()
+    assert "unit of the time" not in replay([stretch], ran, replace(gains, I=30.0)).sentence()
+
+
 def test_a_log_whose_effort_is_not_found_says_what_was_not_read(tmp_path):
     rows = [
         "time_s,setpoint,measurement,furnace",

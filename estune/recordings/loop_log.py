@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from estune.core.gains import Gains
+from estune.core.quantities import BoolArray
 from estune.recordings.column_map import ColumnTable, find_channel, map_column
 from estune.recordings.issue import DataIssue, Unusable
 from estune.recordings.metadata import Metadata, metadata_beside
@@ -91,6 +92,7 @@ def read_loop_log(
         if column not in channels:
             remedy = f"name it, as in --map {column}=NAME"
             raise Unusable(f"no channel is the {column}; the file has {_listed(raw)}: {remedy}")
+    channels, kept = _complete_rows(channels)
     values = {c: _values(c, channel) for c, channel in channels.items()}
     time_s = values.pop("time", None)
     if time_s is None:
@@ -99,7 +101,7 @@ def read_loop_log(
                 f"no channel is the time; the file has {_listed(raw)}: name it, as in "
                 "--map time=NAME, or give --sampling"
             )
-        time_s = np.arange(values["measurement"].size) / rate
+        time_s = np.flatnonzero(kept) / rate
     if time_s.size < FEWEST_SAMPLES:
         raise Unusable(f"the file has {time_s.size} rows; {FEWEST_SAMPLES} or more are needed")
     units = {c: _unit(channel) for c, channel in channels.items()}
@@ -113,13 +115,41 @@ def read_loop_log(
     if not parts:
         raise Unusable(f"no {FEWEST_SAMPLES} rows in a row are without a gap")
     named = {c: channel.name for c, channel in channels.items()}
-    issues = (*grid.issues, *_without_effort(raw, channels))
+    issues = (*_left_out(kept), *grid.issues, *_without_effort(raw, channels))
     return LoopLog(path.name, grid.sampling_Hz, parts, metadata.gains(), named, units, issues)
+
+
+def _complete_rows(channels: dict[str, Channel]) -> tuple[dict[str, Channel], BoolArray]:
+    """The channels without the rows that lack a value, and which rows of the file are kept.
+
+    A row is no sample where its setpoint, measurement or effort is missing: a gap like any other.
+    """
+    import pandas as pd  # noqa: PLC0415  slow to import
+
+    rows = channels["measurement"].values.size
+    kept: BoolArray = np.ones(rows, np.bool_)
+    signals = [channel for column, channel in channels.items() if column != "time"]
+    if any(one.time_s is not None or one.values.size != rows for one in channels.values()):
+        return channels, kept
+    for channel in signals:
+        kept &= ~np.asarray(pd.isna(pd.Series(channel.values)))
+    if kept.all() or not kept.any():
+        return channels, np.ones(rows, np.bool_)
+    fewer = {c: one._replace(values=one.values[kept]) for c, one in channels.items()}
+    return fewer, kept
+
+
+def _left_out(kept: BoolArray) -> Iterator[DataIssue]:
+    missing = np.flatnonzero(~kept)
+    if missing.size:
+        count = "a row lacks" if missing.size == 1 else f"{missing.size} rows lack"
+        yield DataIssue("warning", f"{count} a value: left out", row=int(missing[0]) + 1)
 
 
 def _without_effort(raw: RawFile, channels: Mapping[str, Channel]) -> Iterator[DataIssue]:
     """A warning where the effort may be among the channels that were not read."""
-    others = [one.name for one in raw.channels if one not in channels.values()]
+    read = {one.name for one in channels.values()}
+    others = [one.name for one in raw.channels if one.name not in read]
     if others and "effort" not in channels:
         yield DataIssue(
             "warning",

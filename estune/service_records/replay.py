@@ -28,6 +28,9 @@ and 6 to 12 % with a time scale of the integral that is wrong."""
 APART = 0.02
 """Relative difference from which a stated gain is said to be another than the one that ran."""
 
+TIME_FACTORS = (60.0, 1e3, 6e4, 1e6)
+"""Ratios of units of time: min, s, ms and us."""
+
 RAN_OTHERWISE = "the stated gains are not what ran: "
 """Beginning of the sentence on gains that were stated and did not run."""
 
@@ -111,8 +114,21 @@ class Replay(NamedTuple):
             return f"the gains that ran follow from the logged effort: {ran}"
         return (
             f"{RAN_OTHERWISE}with {self.stated} the logged effort is off by "
-            f"{self.stated_error:.1%} of its range; {ran}"
+            f"{self.stated_error:.1%} of its range; {ran}{self._unit_of_time()}"
         )
+
+    def _unit_of_time(self) -> str:
+        """A remark where the gains that ran are the stated ones in another unit of time."""
+        stated, ran = self.stated, self.ran
+        if stated is None or ran is None or not stated.I or not ran.I:
+            return ""
+        if abs(ran.P / stated.P - 1.0) > APART:
+            return ""
+        ratio = max(ran.I / stated.I, stated.I / ran.I)
+        for factor in TIME_FACTORS:
+            if abs(ratio / factor - 1.0) < APART:
+                return f": I by a factor of {factor:g}, so check the unit of the time"
+        return ""
 
 
 def replay(
