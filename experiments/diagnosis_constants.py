@@ -42,7 +42,7 @@ DECIDING = {
 }
 """Numbers whose curve takes stored fits: verdicts and probabilities."""
 WIDENING = {
-    "base_least": (0.0, 0.0001, 0.0003, 0.001, 0.003),
+    "base_least": (0.0, 0.0003, 0.001, 0.002, 0.004),
     "form_least": (0.0, 0.0005, 0.001, 0.0025, 0.005),
     "form_taken_up": (0.0, 0.1, 0.2, 0.3, 0.4),
 }
