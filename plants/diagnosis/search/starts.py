@@ -42,9 +42,11 @@ def fit_added(
     # A start with a small residual may end in a poor minimum: each origin keeps its own starts.
     pools = [[predictor.row(v) for v in _suggested(current, screened)]]
     if simpler is not None:
-        pools.append([predictor.row(v) for v in _beside(fitter, screened, simpler, current)])
+        for rests in (False, True) if screened.effect.named(Role.SIZE)[1:] else (False,):
+            beside = _beside(fitter, screened, simpler, current, rests=rests)
+            pools.append([predictor.row(v) for v in beside])
     shapes = [f"{screened.effect.name}.{n}" for n in screened.effect.named(*SHAPES)]
-    most = max(1, (2, 4, 8)[min(len(shapes), 2)] // len(pools))
+    most = max(1, (2, 4, 8)[min(len(shapes), 2)] // min(len(pools), 2))
     starts = []
     for pool in pools:
         rows = fitter.best_starts(predictor, np.array(pool), 2 * most)
@@ -85,11 +87,23 @@ def _suggested(current: CandidateFit, screened: ScreeningResult) -> list[dict[st
 
 
 def _beside(
-    fitter: ModelFitter, screened: ScreeningResult, simpler: CandidateFit, current: CandidateFit
+    fitter: ModelFitter,
+    screened: ScreeningResult,
+    simpler: CandidateFit,
+    current: CandidateFit,
+    *,
+    rests: bool,
 ) -> list[dict[str, float]]:
     """Values near a simpler law's fit: over the grid of shapes, its size split in several ways.
 
     Each from the calibrations of that fit, and from those of the model as given.
+
+    Args:
+        fitter: Model and records.
+        screened: The effect's screening.
+        simpler: The model with the simpler law.
+        current: The model without either.
+        rests: Whether the effect adds to the simpler law at rest, rather than takes of its size.
     """
     effect, name = screened.effect, screened.effect.name
     inherited, source = effect.inherits, getattr(effect.extends, "name", "")
@@ -98,8 +112,8 @@ def _beside(
     }
     for to in inherited:
         # Friction that builds up over less than shows is a step, along which no fit gets on.
-        if effect.parameters()[to].unit == "rad" and fitter.floor.angle_rad > 0.0:
-            at = f"{name}.{to}"
+        at = f"{name}.{to}"
+        if rests and effect.parameters()[to].unit == "rad" and fitter.floor.angle_rad > 0.0:
             inherited_values[at] = max(inherited_values[at], fitter.floor.angle_rad)
     sizes = [n for n in effect.named(Role.SIZE, Role.LIMIT) if n not in inherited]
     grids = {n: v for n, v in screened.grids.items() if n not in inherited}
@@ -123,7 +137,7 @@ def _beside(
             for share in (0.25, 0.5) if sizes else (0.0,):
                 split = {f"{name}.{n}": share * whole for n in sizes}
                 # What is there at rest alone is beside what the simpler law found in motion.
-                for remaining in {whole * (1.0 - share), whole} if sizes else {whole}:
-                    sized = {f"{name}.{main}": remaining} | split
-                    suggestions.append({**origin, **inherited_values, **shape, **sized})
+                remaining = whole if rests or not sizes else whole * (1.0 - share)
+                sized = {f"{name}.{main}": remaining} | split
+                suggestions.append({**origin, **inherited_values, **shape, **sized})
     return suggestions
