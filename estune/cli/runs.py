@@ -4,6 +4,7 @@ import math
 from collections.abc import Callable
 from datetime import UTC, datetime
 from pathlib import Path
+from statistics import fmean
 from typing import TYPE_CHECKING, Any
 
 from rich.text import Text
@@ -15,8 +16,9 @@ from estune.core.gains import GAIN_NAMES
 from estune.errors import EstuneError, InvalidInput, JournalError
 from estune.run.ending import RunEnding
 from estune.run.journal import FILE_NAME, Journal, being_written
-from estune.run.labels import read_labels, read_numbers
+from estune.run.labels import ListedNumbers, read_labels, read_numbers
 from estune.run.progress import counting
+from estune.run.session import Phase
 from estune.support.quantity_text import time_text
 
 if TYPE_CHECKING:
@@ -191,25 +193,31 @@ def _state_and_reason(row: dict[str, Any]) -> tuple[str, str]:
 
 
 def _summary(path: Path) -> dict[str, Any]:
-    """Row of a run in the list; its state is the reason, if the run cannot be read."""
-    row: dict[str, Any] = dict.fromkeys(("created_at", "rig", "trials", "start_cost", "cost"))
-    row |= read_numbers(path)._asdict() | read_labels(path)._asdict()
+    """Row of a run in the list; its state is the reason, if the run cannot be read.
+
+    No model is identified for it: the numbers of a finished run stand beside its journal, and of
+    another one only trials and the cost of the initial gains are known.
+    """
+    listed, row = read_numbers(path), dict.fromkeys(("created_at", "rig", "trials", "status"))
+    state = "stopped"
     try:
         with Journal.open(path) as journal:
-            created, status = journal.fact("created_at"), journal.fact("status")
-        result = api.load(path)
+            entries = [entry for entry in journal.entries() if entry.outcome is not None]
+            row |= {name: journal.fact(name) for name in ("created_at", "status")}
+            row |= {"rig": journal.fact("rig")["name"], "trials": len(entries)}
+        if row["status"] == "running" and being_written(path):
+            state = "running"
+        elif row["status"] != "finished":
+            costs = [entry.cost for entry in entries if entry.phase is Phase.BASELINE]
+            known = list(filter(math.isfinite, costs))
+            listed = ListedNumbers(start_cost=fmean(known) if known else None)
+        elif listed.ending is None:
+            listed = api.load(path).listed_numbers
     except EstuneError as error:
-        return {"run": path.name, **row, "state": f"unreadable: {error}"}
-    return row | {
-        "run": path.name,
-        "created_at": created,
-        "rig": result.rig.name,
-        "trials": result.nfev,
-        "start_cost": result.verdict.start_cost,
-        "cost": result.fun if result.success else None,
-        "status": status,
-        "state": _state(path, result),
-    }
+        state = f"unreadable: {error}"
+    numbers = listed._asdict()
+    state = numbers.pop("ending") or state
+    return {"run": path.name, **row, **numbers, **read_labels(path)._asdict(), "state": state}
 
 
 def _begun(row: dict[str, Any]) -> datetime:

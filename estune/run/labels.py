@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from estune.errors import InvalidInput
+from estune.run.ending import RunEnding
 from estune.support.whole_file import write_file
 
 LABELS, NUMBERS = "labels.json", "numbers.json"
@@ -24,11 +25,23 @@ class Labels(NamedTuple):
 
 
 class ListedNumbers(NamedTuple):
-    """Rise time, overshoot as a share of the step, and Ms of the gains to use; None if unknown."""
+    """What a list of runs shows of a finished one; None where it is unknown.
+
+    Attributes:
+        rise_time_s: Rise time with the gains to use.
+        overshoot: Overshoot with them, as a share of the step.
+        Ms: Sensitivity that is claimed of them.
+        start_cost: Cost of the initial gains.
+        cost: Cost of the tuned gains; None where the initial ones are kept.
+        ending: How the run ended.
+    """
 
     rise_time_s: float | None = None
     overshoot: float | None = None
     Ms: float | None = None
+    start_cost: float | None = None
+    cost: float | None = None
+    ending: RunEnding | None = None
 
 
 def read_labels(run: Path) -> Labels:
@@ -55,9 +68,10 @@ def write_labels(run: Path, labels: Labels) -> None:
 def read_numbers(run: Path) -> ListedNumbers:
     """The numbers of a finished run."""
     found = _read(run / NUMBERS)
+    ending = found.pop("ending", None)
     given = {name: found.get(name) for name in ListedNumbers._fields}
     known = {n: x for n, x in given.items() if isinstance(x, int | float) and math.isfinite(x)}
-    return ListedNumbers(**known)
+    return ListedNumbers(**known, ending=RunEnding(ending) if ending in list(RunEnding) else None)
 
 
 def write_numbers(run: Path, numbers: ListedNumbers) -> None:

@@ -63,13 +63,17 @@ class ListedRun:
             return {"state": f"unreadable: {error}"}
         done = [e for e in entries if e.outcome is Outcome.DONE and e.phase in _COMPARED]
         baseline = [e.cost for e in done if e.phase is Phase.BASELINE]
+        numbers = read_numbers(self._folder)
+        if numbers.start_cost is None:  # not finished: what the trials so far show
+            numbers = numbers._replace(
+                start_cost=sum(baseline) / len(baseline) if baseline else None,
+                cost=min((e.cost for e in done), default=None),
+            )
         return {
             "rig": rig,
             "begun": begun,
             "state": status.partition(":")[0],
             "trials": len(entries),
-            "start_cost": sum(baseline) / len(baseline) if baseline else None,
-            "cost": min((e.cost for e in done), default=None),
-            **read_numbers(self._folder)._asdict(),
+            **numbers._asdict(),
             **read_labels(self._folder)._asdict(),
         }

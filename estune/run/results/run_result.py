@@ -236,14 +236,15 @@ class RunResult(OptimizeResult):  # type: ignore[misc]  # scipy ships no type in
 
     @property
     def listed_numbers(self) -> ListedNumbers:
-        """Rise time, overshoot and Ms of the gains to use, for a list of runs."""
-        metrics, margins = (self.tuned or self.start).metrics, self.claim.margins
-        known = metrics or NO_METRICS
-        rise_s, overshoot = (
-            x if math.isfinite(x) else None for x in (known.rise_time_s, known.overshoot)
+        """Response and Ms with the gains to use, costs and ending, for a list of runs."""
+        known = (self.tuned or self.start).metrics or NO_METRICS
+        rise_s, overshoot, start_cost = (
+            x if math.isfinite(x) else None
+            for x in (known.rise_time_s, known.overshoot, self.verdict.start_cost)
         )
-        Ms = None if margins is None else margins.sensitivity.value
-        return ListedNumbers(rise_s, overshoot, Ms)
+        Ms = None if self.claim.margins is None else self.claim.margins.sensitivity.value
+        cost = float(self.fun) if self.success else None
+        return ListedNumbers(rise_s, overshoot, Ms, start_cost, cost, self.ending)
 
     def heading(self) -> str:
         """The run in one line, its ending first."""
