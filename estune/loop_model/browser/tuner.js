@@ -1,6 +1,6 @@
 // The tuning page: sliders for limits and gains, and what the identified loop predicts of them.
 
-import { Chart } from "./charts.js";
+import { Chart, make } from "./charts.js";
 import { columns, loopGain, predict, robustness, simulate } from "./loop.js";
 import { Nyquist } from "./nyquist.js";
 import { FORMS, written } from "./gains.js";
@@ -12,12 +12,6 @@ const FREQUENCIES = 160;
 const NAMES = ["P", "I", "D", "setpoint_filter_s"];
 const short = (x, digits = 3) => (x == null || Number.isNaN(x) ? "-" : Number.isFinite(x) ? Number(x.toPrecision(digits)).toString() : "\u221e");
 const percent = (x) => `${(100 * x).toFixed(1)} %`;
-
-function make(tag, properties = {}, ...children) {
-  const node = Object.assign(document.createElement(tag), properties);
-  node.append(...children);
-  return node;
-}
 
 export class Tuner {
   // `data` is as of estune.run.results.tuning_data; `live` are the gains to compare with, `act`

@@ -7,6 +7,13 @@ export function colour(name) {
   return colours.get(name);
 }
 
+// An element with these properties and children.
+export function make(tag, properties = {}, ...children) {
+  const node = Object.assign(document.createElement(tag), properties);
+  node.append(...children);
+  return node;
+}
+
 // Horizontal lines and bands: {at} or {from, to}, each with {colour, label}.
 function marks(get) {
   return {

@@ -1,10 +1,6 @@
 // A form for the settings of a tuning, made from their declaration; what is left empty is the rig's.
 
-const make = (tag, properties = {}, ...children) => {
-  const node = Object.assign(document.createElement(tag), properties);
-  node.append(...children);
-  return node;
-};
+import { make } from "./charts.js";
 
 function field({ name, type, choices, unit, help, otherwise }) {
   const id = `setting-${name}`;

@@ -1,5 +1,6 @@
 // The page: follows one view by server-sent events, and draws what has changed.
 
+import { make } from "./charts.js";
 import { openForm } from "./form.js";
 import { LabelForm } from "./labels.js";
 import { RunTable } from "./runs.js";
@@ -136,13 +137,7 @@ function showFacts({ rig, description, daemon, state, run, elsewhere }) {
   const list = $("facts"), content = JSON.stringify(facts);
   if (list.dataset.shown === content) return;
   list.dataset.shown = content;
-  list.replaceChildren(...facts.map(([name, value]) => {
-    const div = document.createElement("div"), dt = document.createElement("dt"), dd = document.createElement("dd");
-    dt.textContent = name;
-    dd.textContent = value;
-    div.append(dt, dd);
-    return div;
-  }));
+  list.replaceChildren(...facts.map(([name, value]) => make("div", {}, make("dt", { textContent: name }), make("dd", { textContent: value }))));
 }
 
 // What the rig must show before a command counts as done.

@@ -1,5 +1,7 @@
 // The list of rigs and runs: sorted by a column, filtered by words.
 
+import { make } from "./charts.js";
+
 const $ = (id) => document.getElementById(id);
 const cost = (x) => (x == null ? "" : Number(x.toPrecision(4)).toString());
 const time = (s) => (s == null ? "" : s < 1 ? `${cost(1e3 * s)} ms` : `${cost(s)} s`);
@@ -28,18 +30,14 @@ export class RunTable {
     });
     $("filter").addEventListener("input", () => this.draw());
     $("views").querySelector("thead tr").replaceChildren(...COLUMNS.map(([key, label]) => {
-      const th = document.createElement("th"), button = document.createElement("button");
-      th.scope = "col";
-      button.type = "button";
-      button.textContent = label;
+      const button = make("button", { type: "button", textContent: label });
       button.addEventListener("click", () => {
         this.falling = this.by === key ? !this.falling : key === "begun";
         this.by = key;
         this.draw();
       });
-      th.append(button);
-      return th;
-    }), Object.assign(document.createElement("th"), { scope: "col", textContent: "lay over" }));
+      return make("th", { scope: "col" }, button);
+    }), make("th", { scope: "col", textContent: "lay over" }));
   }
 
   // New rows, of which one is shown on the page.
@@ -77,9 +75,9 @@ export class RunTable {
   // A row of the table that shows nothing yet.
   made(name) {
     const tr = document.createElement("tr"), cells = COLUMNS.map(([key]) => Object.assign(tr.insertCell(), { className: key === "Ms" ? "whole" : "" }));
-    const link = Object.assign(document.createElement("a"), { href: `?view=${encodeURIComponent(name)}`, textContent: name });
+    const link = make("a", { href: `?view=${encodeURIComponent(name)}`, textContent: name });
     cells[0].append(link);
-    const box = Object.assign(document.createElement("input"), { type: "checkbox" });
+    const box = make("input", { type: "checkbox" });
     box.setAttribute("aria-label", `Lay ${name} over the shown run`);
     box.addEventListener("change", () => {
       this.laidOver[box.checked ? "add" : "delete"](name);

@@ -1,6 +1,6 @@
 // Sections of the page: trial, search, result, check trials, events.
 
-import { Chart, held, joined } from "./charts.js";
+import { Chart, held, joined, make } from "./charts.js";
 
 const $ = (id) => document.getElementById(id);
 const timeUnit = (s) => (s < 600 ? ["s", 1] : s < 36000 ? ["min", 60] : ["h", 3600]);
@@ -180,18 +180,10 @@ export class Sections {
     $("heading").textContent = heading;
     $("heading").className = `lead ${good ? "yes" : good === false ? "no" : ""}`;
     const heads = ["", "initial gains", ...(tuned ? ["tuned gains"] : [])];
-    const line = (tag, cells) => {
-      const tr = document.createElement("tr");
-      tr.append(...cells.map((text, n) => {
-        const cell = document.createElement(n ? tag : "th");
-        cell.textContent = text;
-        if (!n && text) cell.scope = "row";
-        return cell;
-      }));
-      return tr;
-    };
+    const line = (tag, cells) => make("tr", {}, ...cells.map((text, n) =>
+      make(n ? tag : "th", { textContent: text, ...(!n && text && { scope: "row" }) })));
     $("result").replaceChildren(line("th", heads), ...rows.map((row) => line("td", row.slice(0, heads.length))));
-    $("remarks").replaceChildren(...remarks.map((text) => Object.assign(document.createElement("li"), { textContent: text })));
+    $("remarks").replaceChildren(...remarks.map((text) => make("li", { textContent: text })));
   }
 
   drawChecks() {
@@ -211,11 +203,8 @@ export class Sections {
 
   drawEvents() {
     $("events").hidden = false;
-    $("events").querySelector("tbody").replaceChildren(...this.tables.events.slice(-100).reverse().map(([, at, kind, sentence]) => {
-      const tr = document.createElement("tr");
-      tr.append(...[new Date(at).toLocaleString(), kind, sentence].map((text) => Object.assign(document.createElement("td"), { textContent: text })));
-      return tr;
-    }));
+    $("events").querySelector("tbody").replaceChildren(...this.tables.events.slice(-100).reverse().map(([, at, kind, sentence]) =>
+      make("tr", {}, ...[new Date(at).toLocaleString(), kind, sentence].map((text) => make("td", { textContent: text })))));
   }
 
   // Lays the responses of other runs over this one, one after the other: a browser opens few streams.

@@ -1,6 +1,6 @@
 // The page of a diagnosis: records, how they are understood, the model, the verdict.
 
-import { Chart } from "./charts.js";
+import { Chart, make } from "./charts.js";
 
 const POLL_MS = 500;
 const $ = (id) => document.getElementById(id);
@@ -9,11 +9,6 @@ if (key) {
   sessionStorage.setItem("explain-key", key);
   history.replaceState(null, "", location.pathname); // not into bookmarks
 }
-const make = (tag, properties = {}, ...children) => {
-  const node = Object.assign(document.createElement(tag), properties);
-  node.append(...children);
-  return node;
-};
 const row = (tag, cells) => make("tr", {}, ...cells.map((cell) => make(tag, {}, cell ?? "")));
 const number = (x) => Number(x.toPrecision(4)).toString();
 
