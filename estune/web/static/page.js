@@ -127,7 +127,7 @@ function showFacts({ rig, description, daemon, state, run, elsewhere }) {
   if (daemon?.run) facts.push(["run", `${daemon.run}, ${daemon.trials} of ${daemon.trials_max}`]);
   if (state) {
     if (kind === "rig" && run) facts.push(["run", `${run.name}, ${state.status.split(":")[0]}`]);
-    facts.push(["trials", state.status === "running" ? `${state.done} done, about ${state.left} left` : `${state.status === "finished" ? "all " : ""}${state.done} trials done`]);
+    facts.push(["trials", state.status === "running" ? `${state.done} done, about ${state.left} left` : `${state.status === "finished" ? "all " : ""}${state.done} done`]);
     if (state.status === "running" && state.trial_s && state.left) facts.push(["time left", `about ${duration(state.trial_s * state.left)}`]);
     facts.push(["unsafe trials", String(state.unsafe)]);
     if (state.best) facts.push(["best cost", `${state.best.cost.toPrecision(4)} in trial ${state.best.number}`]);
