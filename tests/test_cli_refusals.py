@@ -17,6 +17,7 @@ from estune.cli.approval_prompt import terminal_approval
 from estune.errors import RigError
 from estune.run.approval import ApprovalRequest
 from estune.run.journal import FILE_NAME, Journal
+from estune.run.labels import read_numbers, write_numbers
 from estune.trial import TrialRequest
 from estune.tuners import CostPrediction
 from tests.support_runs import START, ArithmeticRig
@@ -175,6 +176,7 @@ def test_list_shows_other_runs_beside_an_unreadable_one(arithmetic_run, here):
     torn = arithmetic_run.parent / "torn"
     torn.mkdir()
     (torn / FILE_NAME).write_bytes(b"torn" * 100)
+    write_numbers(torn, read_numbers(arithmetic_run))  # of a run whose journal was damaged later
     listed = json.loads(here("list", "--folder", arithmetic_run.parent, "--json"))
     states = {row["run"]: row["state"] for row in listed}
     assert states["one"] == str(estune.load(arithmetic_run).ending)

@@ -211,12 +211,12 @@ def _summary(path: Path) -> dict[str, Any]:
             costs = [entry.cost for entry in entries if entry.phase is Phase.BASELINE]
             known = list(filter(math.isfinite, costs))
             listed = ListedNumbers(start_cost=fmean(known) if known else None)
-        elif listed.ending is None:
-            listed = api.load(path).listed_numbers
+        else:
+            listed = listed if listed.ending else api.load(path).listed_numbers
+            state = str(listed.ending)
     except EstuneError as error:
         state = f"unreadable: {error}"
-    numbers = listed._asdict()
-    state = numbers.pop("ending") or state
+    numbers = {name: x for name, x in listed._asdict().items() if name != "ending"}
     return {"run": path.name, **row, **numbers, **read_labels(path)._asdict(), "state": state}
 
 

@@ -41,6 +41,8 @@ def _autoregression(signals: FitSignals, errors: FloatArray) -> tuple[float, ...
     for row in rows_of(signals, errors):
         for lag in range(min(moments.size, row.shape[1])):
             moments[lag] += float(np.vdot(row[:, lag:], row[:, : row.shape[1] - lag]))
+    if not moments[0] > 0.0:  # nothing is left that could have a colour
+        return ()
     price, count = math.log(errors.size), errors.size
     N, power = np.ones(1), float(moments[0])
     best, least = N, count * math.log(power)

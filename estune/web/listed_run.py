@@ -7,7 +7,7 @@ from typing import Any
 
 from estune.errors import EstuneError
 from estune.run.journal import FILE_NAME, Journal, being_written
-from estune.run.labels import LABELS, NUMBERS, read_labels, read_numbers
+from estune.run.labels import LABELS, NUMBERS, ListedNumbers, read_labels, read_numbers
 from estune.run.session import Phase
 from estune.trial import Outcome
 
@@ -63,12 +63,12 @@ class ListedRun:
             return {"state": f"unreadable: {error}"}
         done = [e for e in entries if e.outcome is Outcome.DONE and e.phase in _COMPARED]
         baseline = [e.cost for e in done if e.phase is Phase.BASELINE]
-        numbers = read_numbers(self._folder)
-        if numbers.start_cost is None:  # not finished: what the trials so far show
-            numbers = numbers._replace(
-                start_cost=sum(baseline) / len(baseline) if baseline else None,
-                cost=min((e.cost for e in done), default=None),
-            )
+        shown = ListedNumbers(
+            start_cost=sum(baseline) / len(baseline) if baseline else None,
+            cost=min((e.cost for e in done), default=None),
+        )
+        stored = read_numbers(self._folder)._asdict().items()
+        numbers = shown._replace(**{name: x for name, x in stored if x is not None})
         return {
             "rig": rig,
             "begun": begun,
