@@ -110,13 +110,14 @@ def test_price_of_limits_is_small_on_a_reel_and_names_softer_limits_where_dear(f
     assert any(remark.startswith(said) for remark in reel.remarks())
     _, free = fast
     space, plan = free.plan.tuner.space, free.plan
+    low, high = np.array(space.coordinate_bounds)
     price = price_of(
         free.identified.fit,
         step_trial(free.rig, plan.step, plan.cost),
         RobustnessLimits(max_sensitivity=1.3),
         lambda x: space.gains(space.point(tuple(x.tolist()))),
         at=np.array(space.coordinates(space.point_of(free.gains))),
-        bounds=(np.array(space.coordinates_low), np.array(space.coordinates_high)),
+        bounds=(low, high),
     )
     assert price.price > 0.05
     assert [limit for limit, _ in price.softer] == [1.8, 2.0]

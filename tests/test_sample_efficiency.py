@@ -22,7 +22,7 @@ def test_optimum_is_below_all_other_points():
     random = np.random.default_rng(2)
     there, space = np.array(best.coordinates), PROBLEM.space
     near = there + random.normal(0.0, 0.1, (2000, 4))
-    far = random.uniform(space.coordinates_low, space.coordinates_high, (2000, 4))
+    far = random.uniform(*space.coordinate_bounds, (2000, 4))
     assert PROBLEM.costs(near).min() > best.cost * (1.0 - 1e-9)
     assert PROBLEM.costs(far).min() > best.cost
 

@@ -161,13 +161,14 @@ def limit_price(
         return None
     if limits is None or limits == RobustnessLimits(None, None, None):
         return None
+    low, high = np.array(space.coordinate_bounds)
     return price_of(
         loop.fit,
         step_trial(rig, plan.step, plan.cost),
         limits,
         lambda x: space.gains(space.point(tuple(x.tolist()))),
         at=np.array(space.coordinates(space.point_of(gains))),
-        bounds=(np.array(space.coordinates_low), np.array(space.coordinates_high)),
+        bounds=(low, high),
     )
 
 

@@ -345,13 +345,14 @@ class IdentifiedLoopTuner:
         """The search for the optimum of a model within reach of the best trial."""
         best = np.array(state.base)
         radius = self.reach * state.step_scale
+        low, high = self.space.coordinate_bounds
         return RegionSearch(
             model=model,
             trial=self._trial(state),
             limits=self.limits,
             gains_of=lambda x: self.space.gains(self.space.point(tuple(x.tolist()))),
-            low=np.maximum(self.space.coordinates_low, best - radius),
-            high=np.minimum(self.space.coordinates_high, best + radius),
+            low=np.maximum(low, best - radius),
+            high=np.minimum(high, best + radius),
             noise_N=state.fit.noise_N if state.fit else 0.0,
             corrected=state.surface.corrected if state.surface else None,
         )
@@ -376,9 +377,8 @@ class IdentifiedLoopTuner:
         """Whether the reach, not a bound of the space, holds the optimum back."""
         x = optimum.coordinates
         away, reach = x - np.array(state.base), self.reach * state.step_scale
-        inside = (x > np.array(self.space.coordinates_low) + 1e-6) & (
-            x < np.array(self.space.coordinates_high) - 1e-6
-        )
+        low, high = np.array(self.space.coordinate_bounds)
+        inside = (x > low + 1e-6) & (x < high - 1e-6)
         held = np.flatnonzero(inside & (np.abs(away) > 0.99 * reach))
         back = [x - np.sign(away[i]) * np.eye(x.size)[i] for i in held]
         beside = (self._at(state, fit, tuple(there.tolist())) for there in back)

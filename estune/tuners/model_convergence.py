@@ -50,8 +50,8 @@ def model_convergence(
     draws = draw_optima(loop.fit, loop.search, optimum, seed)
     equal = equal_range(loop.search(loop.fit.model), optimum)
     low, high = np.fmin(draws.interval[0], equal[0]), np.fmax(draws.interval[1], equal[1])
-    low = np.maximum(low, space.coordinates_low)
-    high = np.minimum(high, space.coordinates_high)
+    least, most = space.coordinate_bounds
+    low, high = np.maximum(low, least), np.minimum(high, most)
     beyond = 0.0
     if loop.surface:
         beyond = ONE_SIDED_95 * loop.surface.deviation(optimum.coordinates)

@@ -11,15 +11,10 @@ from typing import NamedTuple
 
 
 class Dither(NamedTuple):
-    """One frequency for each parameter: turns (`bins`) in a period, counted in trials."""
+    """One frequency for each parameter, rad/trial: whole turns in a period, counted in trials."""
 
     period: int
-    bins: tuple[int, ...]
-
-    @property
-    def frequencies(self) -> tuple[float, ...]:
-        """One for each parameter, rad/trial."""
-        return tuple([2.0 * math.pi * m / self.period for m in self.bins])
+    frequencies: tuple[float, ...]
 
 
 @lru_cache(maxsize=32)
@@ -37,7 +32,8 @@ def dither(parameters: int) -> Dither:
     refinement = 1
     while not (bins := _distinct_bins(parameters, refinement, (), frozenset())):
         refinement += 1
-    return Dither(4 * (parameters + 1) * refinement, bins)
+    period = 4 * (parameters + 1) * refinement
+    return Dither(period, tuple([2.0 * math.pi * m / period for m in bins]))
 
 
 def _distinct_bins(

@@ -368,12 +368,13 @@ class SafeBayesianTuner:
     def _region(self, centre: FloatArray, radius: float, log_cost_max: float) -> TrustRegion:
         """A ball about the centre, safe up to this log cost."""
         start = np.array(self.space.coordinates(self.space.start))
+        low, high = np.array(self.space.coordinate_bounds)
         return TrustRegion(
             centre=centre,
             axes=radius * np.eye(len(centre)),
             radius=radius,
-            low=np.array(self.space.coordinates_low) - start,
-            high=np.array(self.space.coordinates_high) - start,
+            low=low - start,
+            high=high - start,
             log_cost_max=min(math.log(self.safe_ratio), log_cost_max),
             margin_min=self.constraint_margin_min,
         )

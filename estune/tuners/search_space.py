@@ -137,14 +137,9 @@ class SearchSpace:
         )
 
     @property
-    def coordinates_low(self) -> Coordinates:
-        """The lower bounds in coordinates."""
-        return _cached_coordinates(self.scale, self.low)
-
-    @property
-    def coordinates_high(self) -> Coordinates:
-        """The upper bounds in coordinates."""
-        return _cached_coordinates(self.scale, self.high)
+    def coordinate_bounds(self) -> tuple[Coordinates, Coordinates]:
+        """The lower and the upper bounds in coordinates."""
+        return _cached_bounds(self.scale, self.low, self.high)
 
     def coordinates(self, point: Point) -> Coordinates:
         """The coordinates of a point."""
@@ -152,7 +147,7 @@ class SearchSpace:
 
     def clipped(self, coordinates: Coordinates) -> Coordinates:
         """The nearest coordinates within the bounds."""
-        return _clip(coordinates, self.coordinates_low, self.coordinates_high)
+        return _clip(coordinates, *self.coordinate_bounds)
 
     def point(self, coordinates: Coordinates) -> Point:
         """The point at these coordinates, or the nearest within the bounds."""
@@ -221,8 +216,7 @@ class SearchSpace:
         rows = zip(
             self.names,
             self.coordinates(self.point(self.coordinates(point))),
-            self.coordinates_low,
-            self.coordinates_high,
+            *self.coordinate_bounds,
             strict=True,
         )
         for name, c, low, high in rows:
@@ -284,6 +278,8 @@ def _clip(values: Point, low: Point, high: Point) -> Point:
 
 
 @lru_cache(maxsize=256)
-def _cached_coordinates(scale: str, bounds: Point) -> Coordinates:
+def _cached_bounds(scale: str, low: Point, high: Point) -> tuple[Coordinates, Coordinates]:
     """Coordinates of bounds, which every step of a tuner needs."""
-    return tuple(map(math.log, bounds)) if scale == "log" else bounds
+    if scale == "log":
+        return tuple(map(math.log, low)), tuple(map(math.log, high))
+    return low, high

@@ -64,7 +64,7 @@ def tree_structured_parzen(trials: Trials) -> None:
 
     optuna.logging.set_verbosity(optuna.logging.WARNING)
     study, names = optuna.create_study(), trials.space.names
-    sides = zip(trials.space.coordinates_low, trials.space.coordinates_high, strict=True)
+    sides = zip(*trials.space.coordinate_bounds, strict=True)
     ranges: dict[str, optuna.distributions.BaseDistribution] = {
         name: optuna.distributions.FloatDistribution(low, high)
         for name, (low, high) in zip(names, sides, strict=True)
@@ -97,11 +97,11 @@ def quadratic_trust_region(trials: Trials) -> None:
             return levels[-1]
         return math.log(2.0) + (max(levels) if len(levels) > 1 else 0.0)
 
-    bounds = np.array(trials.space.coordinates_low), np.array(trials.space.coordinates_high)
+    low, high = np.array(trials.space.coordinate_bounds)
     best = pybobyqa.solve(
         level,
         np.array(trials.start),
-        bounds=bounds,
+        bounds=(low, high),
         rhobeg=0.5,
         rhoend=0.1,
         maxfun=100_000,  # slower with a greater number, and not only by the trials made
@@ -116,7 +116,7 @@ def gaussian_process(trials: Trials) -> None:
     """scikit-optimize's Gaussian process with its own acquisition, on the log cost."""
     from skopt import Optimizer  # noqa: PLC0415  an extra, and slow to import
 
-    sides = list(zip(trials.space.coordinates_low, trials.space.coordinates_high, strict=True))
+    sides = list(zip(*trials.space.coordinate_bounds, strict=True))
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of its fits, and of repeated points
         optimizer = Optimizer(sides, "GP", n_initial_points=10, random_state=trials.job.seed)
@@ -130,7 +130,7 @@ def evolution_strategy(trials: Trials) -> None:
     """CMA-ES (cma), initial step 0.5; it recommends its mean."""
     import cma  # noqa: PLC0415  an extra, and slow to import
 
-    bounds = [list(trials.space.coordinates_low), list(trials.space.coordinates_high)]
+    bounds = [*map(list, trials.space.coordinate_bounds)]
     options = {"bounds": bounds, "seed": trials.job.seed + 1, "verbose": -9}
     strategy = cma.CMAEvolutionStrategy(list(trials.start), 0.5, options)
     trials.settle_on(trials.start)
@@ -144,7 +144,7 @@ def nelder_mead(trials: Trials) -> None:
     """Scipy's Nelder-Mead with a simplex 0.5 wide, restarted when it has collapsed."""
     from scipy.optimize import minimize  # noqa: PLC0415  slow to import
 
-    bounds = list(zip(trials.space.coordinates_low, trials.space.coordinates_high, strict=True))
+    bounds = list(zip(*trials.space.coordinate_bounds, strict=True))
     x = np.array(trials.start)
     while True:
         simplex = np.vstack([x, x + 0.5 * np.eye(len(x))])

@@ -49,7 +49,7 @@ def optimum(problem: Problem) -> TrueOptimum:
 def search(problem: Problem) -> TrueOptimum:
     """Differential evolution over the bounds, then Nelder-Mead until it converges."""
     space = problem.space
-    low, high = np.array(space.coordinates_low), np.array(space.coordinates_high)
+    low, high = np.array(space.coordinate_bounds)
 
     def many(x: Any) -> Any:
         return np.log(np.minimum(problem.costs(x.T), 1e9))

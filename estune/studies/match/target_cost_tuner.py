@@ -156,7 +156,7 @@ class TargetCostTuner:
 
     def predict(self, state: TargetCostState, point: Point) -> CostPrediction:
         """The cost at a point by the parabola; an unlimited interval without one."""
-        u = self.space.coordinates_high[0] - self.space.coordinates(point)[0]
+        u = self.space.coordinate_bounds[1][0] - self.space.coordinates(point)[0]
         explored = bool(state.distances) and u <= max(state.distances)
         fit = _fit(state.distances, state.logs, u)
         if fit is None:
@@ -199,11 +199,12 @@ class TargetCostTuner:
         return root
 
     def _point(self, u: float) -> Point:
-        return self.space.point((self.space.coordinates_high[0] - u,))
+        return self.space.point((self.space.coordinate_bounds[1][0] - u,))
 
     @property
     def _length(self) -> float:
-        return self.space.coordinates_high[0] - self.space.coordinates_low[0]
+        (low,), (high,) = self.space.coordinate_bounds
+        return high - low
 
 
 def _quantile(degrees: float) -> float:
