@@ -11,6 +11,7 @@ import pytest
 import estune
 import plants
 from estune.cli import main
+from estune.cli.stated_controller import stated_controller
 from estune.core.controller_equation import unlimited_effort
 from estune.core.controller_form import ControllerForm
 from estune.core.gains import Gains
@@ -161,6 +162,33 @@ def test_replay_finds_the_form_that_ran(form):
     assert not found.agrees
     assert found.ran == gains
     assert found.form == form
+
+
+def test_terms_that_rounded_signals_alone_would_need_are_not_said_to_have_run():
+    setpoint = np.repeat(np.random.default_rng(2).uniform(-1.0, 1.0, 20), 100)
+    measured = np.round(np.convolve(setpoint, np.full(40, 1 / 40))[: setpoint.size], 3)
+    own = ControllerSettings(100.0, 0.02, -math.inf, math.inf)
+    effort = np.round(16.0 * (setpoint - measured), 5)
+    ran = replay([Stretch("log", 0.0, setpoint, measured, effort)], own, None).ran
+    assert (ran.I, ran.D, ran.setpoint_filter_s) == (0.0, 0.0, 0.0)
+    assert pytest.approx(16.0, rel=1e-5) == ran.P
+
+
+def test_gains_of_logs_are_read_from_a_file_and_those_of_no_log_refused(tmp_path):
+    file = tmp_path / "gains.toml"
+    file.write_text('[gains]\n"one.csv" = { P = 2.0, I = 0.5 }\ntwo = { P = 3.0 }\n')
+    stated = stated_controller(str(file)).gains
+    assert stated == {"one.csv": Gains(2.0, 0.5, 0.0, 0.0), "two": Gains(3.0, 0.0, 0.0, 0.0)}
+    for name in ("one", "too"):
+        write(tmp_path / f"{name}.csv", dict.fromkeys("tsyu", range(50)))
+    with pytest.raises(InvalidInput, match="given for two, but the logs are one"):
+        estune.suggest([tmp_path / "one.csv", tmp_path / "too.csv"], gains=stated)
+    rig = "driver = {}\n[gains]\nP = 1.0\n[controller]\nderivative_filter_s = 0.01\n"
+    file.write_text(rig)
+    assert stated_controller(str(file)) == (Gains(1.0, 0.0, 0.0, 0.0), 0.01)
+    file.write_text("[gains]\nP = -1.0\n")
+    with pytest.raises(InvalidInput, match="gains: P: must be greater than 0"):
+        stated_controller(str(file))
 
 
 def test_command_reads_a_csv_and_writes_report_and_json(busy, tmp_path, capsys):

@@ -8,21 +8,20 @@ from rich.text import Text
 
 from estune.cli import output
 from estune.cli.options import NO_LIMITS, LimitOptions
-from estune.cli.values import Flag, Values, check_folder_exists, command_line, numbers_from
+from estune.cli.stated_controller import stated_controller
+from estune.cli.values import Flag, Values, check_folder_exists, command_line
 from estune.errors import InvalidInput
 from estune.support.quantity_text import time_text
 
 if TYPE_CHECKING:
     from estune.core.controller_form import ControllerForm
-    from estune.core.gains import Gains
     from estune.service_records.suggestion import Suggestion
 
 _STYLES = {"change": "bold green", "keep": "bold green"}
-_SHORT = {"F": "setpoint_filter_s"}
 
 
 def suggest(
-    records: Path,
+    records: tuple[Path, ...],
     /,
     *,
     gains: Annotated[str | None, Parameter(show_default=False)] = None,
@@ -42,10 +41,12 @@ def suggest(
     """Judge the gains of a running loop by its records, and recommend better ones.
 
     Args:
-        records: A log, a folder of logs of one loop, or a run: CSV with any separators, Parquet,
-            MATLAB, ROS 1 and 2 bags, MCAP, TDMS. No steps are needed.
+        records: Logs of one loop, folders of them, or a run: CSV with any separators, Parquet,
+            MATLAB, ROS 1 and 2 bags, MCAP, TDMS. No steps are needed. Gains in use: those of the
+            last log.
         gains: The gains that ran, such as "P=1.2,I=40,D=0.01,F=0.005": of P e + I int(e) - D
-            dy/dt, F the setpoint filter in s. By default those in the metadata of the records.
+            dy/dt, F the setpoint filter in s. Or a TOML file: a rig's, or one with the gains of
+            each log, [gains."run1.csv"]. By default those in the metadata of the records.
         map_: Channels: time=t,setpoint=sp,measurement=pv,effort=out.
         sampling_Hz: Sampling rate, where the records have no times.
         derivative_filter_s: Time constant of the derivative filter, s.
@@ -69,12 +70,15 @@ def suggest(
     check_folder_exists("--report", report)
     from estune.service_records import suggestion as service  # noqa: PLC0415  slow to import
 
+    stated = stated_controller(gains)
     found = service.suggest(
         records,
-        gains=None if gains is None else gains_from(gains),
+        gains=stated.gains,
         columns=dict(_pairs("--map", map_)),
         sampling_Hz=sampling_Hz,
-        derivative_filter_s=derivative_filter_s,
+        derivative_filter_s=(
+            stated.derivative_filter_s if derivative_filter_s is None else derivative_filter_s
+        ),
         form=_form(form),
         reverse=reverse,
         settling_time_s=settling_time_s,
@@ -90,24 +94,6 @@ def suggest(
     else:
         _show(found, report, trial)
     return found.exit_code
-
-
-def gains_from(text: str) -> "Gains":
-    """Gains written `P=1.2,I=40,D=0.01,F=0.005`; those left out are zero.
-
-    Raises:
-        InvalidInput: they cannot be read, or P is missing.
-    """
-    from estune.core.gains import GAIN_NAMES, Gains  # noqa: PLC0415  of no use to other commands
-
-    given = {
-        _SHORT.get(name, name): value for name, value in numbers_from(text.split(",")).items()
-    }
-    unknown = set(given) - set(GAIN_NAMES)
-    if unknown or "P" not in given:
-        wrong = f"there is no {', '.join(sorted(unknown))}" if unknown else "P is missing"
-        raise InvalidInput(f"--gains {text}: {wrong}; write P=2,I=0.5,D=0,F=0")
-    return Gains(*(given.get(name, 0.0) for name in GAIN_NAMES))
 
 
 def _pairs(option: str, texts: Values) -> list[tuple[str, str]]:
@@ -127,7 +113,7 @@ def _form(texts: Values) -> "ControllerForm | None":
     given = _pairs("--form", texts)
     if not given:
         return None
-    from estune.core.controller_form import ControllerForm  # noqa: PLC0415  as of gains_from
+    from estune.core.controller_form import ControllerForm  # noqa: PLC0415  of no use to other commands
 
     hints = get_type_hints(ControllerForm)
     for name, value in given:

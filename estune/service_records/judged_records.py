@@ -1,5 +1,6 @@
 """What records of a running loop show: margins of the gains in use, and better gains."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -12,7 +13,7 @@ from estune.recordings.issue import DataIssue
 from estune.service_records.advice import AdvisedExperiment, advice
 from estune.service_records.judgement import Judgement
 from estune.service_records.recommendation import Recommendation
-from estune.service_records.replay import RAN_OTHERWISE, Replay
+from estune.service_records.replay import RAN_OTHERWISE, Replay, apart
 from estune.service_records.stretches import LeftOut, Stretch
 
 if TYPE_CHECKING:
@@ -38,6 +39,7 @@ class JudgedRecords:
         trial: The step response that cost and overshoot are predicted for.
         fit: The identified loop.
         stretches: What was used.
+        gains_by_log: The gains that ran, by the log's name.
         left_out: What was not, with the reason.
         issues: What was done to the time stamps, and files that cannot be used.
         limits: The limits of the recommended gains.
@@ -53,6 +55,7 @@ class JudgedRecords:
     trial: StepTrial
     fit: LoopFit
     stretches: tuple[Stretch, ...]
+    gains_by_log: Mapping[str, Gains]
     left_out: tuple[LeftOut, ...]
     issues: tuple[DataIssue, ...]
     limits: RobustnessLimits
@@ -116,6 +119,14 @@ class JudgedRecords:
     def remarks(self) -> list[str]:
         """What limits the statements, and what to do about it, a sentence each."""
         remarks = []
+        sets = list[Gains]()
+        for gains in self.gains_by_log.values():
+            sets += [] if any(not apart(gains, other) for other in sets) else [gains]
+        if len(sets) > 1:
+            remarks.append(
+                f"The logs ran with {len(sets)} sets of gains; those in use are the ones of the "
+                f"last, {self.stretches[-1].log}."
+            )
         if self.replay is not None and self.replay.stated is None:
             sentence = self.replay.sentence()
             remarks.append(f"{sentence[0].upper()}{sentence[1:]}.")
@@ -141,6 +152,7 @@ class JudgedRecords:
             "verdict": self.verdict,
             "heading": self.heading(),
             "gains_in_use": _gains_json(self.in_use),
+            "gains_by_log": {log: _gains_json(ran) for log, ran in self.gains_by_log.items()},
             "in_use": self.margins and _margins_json(self.margins),
             "recommended_gains": better and _gains_json(better.gains),
             "recommended": better and _margins_json(better.margins),

@@ -34,6 +34,12 @@ TIME_FACTORS = (60.0, 1e3, 6e4, 1e6)
 RAN_OTHERWISE = "the stated gains are not what ran: "
 """Beginning of the sentence on gains that were stated and did not run."""
 
+AS_WELL = 2.0
+"""Ratio of two residuals up to which both explain the effort."""
+
+TERMS = ([0], [0, 1], [0, 2], [0, 1, 2])
+"""Terms of P, I and D that may have run; the fewest that explain the effort did."""
+
 FILTERS = 25
 """Time constants of the setpoint filter that are tried, evenly in the logarithm."""
 
@@ -73,7 +79,8 @@ class Replay(NamedTuple):
         """Whether the stated gains are those that ran."""
         if self.stated is None or self.form is not None or not self.stated_error <= FITS:
             return False
-        return self.ran is None or self.stated_error <= 2.0 * self.ran_error or not self._apart
+        near = self.ran is None or not apart(self.stated, self.ran)
+        return near or self.stated_error <= AS_WELL * self.ran_error
 
     @property
     def contradicts(self) -> bool:
@@ -84,12 +91,6 @@ class Replay(NamedTuple):
     def explained(self) -> bool:
         """Whether some gains explain the effort."""
         return self.ran is not None and self.ran_error <= FITS
-
-    @property
-    def _apart(self) -> bool:
-        assert self.stated is not None and self.ran is not None  # noqa: S101, PT018  by `agrees`
-        pairs = zip(self.stated.as_tuple(), self.ran.as_tuple(), strict=True)
-        return any(abs(a - b) > APART * max(abs(a), abs(b)) for a, b in pairs)
 
     def sentence(self) -> str:
         """What the comparison shows, one sentence without full stop."""
@@ -129,6 +130,12 @@ class Replay(NamedTuple):
             if abs(ratio / factor - 1.0) < APART:
                 return f": I by a factor of {factor:g}, so check the unit of the time"
         return ""
+
+
+def apart(one: Gains, other: Gains) -> bool:
+    """Whether any of the gains differ by more than a replay may leave."""
+    pairs = zip(one.as_tuple(), other.as_tuple(), strict=True)
+    return any(abs(a - b) > APART * max(abs(a), abs(b)) for a, b in pairs)
 
 
 def replay(
@@ -178,7 +185,7 @@ def replay(
         # Another rule of integration acts as another P does: the stated gains come first.
         forms = FORMS if stated.D else INTEGRALS  # without D all derivatives are one
         error, form = min(((error_of(stated, f), f) for f in forms), key=lambda one: one[0])
-        if error <= min(FITS, 2.0 * ran_error):
+        if error <= min(FITS, AS_WELL * ran_error):
             return Replay(stated, stated_error, stated, error, form, span)
     return found
 
@@ -225,7 +232,11 @@ def _unit_efforts(stretch: Stretch, settings: ControllerSettings, tau: float) ->
 
 
 def _least_squares(units: Sequence[FloatArray]) -> tuple[FloatArray, float]:
-    """P, I and D of least squares, each zero or above, shape (3,), and the norm of the rest."""
+    """P, I and D of least squares, each zero or above, shape (3,), and the norm of the rest.
+
+    I and D are zero where the effort is explained as well without them: rounded signals give any
+    term some gain.
+    """
     from scipy.optimize import nnls  # noqa: PLC0415  slow to import
 
     columns = np.vstack(units)
@@ -233,7 +244,15 @@ def _least_squares(units: Sequence[FloatArray]) -> tuple[FloatArray, float]:
     # A term that never moves keeps a gain of zero.
     size[size == 0.0] = 1.0
     _, factor = np.linalg.qr(columns / size)
-    values, norm = nnls(factor[:, :3], factor[:, 3])
+
+    def of(terms: list[int]) -> tuple[FloatArray, float]:
+        values, (found, norm) = np.zeros(3), nnls(factor[:, terms], factor[:, 3])
+        values[terms] = found
+        return values, norm
+
+    fits = [of(terms) for terms in TERMS]
+    least = max(fits[-1][1], np.finfo(float).eps * math.sqrt(len(columns)))
+    values, norm = next(fit for fit in fits if fit[1] <= AS_WELL * least)
     return np.asarray(values * size[3] / size[:3]), float(norm * size[3])
 
 

@@ -1,6 +1,6 @@
-"""Logs below a path: files of any known format, or the trials of a run."""
+"""Logs below paths: files of any known format, or the trials of a run."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
@@ -20,7 +20,7 @@ from estune.trial import SATURATED, Outcome, TrialRecord
 
 
 class Logs(NamedTuple):
-    """The logs below a path.
+    """The logs below paths.
 
     Attributes:
         logs: Each with its stretches, of one sampling rate.
@@ -38,16 +38,16 @@ RATES_APART = 1e-3
 
 
 def read_logs(
-    path: Path | str,
+    paths: Path | str | Iterable[Path | str],
     sources: Mapping[str, str] | None = None,
     sampling_Hz: float | None = None,
     *,
     reverse: bool = False,
 ) -> Logs:
-    """Reads the logs of a control loop: a file, a folder of them, or a run.
+    """Reads the logs of a control loop: files, folders of them, or a run.
 
     Args:
-        path: The file, the folder, or the folder of a run.
+        paths: A file, a folder, or the folder of a run; or several files and folders.
         sources: Channels of the columns that are not found by their names.
         sampling_Hz: Rate, where files have no times.
         reverse: Whether more effort lowers the measurement: both signals are then negated.
@@ -55,13 +55,11 @@ def read_logs(
     Raises:
         InvalidInput: there is no log, or none that can be used; the message says why.
     """
-    path = Path(path)
-    if not path.exists():
-        raise InvalidInput(f"{path} does not exist; give a log or a folder of logs")
-    if (path / FILE_NAME).is_file():
-        return _read_run(path)
+    given = [Path(path) for path in ([paths] if isinstance(paths, Path | str) else paths)]
+    if len(given) == 1 and (given[0] / FILE_NAME).is_file():
+        return _read_run(given[0])
     logs, issues = list[LoopLog](), list[DataIssue]()
-    for file in _files(path):
+    for file in _files(given):
         try:
             log = read_loop_log(file, sources, sampling_Hz)
         except Unusable as error:
@@ -72,7 +70,8 @@ def read_logs(
     if not logs:
         why = "; ".join(str(issue) for issue in issues)
         what = why or f"it holds no {', '.join(formats())} or run"
-        raise InvalidInput(f"{path} has no log that can be used: {what}")
+        where = ", ".join(map(str, given))
+        raise InvalidInput(f"{where} has no log that can be used: {what}")
     rate = logs[0].sampling_Hz
     for log in logs:
         if abs(log.sampling_Hz / rate - 1.0) > RATES_APART:
@@ -83,14 +82,19 @@ def read_logs(
     return Logs(tuple(logs), tuple(issues))
 
 
-def _files(path: Path) -> Iterator[Path]:
-    if path.is_file():
-        yield path
-        return
-    for file in sorted(path.rglob("*")):
-        hidden = any(part.startswith(".") for part in file.relative_to(path).parts)
-        if file.is_file() and is_readable(file) and not hidden:
-            yield file
+def _files(paths: Iterable[Path]) -> Iterator[Path]:
+    for path in paths:
+        if not path.exists():
+            raise InvalidInput(f"{path} does not exist; give a log or a folder of logs")
+        if path.is_file():
+            yield path
+            continue
+        if (path / FILE_NAME).is_file():
+            raise InvalidInput(f"{path} is a run; give it alone, without other logs")
+        for file in sorted(path.rglob("*")):
+            hidden = any(part.startswith(".") for part in file.relative_to(path).parts)
+            if file.is_file() and is_readable(file) and not hidden:
+                yield file
 
 
 def _reversed(log: LoopLog) -> LoopLog:
@@ -134,7 +138,23 @@ def gains_of(log: LoopLog, given: Gains | Mapping[str, Gains] | None) -> Gains |
     """The gains stated for a log: given for all, by its name, or in its metadata."""
     if isinstance(given, Gains):
         return given
-    if given is None:
-        return log.gains
-    stem = log.name.rpartition(".")[0] or log.name
-    return given.get(log.name, given.get(stem, log.gains))
+    named = {name: gains for name, gains in (given or {}).items() if name in _names(log)}
+    return next(iter(named.values()), log.gains)
+
+
+def check_names(logs: Iterable[LoopLog], given: Iterable[str]) -> None:
+    """Refuses gains that are given for a log that is not there.
+
+    Raises:
+        InvalidInput: no log has one of the names.
+    """
+    known = [_names(log) for log in logs]
+    for name in given:
+        if not any(name in names for names in known):
+            there = ", ".join(names[0] for names in known)
+            raise InvalidInput(f"gains are given for {name}, but the logs are {there}")
+
+
+def _names(log: LoopLog) -> tuple[str, str]:
+    """Names that a log answers to: that of its file, with and without the suffix."""
+    return log.name, log.name.rpartition(".")[0] or log.name

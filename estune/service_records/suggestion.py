@@ -28,7 +28,7 @@ from estune.service_records.judged_records import JudgedRecords, Verdict
 from estune.service_records.judgement import judge, margins_of
 from estune.service_records.recommendation import Recommendation, recommend
 from estune.service_records.replay import Replay, replay
-from estune.service_records.sources import Logs, gains_of, read_logs
+from estune.service_records.sources import Logs, check_names, gains_of, read_logs
 from estune.service_records.stretches import LeftOut, find_stretches
 from estune.support.blas import one_blas_thread
 
@@ -56,7 +56,7 @@ class Suggestion(JudgedRecords):
 
 @one_blas_thread()
 def suggest(
-    records: Path | str | Logs | Sequence[LoopLog],
+    records: Path | str | Logs | Sequence[Path | str] | Sequence[LoopLog],
     *,
     gains: Gains | Mapping[str, Gains] | None = None,
     columns: Mapping[str, str] | None = None,
@@ -73,7 +73,9 @@ def suggest(
     """Margins of a running loop and better gains, from records of its ordinary service.
 
     Args:
-        records: A file of any known format, a folder of them, a run, or logs.
+        records: A file of any known format, a folder of them, several of both, a run, or logs.
+            The gains in use are those of the last log; those of a folder are in the order of
+            their names.
         gains: The gains that ran, of all logs or by the log's name; of the logs' metadata by
             default.
         columns: Channels of `time`, `setpoint`, `measurement` and `effort` that are not found by
@@ -104,7 +106,7 @@ def suggest(
         logs.logs[0].sampling_Hz, derivative_filter_s or 0.0, -math.inf, math.inf, form
     )
     parts, left_out, replays = _usable(logs, gains, settings)
-    worst = _worst(replays)
+    decides = _deciding(replays)
     in_use = parts[-1].gains
     if trial is not None:
         cost = trial.cost
@@ -120,7 +122,7 @@ def suggest(
     judgement = judge(loop, in_use, margins, margin)
     better = recommend(loop, trial, in_use, limits) if judgement.can_tell else None
     verdict: Verdict = "cannot tell"
-    if worst is not None and worst.contradicts:
+    if decides is not None and decides.contradicts:
         verdict = "other gains ran"
     elif judgement.can_tell:
         verdict = "change" if better and _worthwhile(margins, better, limits) else "keep"
@@ -138,10 +140,11 @@ def suggest(
         margins=margins if judgement.can_tell else None,
         recommendation=better,
         judgement=judgement,
-        replay=worst,
+        replay=decides,
         trial=trial,
         fit=loop.fit,
         stretches=tuple(part.stretch for part in parts),
+        gains_by_log={part.stretch.log: part.gains for part in parts},
         left_out=tuple(left_out),
         issues=logs.issues,
         limits=limits,
@@ -150,7 +153,7 @@ def suggest(
 
 
 def _logs(
-    records: Path | str | Logs | Sequence[LoopLog],
+    records: Path | str | Logs | Sequence[Path | str] | Sequence[LoopLog],
     columns: Mapping[str, str] | None,
     sampling_Hz: float | None,
     *,
@@ -159,10 +162,14 @@ def _logs(
     if isinstance(records, Logs):
         return records
     if isinstance(records, Path | str):
-        return read_logs(records, columns, sampling_Hz, reverse=reverse)
+        records = (records,)
     if not records:
         raise InvalidInput("there is no log; give at least one")
-    return Logs(tuple(records), ())
+    logs = tuple(log for log in records if isinstance(log, LoopLog))
+    if logs:
+        return Logs(logs, ())
+    paths = [path for path in records if isinstance(path, Path | str)]
+    return read_logs(paths, columns, sampling_Hz, reverse=reverse)
 
 
 def _usable(
@@ -170,6 +177,8 @@ def _usable(
 ) -> tuple[list[ServicePart], list[LeftOut], list[Replay]]:
     """Stretches with the gains that ran, what is left out, and the replays of the effort."""
     parts, left_out, replays = list[ServicePart](), list[LeftOut](), list[Replay]()
+    if isinstance(given, Mapping):
+        check_names(logs.logs, given)
     for log in logs.logs:
         stated = gains_of(log, given)
         stretches, without = find_stretches(log, stated.P if stated else None)
@@ -193,9 +202,12 @@ def _usable(
     return parts, left_out, replays
 
 
-def _worst(replays: Sequence[Replay]) -> Replay | None:
-    """The replay that decides: one that does not agree, else that of the largest error."""
-    return max(replays, key=lambda r: (not r.agrees, r.stated_error), default=None)
+def _deciding(replays: Sequence[Replay]) -> Replay | None:
+    """The replay that decides: the worst that contradicts, else that of the gains in use."""
+    others = [one for one in replays if one.contradicts]
+    return (
+        max(others, key=lambda one: one.stated_error) if others else next(reversed(replays), None)
+    )
 
 
 def _trial(
