@@ -4,6 +4,7 @@
 | --- | --- |
 | python | run; with prompts its output is compared |
 | bash | run in the page's folder; background programs end with the page |
+| | commands of estune without anything of the shell are run in this process |
 | shell | for other machines or hardware: syntax and options are checked |
 | toml, json | parsed |
 | c | compiled |
@@ -17,6 +18,7 @@ run.
 import contextlib
 import doctest
 import importlib.util
+import io
 import json
 import os
 import re
@@ -30,6 +32,7 @@ import time
 import tomllib
 from itertools import takewhile
 from pathlib import Path
+from unittest.mock import patch
 
 from sybil import Region, Sybil
 from sybil.evaluators.doctest import DocTestEvaluator
@@ -37,12 +40,14 @@ from sybil.evaluators.python import PythonEvaluator
 from sybil.parsers.abstract.doctest import DocTestStringParser
 from sybil.parsers.markdown.lexers import RawFencedCodeBlockLexer
 
-from estune.cli import app
+from estune.cli import app, run
 
 ROOT = Path(__file__).parents[1]
 LONGEST_S = 300.0
 NAMED_FILE = re.compile(r"(?:#|//|/\*) ([\w.-]+\.[a-z]+)\b")
 OPERATORS = {">", "|", "&", "&&"}
+SHELL = re.compile(r"[^\w\s./:=,-]")
+"""What a shell may take for something else than a part of a word."""
 COMMAND = re.compile(r"^\s*(?:estune|python|\./dev|pip) ", re.MULTILINE)
 
 
@@ -65,6 +70,21 @@ class Page:
         return re.sub(r"\bRUN\b", runs[-1].name, text) if runs else text
 
     def run(self, script):
+        commands = plain_commands(script)
+        if commands is None:
+            self._run_in_shell(script)
+        for command in commands or ():
+            said = io.StringIO()
+            with (
+                contextlib.redirect_stdout(said),
+                contextlib.redirect_stderr(said),
+                patch.object(signal, "signal"),
+                patch.dict(os.environ, COLUMNS="100"),
+            ):
+                code = run(command)
+            assert code == 0, f"exit code {code}:\n{said.getvalue()}"
+
+    def _run_in_shell(self, script):
         log = self.folder / f".log{len(self._groups)}"
         path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
         with log.open("w") as output:
@@ -88,6 +108,9 @@ class Page:
             _end(group)
         os.chdir(self._before)
         sys.path.remove(str(self.folder))
+        for name, module in [*sys.modules.items()]:  # another page may write one of that name
+            if (getattr(module, "__file__", None) or "").startswith(str(self.folder)):
+                del sys.modules[name]
         self._temporary.cleanup()
 
     def _port(self, written):
@@ -116,6 +139,19 @@ def _end(group):
             time.sleep(0.1)
             os.killpg(group, 0)
         os.killpg(group, signal.SIGKILL)
+
+
+def plain_commands(script):
+    """The arguments of each command of estune; None if a line is anything else.
+
+    In a process of its own each would import for two seconds. The blocks that need a shell start
+    the installed program, as do the tests of the command line.
+    """
+    lines = [shlex.split(line, comments=True) for line in script.splitlines()]
+    words = [line for line in lines if line]
+    if all(line[0] == "estune" and not SHELL.search(" ".join(line)) for line in words):
+        return [line[1:] for line in words]
+    return None
 
 
 def check_commands(text):
