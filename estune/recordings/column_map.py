@@ -23,6 +23,11 @@ _WORDS = ("in", "min")
 """Units that are words, too: `force_in` is no length."""
 _STEMS = {name.partition("_")[0]: name for name in TABLE_COLUMNS}
 
+_DAYS = (*("%Y/%m/%d", "%d.%m.%Y", "%d/%m/%Y", "%m/%d/%Y"), "%d.%m.%y", "%d/%m/%y", "%m/%d/%y")
+_TIMES = ("%H:%M:%S", "%H:%M:%S.%f", "%H:%M", "%I:%M:%S %p", "%I:%M %p")
+DATES = ("ISO8601", *(f"{day} {time}" for day in _DAYS for time in _TIMES))
+"""Forms of dates that are read."""
+
 
 class ColumnTable(TomlTable):
     """One column of the record: SI value = (value x scale + offset) in the unit.
@@ -232,14 +237,35 @@ def _seconds(values: NDArray[Any]) -> NDArray[Any]:
     import pandas as pd  # noqa: PLC0415  slow to import
 
     if values.dtype == object and pd.to_numeric(pd.Series(values), errors="coerce").isna().all():
-        dates = pd.to_datetime(pd.Series(values), format="ISO8601", errors="coerce", utc=True)
-        values = values if dates.isna().any() else dates.to_numpy("M8[ns]")
+        dates = _dates(values)
+        values = values if dates is None else dates
     if values.dtype.kind in "mM" and values.size and not np.isnat(values).any():
         whole = values.astype(f"{values.dtype.kind}8[ns]").astype(np.int64)
         return np.asarray((whole - whole[0]) * 1e-9)
     if values.dtype.kind in "iu" and values.size:
         return np.asarray(values - values[0])
     return values
+
+
+def _dates(texts: NDArray[Any]) -> NDArray[Any] | None:
+    """Dates or times of day; None where they are neither.
+
+    Of 02/03/2026 the day is the number with which the stamps leave the shortest gap.
+    """
+    import pandas as pd  # noqa: PLC0415  slow to import
+
+    def read(rows: NDArray[Any], form: str) -> NDArray[Any] | None:
+        dates = pd.to_datetime(pd.Series(rows), format=form, errors="coerce", utc=True)
+        return None if dates.isna().any() else dates.to_numpy("M8[ns]")
+
+    forms = [form for form in DATES if read(texts[:1], form) is not None]
+    dates = [stamps for form in forms if (stamps := read(texts, form)) is not None]
+    if dates:
+        return min(
+            dates, key=lambda stamps: np.abs(np.diff(stamps.astype(np.int64))).max(initial=0)
+        )
+    times = pd.to_timedelta(pd.Series(texts), errors="coerce")
+    return None if times.isna().any() else times.to_numpy("m8[ns]")
 
 
 def _numbers(name: str, cells: NDArray[Any]) -> FloatArray | None:
