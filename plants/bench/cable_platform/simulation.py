@@ -12,6 +12,7 @@ from estune.core.quantities import FloatArray
 from estune.reel import hybrid
 from plants.bench.cable_platform.mechanism import PER_REEL, Mechanism
 from plants.models.reel import SAFE_GAINS
+from plants.simulation.buffers import Buffers
 
 POSITION_GAINS = Gains(P=2000.0, I=6000.0, D=120.0, setpoint_filter_s=0.0)
 """Of the drum in m of cable; as in `plants.bench.demonstrations.workspace_boundary`."""
@@ -59,13 +60,14 @@ class Simulation:
         self._step_rad = 2.0 * np.pi / np.array([reel.encoder_counts for reel in reels])
         self._random = np.random.default_rng(seed)
         tension = np.array([reel.tension_N for reel in reels])
-        self._state = mechanism.at_rest(tension)
+        state = mechanism.at_rest(tension)
+        self._bind(mechanism, state)
         self._delayed_N = self.effort_N = tension
         self._position = _coefficients(mechanism, [POSITION_GAINS] * len(reels))
         self._gains = list(gains) or [SAFE_GAINS] * len(reels)
         self._tension = _coefficients(mechanism, self._gains)
         self.force = np.zeros(len(mechanism.home))
-        self._observe(tension, self._state[: PER_REEL * len(reels) : PER_REEL], tension)
+        self._observe(tension, state[: PER_REEL * len(reels) : PER_REEL], tension)
         wound = self._radius_m * self.angle_rad
         self.setpoints = Setpoints(tension.copy(), wound.copy(), np.ones(len(reels), np.bool_))
         self._control = hybrid.HybridState(
@@ -78,7 +80,7 @@ class Simulation:
     def pose(self) -> FloatArray:
         """Coordinates q of the body."""
         start = PER_REEL * len(self.mechanism.reels)
-        return np.asarray(self._state[start : start + len(self.mechanism.home)])
+        return self._state[start : start + len(self.mechanism.home)].copy()
 
     @property
     def gains(self) -> list[Gains]:
@@ -103,11 +105,29 @@ class Simulation:
         )
         both = hybrid.HybridCoefficients(self._position, self._tension)
         self._control, effort = hybrid.step(both, self._control, signals, wanted.in_tension.copy())
-        found = self.mechanism.advance(self._state, self._delayed_N, self.force)
+        memory = self._memory
+        memory["effort"][:], memory["force"][:] = self._delayed_N, self.force
+        self._advance()
         self._delayed_N = self.effort_N = effort
-        state, reading, angle, outside = (np.asarray(part).ravel() for part in found)
-        self._state = state
-        self._observe(reading, angle, outside)
+        self._state[:] = memory["following"]
+        self._observe(memory["reading"], memory["angle"], memory["outside"])
+
+    def _bind(self, mechanism: Mechanism, state: FloatArray) -> None:
+        """Binds the mechanism to memory of this simulation.
+
+        The force test of `tests/test_force_bench.py` takes 2.2 s of CPU so, and 5.1 s with
+        arguments of the function.
+        """
+        reels = dict.fromkeys(("effort", "reading", "angle", "outside"), len(mechanism.reels))
+        states = dict.fromkeys(("state", "following"), state.size)
+        self._buffers = Buffers({**states, **reels, "force": len(mechanism.home)})
+        names = "state effort force", "following reading angle outside"
+        self._advance = self._buffers.bind(mechanism.advance, *names)
+        self._memory: dict[str, FloatArray] = {
+            name: np.frombuffer(part) for name, part in self._buffers.memory.items()
+        }
+        self._state = self._memory["state"]
+        self._state[:] = state
 
     def _observe(self, reading: FloatArray, angle: FloatArray, outside: FloatArray) -> None:
         noise = self._noise_N * self._random.standard_normal((2, reading.size))
