@@ -4,19 +4,19 @@ Command: `python -m experiments.diagnosis_numbers --into FILE`.
 Target: none; a line for each number, with the cases whose verdict or names it changes.
 
 Numbers are those of `numbers.py`, in cases of the development seeds of
-`experiments.hidden_machines` and `experiments.independent_drives`. Those last used in one step are
-changed all at once, those of the table apart; where that changes the answer, halves of the group
-are, until each number that does is alone. A case begins with the step in which one is first used,
-and ends where records, noise and base fit are as they were and no later step uses one. `--list`
-prints the numbers, `--rows` the table of a file, `--functions` the functions of the room that a
-call of `explain` enters: of a drive and of a reel that is left unexplained, whose is more.
+`experiments.hidden_machines` and `experiments.independent_drives`. Those last used in one step
+are changed all at once; where that changes the answer, halves of the group are, until each number
+that does is alone. A case begins with the step in which one is first used, and ends where
+records, noise and base fit are as they were and no later step uses one. `--list` prints the
+numbers, `--rows` the table of a file, `--functions` the functions of the room that a call of
+`explain` enters: of a drive and of a reel that is left unexplained, whose is more.
 """
 
 import itertools
 import json
 import sys
 import tempfile
-from collections import Counter, defaultdict
+from collections import defaultdict
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from functools import partial
@@ -29,7 +29,7 @@ import numpy as np
 import plants
 from estune.support.blas import one_blas_thread
 from experiments.diagnosis_numbers.cases import CASES, DiagnosisCase, case_of
-from experiments.diagnosis_numbers.numbers import FOLDER, Number, numbers, replaced
+from experiments.diagnosis_numbers.numbers import FOLDER, Number, numbers, outside, replaced
 from experiments.results import command_line, print_results
 from plants.diagnosis.models.diagnosed_model import diagnosed
 from plants.diagnosis.pipeline.check import check
@@ -212,11 +212,11 @@ def measure(name: str, todo: list[Number]) -> Iterator[dict[str, Any]]:
         with fits_made_once(made):
             first = diagnose(case, {}, lambda *_: False)
         assert first is not None  # noqa: S101  nothing stops it
-        groups: dict[tuple[str, bool], list[Number]] = defaultdict(list)
+        groups: dict[str, list[Number]] = defaultdict(list)
         for number in todo:
             steps = [step for step, entered in first.used.items() if entered & number.uses]
             if steps:
-                groups[steps[-1], number.in_table].append(number)
+                groups[steps[-1]].append(number)
         for group, factor in itertools.product(groups.values(), (0.5, 2.0)):
             answer = partial(answer_with, case, factor=factor, first=first, made=made)
             after = changed_by(group, answer, first.answer)
@@ -254,11 +254,7 @@ def table(rows: list[dict[str, Any]], known: list[Number]) -> dict[str, Any]:
             what = f"{row['case']} x{row['factor']:g}: {row['before']} -> {row['after']}"
             changed[row["number"]].append(what)
     return {
-        f"{n.name} = {n.value:g}": {
-            "cases": len(used[n.name]),
-            "changed": changed[n.name],
-            **({"line": n.text} if n.text else {}),
-        }
+        f"{n.name} = {n.value:g}": {"cases": len(used[n.name]), "changed": changed[n.name]}
         for n in known
     }
 
@@ -276,13 +272,10 @@ def main() -> int:
     only = tuple(filter(None, options.only.split(",")))
     known = [n for n in numbers() if not only or n.name.startswith(only)]
     if options.functions or options.list:
-        listed = (f"{n.name} = {n.value:g}  {n.text}".rstrip() for n in known)
+        listed = [*(f"{n.name} = {n.value:g}" for n in known), *outside()]
         calls = (functions_of(name) for name in ENTERED) if options.functions else ()
-        lines = max(calls, key=len, default=list(listed))
+        lines = max(calls, key=len, default=listed)
         print("\n".join(lines), f"{len(lines)} in all", sep="\n")
-        if options.list:
-            kinds = Counter(n.kind for n in known)
-            print(", ".join(f"{count} {kind}" for kind, count in kinds.items()))
         return 0
     rows = read_rows(options.rows or options.into)
     if options.rows is None:

@@ -31,8 +31,14 @@ class Constants(NamedTuple):
     thirds left out; and that of a named model's rest with which a nameless law of more values
     refutes it. From 0.6 to 0.9 the same names there, at 0.95 three less; right ones explain 0.93
     to 1 (the drive 0.95), a wrong one explained 0.41 on thirds left out."""
-    incomplete: float = 9.0
-    """Power left from which on something more is missing: three noise floors."""
+    above_noise: float = 3.0
+    """Ratio of a signal to its noise, both rms, from which on it is above the noise: such a
+    residual lacks something more, such a channel moves, a gauge with such a step is coarse."""
+    clear: float = 5.0
+    """Standard deviations by which something differs beyond doubt: one in 1.7 million of Gaussian
+    noise does. A power that stands out from others is 25 times theirs."""
+    small: float = 0.1
+    """Share of a whole below which a part is neglected in checks and descriptions of records."""
     free_run: float = 0.3
     """Error of a free run, relative to the rms motion about its mean, from which on something is
     missing whatever short predictions say: at most 0.02 on nine sound machines; a motor bench
@@ -42,8 +48,6 @@ class Constants(NamedTuple):
     dead time of 22 hidden drives: 0.06 to 0.25, and the true law the likelier, in the 12 where the
     residuals of the two differ by 0.31 to 0.90 noise floors and the true one leaves less by 3 to 5
     standard errors over 24 blocks of time; 0.32 to 0.50 where they differ by 0.05 to 0.29."""
-    second: float = 0.5
-    """Probability from which on a second effect's family is named beside the first."""
     effective: float = 60.0
     """Number of independent samples in a probability. From 20 to 60 families said to be there
     with 0.5 to 0.8 are there in 0.75 to 1; more make it overconfident."""
@@ -51,15 +55,13 @@ class Constants(NamedTuple):
     """Share of the base model's power that a law may leave for not being quite the machine's."""
     shown: float = 0.3
     """Noise floors that an effect of usual size has to change, or the records cannot show it."""
-    base_least: float = 0.001
-    """Least relative standard error of a base parameter: of 26 on sound machines 0.92 hold with
-    it. The torque's gain, which the hysteresis of a gauge shifts, comes out 0.0005 to 0.0015 too
-    small. With 0.0003 as many of 104 values beside effects hold, but one of four of sound
-    machines."""
     form_least: float = 0.001
     """Share of what an effect explains by which values are shifted for its law's not being quite
-    the machine's; some effects declare more. Of 84 values of effects there 81 hold, half intervals
-    being 5.7 times the median error of Coulomb friction; with 0.005, 81 and 24 times."""
+    the machine's, some effects declare more; and least relative standard error of base parameters.
+    Of 84 values of effects 81 hold, half intervals being 5.7 times the median error of Coulomb
+    friction; with 0.005, 81 and 24 times. Of 26 base parameters on sound machines 0.92 hold: the
+    torque's gain, which the hysteresis of a gauge shifts, comes out 0.0005 to 0.0015 too small.
+    With 0.0003 as many of 104 values beside effects hold, but one of four of sound machines."""
     form_taken_up: float = 0.2
     """Share of what effects leave by which values are shifted: 0.1, 0.15, 0.2 and 0.3 hold as many
     there, half intervals of hidden machines being 3.5, 4.0, 4.7 and 5.6 times the median error.
@@ -67,18 +69,30 @@ class Constants(NamedTuple):
     form_lacking: float = 0.5
     """That of a base model that lacks an effect: of 32 values on machines with an effect that has
     no name 0.3, 0.4, 0.5 and 0.7 hold 0.81, 0.84, 0.91 and 0.91."""
-    coarse: float = 3.0
-    """Step of a gauge, in noises beside it, from which on most readings of a steady tension are
-    the same. Halved or doubled it changes none of nine answers."""
-    line: float = 30.0
-    """Power of a mains line over that of neighbouring frequencies; a quarter in each record.
-    Halved or doubled it changes none of nine answers."""
-    audible: float = 0.5
-    """Least root mean square of mains interference, in noises of the gauge. Halved or doubled it
-    changes none of nine answers."""
     allowance: float = 0.004
     """Allowance for numerics and model form beside the noise, as a share of a signal's rms. Of
     nine answers 0.002 makes one sound drive unknown, and 0.008 misses one backlash."""
+    quiet: float = 0.02
+    """Noise that is left in smoothed motion, as a share of it: derivatives and spans are chosen by
+    it."""
+    fewest: float = 64
+    """Samples of a record, and of a spectrum, at the least."""
+    written: float = 0.15
+    """Deviation of a reading from counts of a converter, in steps, due to the decimals it is
+    written with: 0.11 of angles in degrees with two decimals of an encoder with 4096 counts."""
+    rounding: float = 1e-3
+    """Difference of two columns, or laws, as a share of the greatest value, that rounding
+    explains."""
+    numerics: float = 1e-6
+    """Difference of equal numbers, in units of what they are compared with: float32 keeps it."""
+    model_off: float = 1.6
+    """Factor by which numbers of a model may be off, so that a ratio of units is told from it: the
+    least ratio of two units asked about is 6, of degrees and turns per minute."""
+    slow_s: float = 0.01
+    """Smoothing of current and motion where the current is predicted from the motion, s. Of a
+    drive of 8192 counts a turn at 400 Hz the acceleration is mostly noise with 0.005, and a third
+    of it with 0.01; with both a measured winch motor has the same waves, of which one of 2.7 Hz is
+    weakened by 1.4 %."""
     upper_most: float = 1.2
     """Greatest noise relative to that of the upper spectrum: repeats of a free drive differ by a
     random walk (13.5 mrad beside a step of 0.63 mrad), periods of a jittered timer by its jitter
@@ -91,12 +105,6 @@ class Constants(NamedTuple):
     it an inertia of a motor bench moved by a factor of 4.3 to make up for dry friction; with 0.2
     and 0.4 it stayed within 9 %. Other numbers have none unless their owner states one: one on
     viscous friction makes dry friction of a wrong viscous one."""
-    horizon: float = 5.0
-    """Length of a prediction times the natural frequency: most of a period. Halved or doubled it
-    changes none of nine answers."""
-    travel: float = 30.0
-    """Travel of a plant that nothing holds, within a prediction, due to a tenth of the command's
-    rms, in times the noise of its output. Halved or doubled it changes none of nine answers."""
     aimed: float = 0.5
     """A law is fitted whose direction explains this share of what the best's does: on 22
     development seeds that of the effect hidden explained 0.76 or more."""
@@ -108,6 +116,13 @@ class Constants(NamedTuple):
     screened: float = 12_000
     """Residuals over which directions and dependences are compared, of more some: a product over
     so many is known to 1 %. Halved or doubled it changes none of nine answers."""
+    apart: float = 0.3
+    """Difference of the logarithms of two frequencies that are worth a start each."""
+    alike: float = 0.75
+    """Share of the records that have the same mains line, if it is none of the motion: a current
+    limit that no effect explains made lines in more than half of the records of one reel."""
+    quantile: float = 1.96
+    """Half width of a 95 % interval, in standard errors of a Gaussian."""
     behind: float = 3.0
     """Ratio of powers to the best one's beyond which a fit is not finished."""
 

@@ -2,9 +2,6 @@
 
 from dataclasses import dataclass, replace
 
-QUANTILE = 1.96
-"""Half the width of a 95 % interval, in standard errors."""
-
 
 @dataclass(frozen=True, slots=True)
 class Interval:

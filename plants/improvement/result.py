@@ -9,7 +9,7 @@ from estune.core.gains import GAIN_NAMES, Gains
 from estune.run.results.result import TuneResult
 from estune.support.notebook_card import card
 from estune.trial import RigDescription
-from plants.diagnosis.interval import QUANTILE
+from plants.diagnosis.constants import CONSTANTS
 from plants.diagnosis.report.diagnosis import Diagnosis
 from plants.diagnosis.report.json_form import finite_json
 from plants.diagnosis.report.summary import TextTable
@@ -115,7 +115,10 @@ class Improvement:
         tuned = by_label.get(TUNED)
         if reached is own:
             gained = "no gains of the model could be reached from the rig's own"
-        elif reached.measured + QUANTILE * math.hypot(own.error, reached.error) < own.measured:
+        elif (
+            reached.measured + CONSTANTS.quantile * math.hypot(own.error, reached.error)
+            < own.measured
+        ):
             gained = f"the model's gains cut the measured cost by {_cut(own, reached)}"
         else:
             gained = "the model's gains do not cut the measured cost beyond its error"

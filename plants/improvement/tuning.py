@@ -14,7 +14,7 @@ from estune.run.loop import ProgressListener
 from estune.run.results.result import TuneResult
 from estune.trial import Outcome, RigDescription, TrialRecord
 from estune.tuners import DEFAULT_TUNER, Tuner
-from plants.diagnosis.interval import QUANTILE
+from plants.diagnosis.constants import CONSTANTS
 from plants.improvement.experiment_runner import ExperimentRunner
 from plants.improvement.result import OWN, REACHED, TUNED, Costs
 from plants.simulation.approach import Approach, ApproachedPlant
@@ -96,7 +96,7 @@ def tune_with_model(
         )
         model = given
     goal = _tuned_on(ApproachedPlant(model, approach), lab, cost, options)
-    start = _approach(lab, goal, cost, rows[0].measured + QUANTILE * own_error)
+    start = _approach(lab, goal, cost, rows[0].measured + CONSTANTS.quantile * own_error)
     lab.say(f"tuning the rig from {start}")
     result = _on_rig(lab, start, cost, options)
     if result.start_gains != about.gains:
@@ -154,7 +154,7 @@ def is_worse(own: Costs) -> bool:
     if not math.isfinite(own.measured) or not math.isfinite(own.given):
         return False
     off = abs(own.improved - own.measured)
-    return not off <= abs(own.given - own.measured) + QUANTILE * own.error
+    return not off <= abs(own.given - own.measured) + CONSTANTS.quantile * own.error
 
 
 def _tuned_on(

@@ -8,6 +8,7 @@ import numpy as np
 from estune.core.quantities import FloatArray
 from estune.recordings.issue import DataIssue
 from plants.diagnosis.checks.units import within_factor
+from plants.diagnosis.constants import CONSTANTS
 from plants.diagnosis.data.measured_record import MeasuredRecord
 from plants.diagnosis.data.smoothing import Smoother, proportion
 from plants.diagnosis.models.base import BaseNumbers
@@ -40,7 +41,7 @@ def inner_loop(m: MeasuredRecord, b: BaseNumbers) -> Iterator[DataIssue]:
         if gain is None or within_factor(torque_per_motion / gain):
             continue
         # A loop follows its command to a tenth; what gravity takes is any multiple of the angle.
-        unit = next((u for u, f in UNITS.items() if abs(gain / f - 1.0) <= 0.1), None)
+        unit = next((u for u, f in UNITS.items() if abs(gain / f - 1.0) <= CONSTANTS.small), None)
         if unit is not None:
             sentence = f"it is the {title} in {unit}: the setpoint of a loop inside the drive"
             remedy = "map the torque or the current, or give a [linear_plant] whose input it is"
@@ -54,5 +55,5 @@ def _gain(command: FloatArray, motion: FloatArray) -> float | None:
     delays = {round(d) for d in np.linspace(0.0, 0.02 * command.size, 8)}
     tried = [proportion(command[: command.size - late], motion[late:]) for late in delays]
     slope, share = max(tried, key=lambda fitted: fitted[1] if fitted[0] > 0.0 else 0.0)
-    # A loop that follows to a tenth of its command explains 0.99; a torque accelerates, too.
-    return 1.0 / slope if slope > 0.0 and share >= 0.98 else None
+    # A loop follows its command to a tenth; a torque accelerates, too.
+    return 1.0 / slope if slope > 0.0 and share >= 1.0 - CONSTANTS.small**2 else None

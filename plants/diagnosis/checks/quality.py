@@ -12,8 +12,8 @@ from plants.diagnosis.checks.inner_loop import inner_loop
 from plants.diagnosis.checks.sensors import faults, frozen_angle, shift_between
 from plants.diagnosis.checks.units import mistaken_units, within_factor
 from plants.diagnosis.constants import CONSTANTS
-from plants.diagnosis.data.measured_record import OUTPUTS, ROUNDING, MeasuredRecord
-from plants.diagnosis.data.noise import FEWEST, upper_rms
+from plants.diagnosis.data.measured_record import OUTPUTS, MeasuredRecord
+from plants.diagnosis.data.noise import upper_rms
 from plants.diagnosis.models.base import BaseNumbers
 
 
@@ -21,8 +21,8 @@ def issues(
     m: MeasuredRecord, b: BaseNumbers | None, rate_Hz: float, step_rad: float
 ) -> Iterator[DataIssue]:
     """All issues of a record, its source left out; without numbers those that need no model."""
-    if m.samples < FEWEST:
-        sentence = f"{m.samples} samples are too few; record {FEWEST} or more"
+    if m.samples < CONSTANTS.fewest:
+        sentence = f"{m.samples} samples are too few; record {CONSTANTS.fewest:g} or more"
         yield DataIssue("refused", sentence)
         return
     for name in OUTPUTS:
@@ -76,8 +76,8 @@ def _unmoved(m: MeasuredRecord) -> Iterator[DataIssue]:
     moving = [name for name in m.outputs if _moves(np.asarray(m.channel(name)))]
     if not (still or moving):
         shares = {n: _follows(commanded[0], np.asarray(m.channel(n)))[0] for n in m.outputs}
-        # Of 300 pairs of white noise 99 % stay below 13.
-        moving = [name for name, share in shares.items() if share * m.samples > 20.0]
+        # Of white noise the share times the samples is the square of a standard deviate.
+        moving = [n for n, share in shares.items() if share * m.samples > CONSTANTS.clear**2]
     if still and not moving:
         yield DataIssue("refused", "nothing moves beyond its noise; excite the plant")
     elif still:
@@ -94,7 +94,7 @@ def _moves(column: FloatArray) -> bool:
     """
     noise, slow = upper_rms(column), _slow(column)
     moved = max(float(column.std()), float(slow.std()) * math.sqrt(column.size - slow.size + 1))
-    return moved > 3.0 * noise and _varies(column)
+    return moved > CONSTANTS.above_noise * noise and _varies(column)
 
 
 def _varies(column: FloatArray) -> bool:
@@ -136,17 +136,17 @@ def _mislabelled(m: MeasuredRecord, b: BaseNumbers) -> Iterator[DataIssue]:
     command = m.setpoint_N / b.newtons_per_ampere
     if m.loop == "closed":
         apart = float(np.abs(m.current_A - command).max())
-        if _moves(m.setpoint_N) and apart <= ROUNDING * float(np.abs(command).max()):
+        if _moves(m.setpoint_N) and apart <= CONSTANTS.rounding * float(np.abs(command).max()):
             sentence = "the record is labelled closed, and the current is the open-loop command"
             yield DataIssue("warning", f"{sentence}; check the label", "current_A")
         return
     explained, gain = _follows(command, m.current_A)
     # A measured current may be noisy: it is judged by what is slow, too.
     # A limited or lagging actuator leaves that much.
-    if max(explained, _follows(_slow(command), _slow(m.current_A))[0]) < 0.2:
+    if max(explained, _follows(_slow(command), _slow(m.current_A))[0]) < CONSTANTS.small:
         sentence = "the record is labelled open, and the current does not follow the setpoint"
         yield DataIssue("refused", f"{sentence}; check the label and the columns", "current_A")
-    elif explained > 1.0 - ROUNDING and not within_factor(gain):
+    elif explained > 1.0 - CONSTANTS.rounding and not within_factor(gain):
         yield DataIssue(
             "warning",
             f"the current is {gain:.3g} times setpoint x radius / torque constant; check the "
@@ -177,9 +177,9 @@ def _follows(command: FloatArray, current: FloatArray) -> tuple[float, float]:
 def _at_limit(m: MeasuredRecord, b: BaseNumbers) -> Iterator[DataIssue]:
     flagged = np.zeros(m.samples, bool) if m.flags is None else (m.flags & SATURATED) > 0
     if m.current_A is not None:
-        flagged |= np.abs(m.current_A) >= b.current_limit_A * (1.0 - ROUNDING)
+        flagged |= np.abs(m.current_A) >= b.current_limit_A * (1.0 - CONSTANTS.rounding)
     share = float(flagged.mean())
-    if share > 0.1:
+    if share > CONSTANTS.small:
         yield DataIssue(
             "refused" if share > 0.5 else "warning",
             f"{share:.0%} of the samples are at the current limit; ask for less",

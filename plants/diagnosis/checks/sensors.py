@@ -1,11 +1,13 @@
 """Faults that a sensor's column shows by itself: a rail, a frozen reading, a dropout, a shift."""
 
+import math
 from collections.abc import Iterator
 
 import numpy as np
 
 from estune.core.quantities import FloatArray
 from estune.recordings.issue import DataIssue
+from plants.diagnosis.constants import CONSTANTS
 from plants.diagnosis.data.noise import step_of, upper_rms
 from plants.diagnosis.data.periods import runs
 
@@ -28,7 +30,7 @@ def faults(column: str, readings: FloatArray) -> Iterator[DataIssue]:
 def _jumps(readings: FloatArray, at: int, step: float) -> bool:
     """Whether a position has gone on while its reading stood still, unlike one that was held."""
     after = np.abs(np.diff(readings[at - 1 : at + 2]))
-    return after.size == 2 and bool(after[0] > 3.0 * max(after[1], step))
+    return after.size == 2 and bool(after[0] > CONSTANTS.above_noise * max(after[1], step))
 
 
 def frozen_angle(
@@ -49,8 +51,8 @@ def frozen_angle(
 
 
 def _fault(lost: float, column: str, row: int, sentence: str) -> DataIssue:
-    """A fault that loses a share of the record; one that loses much of it is refused."""
-    return DataIssue("refused" if lost > 0.3 else "warning", sentence, column, row)
+    """A fault that loses a share of the record; one that loses most of it is refused."""
+    return DataIssue("refused" if lost > 0.5 else "warning", sentence, column, row)
 
 
 def _at_rail(column: str, readings: FloatArray) -> Iterator[DataIssue]:
@@ -58,7 +60,7 @@ def _at_rail(column: str, readings: FloatArray) -> Iterator[DataIssue]:
     for end in (readings.min(), readings.max()):
         at = readings == end
         share = float(at.mean())
-        if share >= 0.005 and at.sum() > 2:
+        if share >= CONSTANTS.small**2 and at.sum() > 2:
             sentence = (
                 f"{share:.1%} of the readings are {end:g}, the end of the range; record it with "
                 "more range or less signal"
@@ -67,9 +69,14 @@ def _at_rail(column: str, readings: FloatArray) -> Iterator[DataIssue]:
 
 
 def _constant_runs(readings: FloatArray) -> list[slice]:
-    """The runs of 20 equal readings or more."""
+    """The runs of equal readings that are longer than chance makes them.
+
+    Two readings of a noise of one step are equal with a probability of 1/(2 sqrt(pi)).
+    """
+    chance = math.erfc(CONSTANTS.clear / math.sqrt(2.0)) / readings.size
+    longest = 1.0 - math.log(chance) / math.log(2.0 * math.sqrt(math.pi))
     equal = [slice(run.start, run.stop + 1) for run in runs(np.diff(readings) == 0.0)]
-    return [run for run in equal if run.stop - run.start >= 20]
+    return [run for run in equal if run.stop - run.start > longest]
 
 
 def _frozen(column: str, samples: int, still: list[slice], when: str) -> Iterator[DataIssue]:
@@ -81,12 +88,12 @@ def _frozen(column: str, samples: int, still: list[slice], when: str) -> Iterato
 
 
 def _dropouts(column: str, readings: FloatArray) -> Iterator[DataIssue]:
-    """Jumps of eight times the usual ones to somewhere else, and back within a few samples."""
+    """Jumps far above the usual ones to somewhere else, and back within a few samples."""
     change = np.diff(readings)
     usual = max(float(np.quantile(np.abs(change), 0.99)), step_of(readings))
     if not usual > 0.0:
         return
-    jumps = np.flatnonzero(np.abs(change) > 8.0 * usual)
+    jumps = np.flatnonzero(np.abs(change) > CONSTANTS.clear * usual)
     longest = 5
     back = np.diff(jumps) <= longest
     back &= np.sign(change[jumps[1:]]) != np.sign(change[jumps[:-1]])
@@ -104,7 +111,7 @@ def shift_between(leader: FloatArray, follower: FloatArray) -> int:
         follower: Same shape; where it comes earlier, the answer is negative.
     """
     n, most = leader.size, 20
-    if n < 8 * most or not (np.ptp(leader) > 0.0 and np.ptp(follower) > 0.0):
+    if n - 2 * most < CONSTANTS.fewest or not (np.ptp(leader) > 0.0 and np.ptp(follower) > 0.0):
         return 0
     x = leader[most : n - most]
     unexplained = np.empty(2 * most + 1)
@@ -114,4 +121,4 @@ def shift_between(leader: FloatArray, follower: FloatArray) -> int:
     best = int(unexplained.argmin()) - most
     inside = 2 <= abs(best) < most
     # A shift is believed that leaves less than a tenth of what there is without one.
-    return best if inside and unexplained.min() < 0.09 * unexplained[most] else 0
+    return best if inside and unexplained.min() < CONSTANTS.small * unexplained[most] else 0

@@ -12,10 +12,6 @@ from plants.diagnosis.data.measured_record import MeasuredRecord
 from plants.diagnosis.data.smoothing import Smoother, proportion
 from plants.diagnosis.models.base import BaseNumbers
 
-MODEL_OFF = 1.6
-"""Factor by which numbers of a model may be off, so that a ratio of units is told from it: the
-least ratio of two units asked about is 6, of degrees and turns per minute."""
-
 
 def mistaken_units(m: MeasuredRecord, b: BaseNumbers, rate_Hz: float) -> Iterator[DataIssue]:
     """Columns that seem to be in another unit, or of the other sign: refused where that is clear.
@@ -68,7 +64,7 @@ def _brakes(angle_rad: FloatArray, effort: FloatArray, smoother: Smoother) -> bo
     columns = np.column_stack([terms[known], np.ones(known.sum())])
     a, b, dry, _ = np.linalg.lstsq(columns, effort[known], rcond=None)[0]
     v = velocity[known]
-    if abs(float(np.mean(np.sign(v)))) > 0.9:
+    if min(np.mean(v > 0.0), np.mean(v < 0.0)) < CONSTANTS.small:
         return False
     return bool(a < 0.0 and np.mean(b * v**2 + dry * np.abs(v)) < 0.0)
 
@@ -130,9 +126,10 @@ def _issue(column: str, times: float, what: str, units: dict[float, str]) -> Dat
     return DataIssue("refused", sentence, column)
 
 
-def within_factor(ratio: float, factor: float = MODEL_OFF) -> bool:
-    """Whether a ratio is one, but for a factor either way."""
-    return 1.0 / factor < ratio < factor
+def within_factor(ratio: float, factor: float | None = None) -> bool:
+    """Whether a ratio is one, but for a factor either way (by default of a model's numbers)."""
+    most = CONSTANTS.model_off if factor is None else factor
+    return 1.0 / most < ratio < most
 
 
 def _slope(x: FloatArray, y: FloatArray) -> float | None:

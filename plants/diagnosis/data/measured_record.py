@@ -10,15 +10,13 @@ from estune.core.gains import Gains
 from estune.core.quantities import FloatArray
 from estune.errors import InvalidInput
 from estune.trial import TrialRecord
+from plants.diagnosis.constants import CONSTANTS
 
 CHANNELS = ("setpoint_N", "current_A", "tension_N", "angle_rad", "reference_N")
 """Columns of a record besides time and flags."""
 
 OUTPUTS = ("tension_N", "angle_rad", "reference_N")
 """Columns that a model predicts."""
-
-ROUNDING = 1e-3
-"""Difference of two columns, as a share of the greatest value, that rounding explains."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -141,4 +139,4 @@ def is_multiple(column: FloatArray, of: FloatArray) -> bool:
     """Whether a column is another times a constant, but for rounding; both shape (samples,)."""
     power = float(of @ of)
     ratio = float(column @ of) / power if power > 0.0 else 0.0
-    return bool(np.abs(column - ratio * of).max() <= ROUNDING * np.abs(column).max())
+    return bool(np.abs(column - ratio * of).max() <= CONSTANTS.rounding * np.abs(column).max())

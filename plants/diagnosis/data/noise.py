@@ -5,12 +5,7 @@ import math
 import numpy as np
 
 from estune.core.quantities import FloatArray
-
-FEWEST = 64
-"""Fewest samples of a spectrum."""
-WRITTEN = 0.15
-"""Deviation of a reading from counts of a converter, in steps, due to the decimals it is written
-with: 0.11 of angles in degrees with two decimals of an encoder with 4096 counts a turn."""
+from plants.diagnosis.constants import CONSTANTS
 
 
 def spectral_rms(deviation: FloatArray) -> float:
@@ -24,7 +19,7 @@ def spectral_rms(deviation: FloatArray) -> float:
     power, line = _spectrum(deviation, average="median")
     width = min(2 * max(4, power.size // 20) + 1, 2 * ((power.size - 1) // 2) + 1)
     neighbours = median_filter(power, width, mode="mirror")
-    quiet = np.where(power > 5.0 * neighbours, neighbours, power)
+    quiet = np.where(power > CONSTANTS.clear**2 * neighbours, neighbours, power)
     return float(np.sqrt(quiet.sum() * line))
 
 
@@ -66,13 +61,13 @@ def step_of(signal: FloatArray) -> float:
             small = gaps[gaps <= most * gaps[0]]
             counts = np.rint(small / step)
             step = small.sum() / counts.sum()
-        if np.abs(gaps / step - counts).max() < WRITTEN:
+        if np.abs(gaps / step - counts).max() < CONSTANTS.written:
             return float(step)
     return 0.0
 
 
 def _segment(samples: int) -> int:
-    return int(min(samples, 1024, max(FEWEST // 2, samples // 8)))
+    return int(min(samples, 1024, max(CONSTANTS.fewest // 2, samples // 8)))
 
 
 def _spectrum(signal: FloatArray, average: str) -> tuple[FloatArray, float]:

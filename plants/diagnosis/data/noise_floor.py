@@ -16,8 +16,8 @@ import numpy as np
 from estune.core.quantities import FloatArray
 from plants.diagnosis.constants import CONSTANTS
 from plants.diagnosis.data.measured_record import CHANNELS, OUTPUTS, MeasuredRecord
-from plants.diagnosis.data.noise import FEWEST, spectral_rms, step_of, upper_rms
-from plants.diagnosis.data.periods import SAME, holds, periods_of
+from plants.diagnosis.data.noise import spectral_rms, step_of, upper_rms
+from plants.diagnosis.data.periods import holds, periods_of
 
 SOURCES = ("repeats", "periods", "quiet stretches", "upper spectrum", "steps")
 """Sources of a noise estimate, the best first; `steps` is rounding alone."""
@@ -66,7 +66,7 @@ class NoiseFloor:
             return None
         # Below a twentieth of a step, what is beside the rounding cannot be told from none.
         beside = max(gauge.rms**2 - gauge.lsb**2 / 12.0, (gauge.lsb / 20.0) ** 2)
-        return gauge.lsb if gauge.lsb > CONSTANTS.coarse * math.sqrt(beside) else None
+        return gauge.lsb if gauge.lsb > CONSTANTS.above_noise * math.sqrt(beside) else None
 
     def effective(self, channel: str, signal_rms: float, least_rms: float = 0.0) -> float:
         """Noise and allowance together, sigma_eff, in the channel's unit.
@@ -82,7 +82,7 @@ class NoiseFloor:
 
 
 def noise_floor(measurements: Sequence[MeasuredRecord]) -> NoiseFloor:
-    """The noise of each channel of one rig's records, of `FEWEST` samples at least each."""
+    """The noise of each channel of one rig's records, each of enough samples for a spectrum."""
     repeated = _repeats(measurements)
     records = tuple(
         {
@@ -112,11 +112,11 @@ def _alone(m: MeasuredRecord, column: FloatArray) -> tuple[float, str]:
     estimates: list[tuple[float, str]] = []
     if m.setpoint_N is not None:
         periods = periods_of(m.setpoint_N)
-        if periods is not None and periods.samples >= FEWEST:
+        if periods is not None and periods.samples >= CONSTANTS.fewest:
             estimates.append((_group_rms(periods.fold(column)), SOURCES[1]))
-        elif quiet := [column[hold] for hold in holds(m.setpoint_N, FEWEST)]:
+        elif quiet := [column[hold] for hold in holds(m.setpoint_N, CONSTANTS.fewest)]:
             # Of each stretch the second half: by then the plant has settled.
-            settled = (c[c.size // 2 :] if c.size >= 2 * FEWEST else c for c in quiet)
+            settled = (c[c.size // 2 :] if c.size >= 2 * CONSTANTS.fewest else c for c in quiet)
             estimates.append((float(np.median([spectral_rms(c) for c in settled])), SOURCES[2]))
     if not estimates or m.loop == "closed":
         # A controller turns the gauge's noise into motion, which the recorded current explains:
@@ -195,7 +195,7 @@ def _same_setpoints(measurements: Sequence[MeasuredRecord], group: list[int]) ->
     for n in group:
         setpoint = measurements[n].setpoint_N
         assert setpoint is not None  # noqa: S101  groups are made of records that have one
-        same = SAME * max(float(np.abs(setpoint).max()), 1e-300)
+        same = CONSTANTS.numerics * max(float(np.abs(setpoint).max()), 1e-300)
         for first, members in groups:
             if np.abs(setpoint - first).max() <= same:
                 members.append(n)

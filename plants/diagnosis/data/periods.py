@@ -7,9 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estune.core.quantities import FloatArray
-
-SAME = 1e-6
-"""Relative difference of equal setpoints, in its range; float32 keeps it."""
+from plants.diagnosis.constants import CONSTANTS
 
 
 class Periods(NamedTuple):
@@ -44,7 +42,7 @@ def periods_of(setpoint: FloatArray) -> Periods | None:
     spread = float(setpoint.std())
     if not spread > 0.0:
         return None
-    same = SAME * float(np.ptp(setpoint))
+    same = CONSTANTS.numerics * float(np.ptp(setpoint))
     for lag in sorted(_likely_lags(setpoint - setpoint.mean())):
         equal = np.abs(setpoint[lag:] - setpoint[:-lag]) <= same
         longest = max(runs(equal), key=lambda run: run.stop - run.start, default=slice(0, 0))
@@ -56,9 +54,9 @@ def periods_of(setpoint: FloatArray) -> Periods | None:
     return None
 
 
-def holds(setpoint: FloatArray, fewest: int) -> list[slice]:
+def holds(setpoint: FloatArray, fewest: float) -> list[slice]:
     """Stretches of constant setpoint, `fewest` samples or longer."""
-    same = SAME * max(float(np.ptp(setpoint)), float(np.abs(setpoint).max()))
+    same = CONSTANTS.numerics * max(float(np.ptp(setpoint)), float(np.abs(setpoint).max()))
     moves = np.flatnonzero(np.abs(np.diff(setpoint)) > same) + 1
     ends = np.concatenate([[0], moves, [setpoint.size]])
     return [slice(int(a), int(b)) for a, b in itertools.pairwise(ends) if b - a >= fewest]

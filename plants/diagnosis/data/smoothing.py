@@ -12,6 +12,7 @@ import numpy as np
 from numpy.polynomial import hermite_e
 
 from estune.core.quantities import FloatArray
+from plants.diagnosis.constants import CONSTANTS
 
 
 class Smoother(NamedTuple):
@@ -111,7 +112,7 @@ def least_width(wanted: Callable[[float], bool], shortest_s: float, longest_s: f
     low, high = shortest_s, max(shortest_s, longest_s)
     if wanted(low):
         return low
-    while high / low > 1.1:
+    while high / low > 1.0 + CONSTANTS.small:
         middle = float(np.sqrt(low * high))
         low, high = (low, middle) if wanted(middle) else (middle, high)
     return high

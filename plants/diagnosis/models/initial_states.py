@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from scipy.linalg import expm
 
 from estune.core.quantities import FloatArray
+from plants.diagnosis.constants import CONSTANTS
 from plants.diagnosis.models.diagnosed_model import Local
 
 
@@ -41,11 +42,11 @@ def estimate_states(
     best = sampled.states(at, needed)
     for extra in (1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48):
         either = needed + extra
-        # The backward propagation of a mode grows with its rate.
-        if 2 * either > output.size or either * rate > 5.0:
+        # The backward propagation of a mode grows with its rate: a period of it at most.
+        if 2 * either > output.size or either * rate > 2.0 * math.pi:
             break
         wider = sampled.states(at, either)
-        if wider.residual > max(1.05 * noise, best.residual):
+        if wider.residual > max((1.0 + CONSTANTS.small) * noise, best.residual):
             break
         best = wider
     return best._replace(deviation=noise * best.deviation)

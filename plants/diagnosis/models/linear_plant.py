@@ -103,8 +103,8 @@ class DiagnosedLinear(DiagnosedPlant):
     def _slope(self) -> float:
         """1 where the output depends on the input of the same instant: no zero-order hold."""
         held, curved = (sum(self._left(m, newest) for m in self.measurements) for newest in (1, 0))
-        # The newest input counts where it takes off a fifth of the residual.
-        return 1.0 if curved < 0.8 * held else 0.0
+        # The newest input counts where it takes off more than a small share of the residual.
+        return 1.0 if curved < (1.0 - CONSTANTS.small) * held else 0.0
 
     def _left(self, m: MeasuredRecord, newest: int) -> float:
         """Residual sum of squares of a difference equation; its newest input is `newest` back."""
@@ -134,23 +134,23 @@ class DiagnosedLinear(DiagnosedPlant):
 
     @cached_property
     def suggested_horizon_s(self) -> float:
-        """Most of a period of the plant, with enough samples."""
-        wanted = float(CONSTANTS.horizon / self.values["rate_rad_s"])
+        """A period of the plant, with enough samples."""
+        wanted = float(2.0 * math.pi / self.values["rate_rad_s"])
         if "origin" in self.kinds.poles:
             ends = (self.window_s(end, 24) for end in (0.0, math.inf))
             wanted = min(wanted, self._travelling_s(*ends))
         return self.window_s(wanted, 24)
 
     def _travelling_s(self, shortest_s: float, longest_s: float) -> float:
-        """Time in which a tenth of the input's rms moves the output well past its noise.
+        """Time in which the input's rms moves the output so far that its noise is allowed.
 
         Of the travel, a parabola, the initial state explains all but 1/12.
         """
         model, n = self._linear, self.kinds.order
         stepped = np.zeros((n + 1, n + 1))
         stepped[:n, :n], stepped[:n, n] = np.reshape(np.array(model.A), (n, n)), model.B
-        step = 0.1 * self.sizes.torque_rms_Nm * self.model.torque_unit
-        visible = 12.0 * CONSTANTS.travel * noise_floor(self.measurements).tension_N
+        step = self.sizes.torque_rms_Nm * self.model.torque_unit
+        visible = 12.0 * noise_floor(self.measurements).tension_N / CONSTANTS.allowance
         times = np.geomspace(shortest_s, max(longest_s, shortest_s), num=60)
         travels = step * np.abs(expm(times[:, None, None] * stepped)[:, :n, n] @ np.array(model.C))
         return float(times[min(int(np.searchsorted(travels, visible)), times.size - 1)])

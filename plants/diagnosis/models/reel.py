@@ -73,7 +73,7 @@ class DiagnosedReel(DiagnosedModel):
             preload, Q = self.preload(m), self._sag_N3(m)
             T = max(float(np.quantile(m.tension_N, 0.01)), 0.05 * preload)
             bent = Q * (1.0 / T**2 - 1.0 / preload**2) - 2.0 * Q * (preload - T) / preload**3
-            if abs(bent) > 1e-3 * preload:
+            if abs(bent) > CONSTANTS.rounding * preload:
                 return True
         return False
 
@@ -89,7 +89,7 @@ class DiagnosedReel(DiagnosedModel):
                 least_N = (2.0 * self._sag_N3(m)) ** (1.0 / 3.0)
                 slack += int(np.count_nonzero(m.tension_N < least_N))
                 samples += m.samples
-        return slack > 0.1 * samples
+        return slack > CONSTANTS.small * samples
 
     def _sag_N3(self, m: MeasuredRecord) -> float:
         """The own weight's Q = k w^2 L^3/24, N^3."""
@@ -157,7 +157,7 @@ class DiagnosedReel(DiagnosedModel):
     def _calibrations(self) -> list[Slot]:
         r, c = self.model, self.calibration
         lengths = [self.length(m) for m in self.measurements]
-        differ = max(lengths) - min(lengths) > 0.05 * np.mean(lengths)
+        differ = max(lengths) - min(lengths) > CONSTANTS.small * np.mean(lengths)
         # Friction that would damp the reel by a tenth of critical.
         first = self.measurements[0]
         kappa = drum_stiffness_Nm_rad(self._at(first), self.preload(first))
@@ -261,9 +261,9 @@ class DiagnosedReel(DiagnosedModel):
 
     @property
     def suggested_horizon_s(self) -> float:
-        """Most of a period of drum and cable, at the lowest of the records' frequencies."""
+        """A period of drum and cable, at the lowest of the records' frequencies."""
         slowest = min(
             drum_stiffness_Nm_rad(self._at(m), self.preload(m)) for m in self.measurements
         )
         J = self._at(self.measurements[0]).drum_inertia_kg_m2
-        return float(CONSTANTS.horizon / math.sqrt(slowest / J))
+        return float(2.0 * math.pi / math.sqrt(slowest / J))

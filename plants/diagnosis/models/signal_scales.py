@@ -6,6 +6,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from estune.core.quantities import FloatArray
+from plants.diagnosis.constants import CONSTANTS
 from plants.diagnosis.data.noise import step_of
 from plants.effects import RecordScale
 
@@ -41,15 +42,15 @@ def signal_scale(
 
 
 def travels(angle: FloatArray) -> tuple[FloatArray, int]:
-    """Travels over the shortest span in which they are well above the encoder's step.
+    """Travels over the shortest span in which they are well above the rounding of both ends.
 
     Returns:
         The travels from each sample on, rad, and the span, samples.
     """
-    step, span = step_of(angle), 1
+    rounding, span = step_of(angle) / math.sqrt(6.0), 1  # of both ends
     while True:
         moved = angle[span:] - angle[:-span]
-        if 2 * span >= angle.size or _rms([moved]) >= 20.0 * step:
+        if 2 * span >= angle.size or rounding <= CONSTANTS.quiet * _rms([moved]):
             return moved, span
         span *= 2
 

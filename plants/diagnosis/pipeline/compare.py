@@ -167,7 +167,7 @@ def _not_contradicted(
         for block in where.blocks
         if block.name in ("force", "plant")
         and model.is_linear
-        and block.ratio**2 > CONSTANTS.incomplete
+        and block.ratio > CONSTANTS.above_noise
     ]
     error, motion = free_run_rms(last.fitter, last.fit), moved_rms(last.fitter)
     if error > CONSTANTS.free_run * motion:
@@ -244,7 +244,7 @@ def _verdict(
     """
     verdict: Verdict = "unknown" if concluded == "none" and too_few else concluded
     if waves is not None:
-        complete = waves.after_A**2 <= CONSTANTS.incomplete * waves.noise_A**2
+        complete = waves.after_A <= CONSTANTS.above_noise * waves.noise_A
         return "named" if complete else "incomplete"
     if effects and verdict == "none":
         return "named"

@@ -9,15 +9,13 @@ from numpy.typing import NDArray
 
 from estune.core.quantities import FloatArray
 from estune.trial import GUARD, LATE
+from plants.diagnosis.constants import CONSTANTS
 from plants.diagnosis.data.measured_record import MeasuredRecord
 from plants.diagnosis.data.noise_floor import NoiseFloor, noise_floor, unrepeated
 from plants.diagnosis.models.diagnosed_model import DiagnosedModel
 from plants.diagnosis.models.initial_states import estimate_states
 from plants.diagnosis.prediction.library import CHANNELS
 from plants.diagnosis.prediction.window_projection import WindowProjection
-
-DEVIATIONS = 4.0
-"""Standard deviations within which a reading agrees with the expected one."""
 
 
 class Index(NamedTuple):
@@ -208,14 +206,14 @@ def _rests(
     if output is None:
         return True
     rates = np.abs(placed[1:])
-    typical, strict = np.std(np.diff(output)) * m.sampling_Hz, DEVIATIONS * deviation[1:]
-    if rates.size and rates[0] > strict[0] + 0.05 * typical:
+    typical, strict = np.std(np.diff(output)) * m.sampling_Hz, CONSTANTS.clear * deviation[1:]
+    if rates.size and rates[0] > strict[0] + CONSTANTS.small * typical:
         return False
     tension = m.tension_N
     if tension is None:
         return True
     off = abs(float(tension[0]) - m.preload_N)
-    begins = off <= DEVIATIONS * noise.tension_N + 1e-6 * float(np.ptp(tension))
+    begins = off <= CONSTANTS.clear * noise.tension_N + 1e-6 * float(np.ptp(tension))
     return begins or bool(rates.size and rates[0] <= strict[0])
 
 
@@ -227,7 +225,7 @@ def _reading(model: DiagnosedModel, m: MeasuredRecord, noise: NoiseFloor) -> flo
         return model.preload(m) if "tension_N" in model.outputs else 0.0
     first = tension[:8]
     mean = float(first[np.isfinite(first)].mean()) if np.isfinite(first).any() else m.preload_N
-    close = DEVIATIONS * noise.tension_N / np.sqrt(first.size)
+    close = CONSTANTS.clear * noise.tension_N / np.sqrt(first.size)
     # An excitation may begin with the record, and mains interference may be on it.
     close += float(np.ptp(first[np.isfinite(first)])) if np.isfinite(first).any() else 0.0
     return m.preload_N if abs(mean - m.preload_N) <= close else mean

@@ -20,6 +20,7 @@ import numpy as np
 from estune.core.quantities import FloatArray
 from estune.errors import InvalidInput
 from estune.trial import LinearModel
+from plants.diagnosis.constants import CONSTANTS
 from plants.diagnosis.data.measured_record import MeasuredRecord
 from plants.diagnosis.data.smoothing import Smoother, least_width
 from plants.diagnosis.models.base import BaseNumbers
@@ -158,10 +159,6 @@ def equations(b: BaseNumbers, channels: frozenset[str]) -> tuple[Equation, ...]:
     balances: list[Equation] = [ACTUATOR] if "current_A" in channels else []
     gauge, encoder = "tension_N" in channels, "angle_rad" in channels
     if b.linear is not None:
-        _, denominator = transfer(b.linear)
-        # Higher derivatives are noise on any record.
-        if denominator.size - 1 > 6:
-            return tuple(balances)
         return (*balances, PLANT, PLANT_OF_SMOOTH_INPUT)
     cable = b.stiffness_N_m is not None
     if encoder or (cable and gauge):
@@ -207,7 +204,7 @@ def smoother_for(
             equation.balance(most.numbers, s, smoother) for s in (most.signals, most.noise)
         )
         noise_rms = np.nanstd(by_noise.known) + np.nanstd(by_noise.columns.sum(axis=1))
-        return bool(noise_rms <= 0.02 * np.nanstd(terms.known))
+        return bool(noise_rms <= CONSTANTS.quiet * np.nanstd(terms.known))
 
     return Smoother(least_width(quiet, shortest_s, longest_s), sampling_Hz)
 

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estune.core.quantities import FloatArray
+from plants.diagnosis.constants import CONSTANTS
 from plants.diagnosis.residual.angle_periods import ResidualOverAngle, per_turn
 
 SIMPLER: Mapping[str, tuple[str, ...]] = {
@@ -174,7 +175,7 @@ def strongest(listed: Sequence[ResidualDependence]) -> ResidualDependence:
     nearly = [
         by_name[name]
         for name in SIMPLER.get(best.name, ())
-        if name in by_name and by_name[name].share >= 0.9 * best.share
+        if name in by_name and by_name[name].share >= (1.0 - CONSTANTS.small) * best.share
     ]
     return max(nearly, key=lambda view: view.share, default=best)
 

@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 from estune.core.quantities import FloatArray
 from plants.diagnosis.constants import CONSTANTS
 from plants.diagnosis.data.measured_record import MeasuredRecord
-from plants.diagnosis.data.noise import FEWEST
 from plants.diagnosis.data.noise_floor import NoiseFloor
 from plants.diagnosis.data.smoothing import Smoother
 from plants.diagnosis.models.base import BaseNumbers
@@ -90,7 +89,7 @@ class Block:
     def regime(self) -> ResidualDependence | None:
         """The variable the residual follows, or None where it follows none."""
         view = strongest(self.views)
-        return view if view.share >= 0.1 else None
+        return view if view.share >= CONSTANTS.small else None
 
     @property
     def band(self) -> str:
@@ -171,7 +170,7 @@ def _block(
     for variable in motion:
         if variable.name in ("velocity", "command rate"):
             inside &= np.isfinite(variable.of)
-    if inside.sum() < FEWEST:
+    if inside.sum() < CONSTANTS.fewest:
         return None
     ends = np.cumsum([r.measurement.samples for r in records])[:-1]
     each = np.split(fitted.residual, ends)
@@ -208,7 +207,9 @@ def _dependence(
     stride = max(1, int(inside.sum() // CONSTANTS.screened))
     chosen = np.flatnonzero(inside)[::stride]
     known = (part[np.isfinite(part)] for part in np.split(fitted.residual, ends))
-    loose = float(np.mean([independent_share(part) for part in known if part.size >= FEWEST]))
+    loose = float(
+        np.mean([independent_share(part) for part in known if part.size >= CONSTANTS.fewest])
+    )
 
     def spread(columns: FloatArray) -> FloatArray:
         split = np.split(columns, ends)

@@ -8,8 +8,8 @@ from typing import NamedTuple
 import numpy as np
 
 from estune.core.quantities import FloatArray
+from plants.diagnosis.constants import CONSTANTS
 from plants.diagnosis.data.measured_record import MeasuredRecord
-from plants.diagnosis.data.noise import FEWEST
 from plants.diagnosis.data.noise_floor import NoiseFloor
 from plants.diagnosis.data.smoothing import Smoother, least_width
 from plants.diagnosis.models.base import BaseNumbers
@@ -100,11 +100,11 @@ def variables(records: Sequence[Record]) -> list[Variable]:
     def quiet(width_s: float) -> bool:
         smoother = Smoother(width_s, rate)
         noise = np.nanstd(velocity(smoother, noise=True))
-        return bool(noise <= 0.1 * np.nanstd(velocity(smoother)))
+        return bool(noise <= CONSTANTS.small * np.nanstd(velocity(smoother)))
 
     smoother = Smoother(least_width(quiet, 1.0 / rate, widest_s(records)), rate)
     v, commands = velocity(smoother), [(r.signals["effort_N"], r.numbers) for r in records]
-    least = 3.0 * float(np.nanstd(velocity(smoother, noise=True)))
+    least = CONSTANTS.above_noise * float(np.nanstd(velocity(smoother, noise=True)))
     sign = np.where(np.isfinite(v), np.sign(v) * (np.abs(v) > least), np.nan)
     way = np.where(np.isfinite(sign), sign + 1.0, -1.0).astype(np.int64)
     commanded = [smoother.held(u, b.dead_time_s, 0.0, 1.0) for u, b in commands]
@@ -146,7 +146,7 @@ def spectrum(
     from scipy.signal import welch  # noqa: PLC0415  slow to import
 
     known = (signal[np.isfinite(signal)] for signal in parts)
-    finite = [signal for signal in known if signal.size >= FEWEST]
+    finite = [signal for signal in known if signal.size >= CONSTANTS.fewest]
     segment = min([longest, *(signal.size for signal in finite)]) // 2 * 2
     powers = [welch(signal, sampling_Hz, nperseg=segment, detrend=False)[1] for signal in finite]
     frequency: FloatArray = np.linspace(0.0, sampling_Hz / 2.0, segment // 2 + 1)

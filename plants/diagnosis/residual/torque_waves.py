@@ -25,16 +25,11 @@ from estune.core.quantities import FloatArray
 from plants.diagnosis.constants import CONSTANTS
 from plants.diagnosis.data.measured_record import MeasuredRecord
 from plants.diagnosis.data.smoothing import Smoother
-from plants.diagnosis.interval import QUANTILE, Interval
+from plants.diagnosis.interval import Interval
 from plants.diagnosis.models.base import BaseNumbers
 from plants.diagnosis.residual.angle_periods import ResidualOverAngle, per_turn
 from plants.effects.cogging import WAVES
 from plants.effects.plant_scale import PlantScale
-
-WIDTH_s = 0.01
-"""Smoothing of motion and current alike. Of a drive of 8192 counts a turn at 400 Hz the
-acceleration is mostly noise with 0.005, and a third of it with 0.01; with both a measured winch
-motor has the same waves, of which one of 2.7 Hz is weakened by 1.4 %."""
 
 
 class TorqueMotion(NamedTuple):
@@ -188,7 +183,7 @@ def torque_waves(
         before / K,
         after / K,
         # A Gaussian of s samples leaves 1/(2 sqrt(pi) s) of the power of white noise.
-        noise_A / math.sqrt(max(2.0 * math.sqrt(math.pi) * WIDTH_s * rate_Hz, 1.0)),
+        noise_A / math.sqrt(max(2.0 * math.sqrt(math.pi) * CONSTANTS.slow_s * rate_Hz, 1.0)),
         orders,
         apart,
     )
@@ -202,15 +197,15 @@ def _best(orders: tuple[float, ...], parts: list[TorqueMotion]) -> tuple[float, 
 
 def _motion(m: MeasuredRecord, b: BaseNumbers) -> TorqueMotion:
     assert m.angle_rad is not None  # noqa: S101  only such records are taken
-    smoother = Smoother(max(WIDTH_s, 1.0 / m.sampling_Hz), m.sampling_Hz)
+    smoother = Smoother(max(CONSTANTS.slow_s, 1.0 / m.sampling_Hz), m.sampling_Hz)
     command = m.command_A(b.newtons_per_ampere) * b.newtons_per_ampere * b.drum_radius_m
     torque = smoother.held(command, b.dead_time_s, 1.0)
     orders = (1.0,), (0.0, 1.0), (0.0, 0.0, b.drum_inertia_kg_m2)
     angle, velocity, inertial = (smoother.sampled(m.angle_rad, *c) for c in orders)
     inside = np.isfinite(torque) & np.isfinite(angle)
     speed = np.abs(velocity[inside])
-    # Motion at more than five times the usual speed is a start or a jump.
-    slow = speed <= 5.0 * max(float(np.median(speed)), 1e-300)
+    # Motion far above the usual speed is a start or a jump.
+    slow = speed <= CONSTANTS.clear * max(float(np.median(speed)), 1e-300)
     v = velocity[inside][slow]
     terms = np.column_stack([v, np.sign(v)])
     torque, inertial, angle = (column[inside][slow] for column in (torque, inertial, angle))
@@ -250,9 +245,9 @@ def _orders(motions: Sequence[TorqueMotion]) -> tuple[float, ...]:
         gained = {added: _power(residual) - _power(rest) for added, rest in tried.items()}
         # The last tried is the whole number.
         most, (last, gain) = max(gained.values()), list(gained.items())[-1]
-        added = last if gain >= 0.9 * most else next(iter(tried))
-        # Each further wave takes off a tenth of the power left at least.
-        if gained[added] < 0.1 * _power(residual) or added[-1] in orders:
+        added = last if gain >= (1.0 - CONSTANTS.small) * most else next(iter(tried))
+        # Each further wave takes off more than a small share of the power left.
+        if gained[added] < CONSTANTS.small * _power(residual) or added[-1] in orders:
             break
         orders, residual = added, tried[added]
     return orders
@@ -270,7 +265,7 @@ def _parameters(
     for k, order in enumerate(orders):
         sine, cosine = fitted[1 + 2 * k], fitted[2 + 2 * k]
         amplitude, phase = float(np.hypot(sine, cosine)), float(np.arctan2(cosine, sine))
-        half = QUANTILE * float(np.hypot(*error[1 + 2 * k : 3 + 2 * k]))
+        half = CONSTANTS.quantile * float(np.hypot(*error[1 + 2 * k : 3 + 2 * k]))
         low, turn = max(amplitude - half, 0.0), half / max(amplitude, 1e-300)
         parameters[f"amplitude_{k + 1}_Nm"] = Interval(amplitude, low, amplitude + half, "N m")
         parameters[f"per_turn_{k + 1}"] = Interval(order, order, order, "")

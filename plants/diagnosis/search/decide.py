@@ -63,7 +63,7 @@ def decide(base: Model, models: Sequence[Model]) -> Decision:
     if explained_share(base.J, best.J) < CONSTANTS.named_share and best.power > CONSTANTS.floor:
         return Decision("unknown", frozenset(), leading=best.names)
     tied = _tied(best, named, p)
-    verdict: Verdict = "incomplete" if best.power > CONSTANTS.incomplete else "named"
+    verdict: Verdict = "incomplete" if best.power > CONSTANTS.above_noise**2 else "named"
     return Decision("ambiguous" if tied else verdict, best.names, tied, leading=best.names)
 
 
@@ -105,13 +105,13 @@ def _supported(
         return best
     known = summed((m.families, p[m.names]) for m in models)
     doubtful = min(best.families, key=lambda family: known[family])
-    if known[doubtful] >= CONSTANTS.second:
+    if known[doubtful] >= 0.5:
         return best
     others = [m for m in models if doubtful not in m.families]
     first = _supported(best_of(others), others, p)
     if first is None or not first.families < best.families:
         return first
-    rest = beats(best, first, CONSTANTS.named_share, CONSTANTS.incomplete)
+    rest = beats(best, first, CONSTANTS.named_share, CONSTANTS.above_noise**2)
     return best if rest else first
 
 

@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 
 from estune.core.quantities import FloatArray
 from plants.diagnosis.constants import CONSTANTS
-from plants.diagnosis.interval import QUANTILE, Interval
+from plants.diagnosis.interval import Interval
 from plants.diagnosis.models.free_parameters import BASE, Free
 from plants.diagnosis.search.model_fitter import CandidateFit, ModelFitter, record_of
 from plants.effects.plant_scale import PlantScale
@@ -90,7 +90,7 @@ def intervals(
             by_law = law * min(explained * shift * unit, most)
         else:  # an effect that the model declares: how much it explains is not known
             by_law = CONSTANTS.form_least * size
-        least = CONSTANTS.base_least * size if f.owner == BASE else 0.0
+        least = CONSTANTS.form_least * size if f.owner == BASE else 0.0
         by_rest = min(unexplained * shift * unit, most)
         stated[f.name] = _interval(f, value, math.hypot(s, by_law, by_rest, least))
     return stated
@@ -98,7 +98,7 @@ def intervals(
 
 def _interval(free: Free, value: float, error: float) -> Interval:
     """The interval of a value with a standard error, within its bounds."""
-    half = QUANTILE * error
+    half = CONSTANTS.quantile * error
     if free.scale == "log" and value > 0.0:
         factor = math.exp(min(half / value, 50.0))
         low, high = value / factor, value * factor

@@ -6,9 +6,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from estune.recordings.issue import DataIssue
+from plants.diagnosis.constants import CONSTANTS
 from plants.diagnosis.data.measured_record import MeasuredRecord
 from plants.diagnosis.data.noise import step_of, upper_rms
-from plants.diagnosis.interval import QUANTILE
 from plants.diagnosis.models.free_parameters import BASE, Free
 from plants.diagnosis.models.signal_scales import travels
 from plants.diagnosis.result import Limitation
@@ -59,10 +59,10 @@ def _of_tension(measurements: Sequence[MeasuredRecord]) -> list[Limitation]:
     tensions = [m.tension_N for m in measurements if m.tension_N is not None]
     if not tensions:
         return []
-    # By five noises or steps: a hundredth of the readings may be so.
-    low = np.concatenate([t < -5.0 * max(upper_rms(t), step_of(t)) for t in tensions])
+    # Clearly below, by noises or steps.
+    low = np.concatenate([t < -CONSTANTS.clear * max(upper_rms(t), step_of(t)) for t in tensions])
     share = float(np.mean(low))
-    if share < 0.01:
+    if share < CONSTANTS.small**2:
         return []
     finding = f"{share:.0%} of the tensions read are below zero, and a cable cannot push"
     remedy = "check the sign and the zero of tension_N"
@@ -102,7 +102,7 @@ def _of_parameter(f: Free, value: float, name: str) -> Limitation | None:
     else:
         apart, unit = (math.log(factor), 1.0) if f.scale == "log" else (value - f.start, f.start)
         deviations = abs(apart) / f.prior
-        if deviations <= QUANTILE:
+        if deviations <= CONSTANTS.quantile:
             return None
         known = f"{f.prior / unit:.0%}"
         sentence = f"{moved}, {deviations:.1f} standard deviations of {known}; check it first"
@@ -119,13 +119,13 @@ def _of_motion(measurements: Sequence[MeasuredRecord]) -> list[Limitation]:
     limits = []
     going = moved[np.abs(moved) > 0.5 * np.median(np.abs(moved[moved != 0.0]))]
     # A winch motor that is turned one way slips back for 0.05 of the time, by its cogging.
-    if min(np.mean(going > 0.0), np.mean(going < 0.0)) < 0.1:
+    if min(np.mean(going > 0.0), np.mean(going < 0.0)) < CONSTANTS.small:
         sentence = (
             "all motion is in one direction: dry friction cannot be distinguished from an offset "
             "of the force; record motion both ways"
         )
         limits.append(Limitation("one_direction", "one direction of motion", sentence))
-    if np.mean(np.abs(moved) < 0.1 * size) < 0.01:
+    if np.mean(np.abs(moved) < CONSTANTS.small * size) < CONSTANTS.small**2:
         sentence = (
             "no motion is slow: friction at low speed cannot be identified; record slow motion "
             "and standstill"

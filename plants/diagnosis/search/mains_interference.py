@@ -73,7 +73,7 @@ class _Line:
     def stands_out(self, frequency_Hz: float) -> bool:
         """Whether the line is far above what is beside it in this record."""
         beside = [math.hypot(*self.wave(frequency_Hz * share)) for share in BESIDE]
-        least = 0.25 * CONSTANTS.line * float(np.median(beside)) ** 2
+        least = 0.25 * CONSTANTS.clear**2 * float(np.median(beside)) ** 2
         return math.hypot(*self.wave(frequency_Hz)) ** 2 > least
 
 
@@ -94,7 +94,7 @@ def _peak(lines: Sequence[_Line], about_Hz: float, longest_s: float) -> tuple[fl
     power = _powers(lines, lowest, step, math.ceil(0.02 * about_Hz / step))
     beside = [_powers(lines, about_Hz * share, 0.0, 1)[0] for share in BESIDE]
     top = int(power.argmax())
-    if power[top] < CONSTANTS.line * float(np.median(beside)):
+    if power[top] < CONSTANTS.clear**2 * float(np.median(beside)):
         return None
     near = lowest + (top - 1) * step
     power = _powers(lines, near, step / 8.0, 17)
@@ -114,10 +114,9 @@ def _interference(
     middle = float(np.median(sizes))
     # Interference does not depend on the motion: its amplitude is the same in all records.
     alike = (sizes > 0.5 * middle) & (sizes < 2.0 * middle)
-    # A missing effect may produce lines, too, but not in records of every kind: a current limit
-    # that no effect explains did so in more than half of the records of one reel.
+    # A missing effect may produce lines, too, but not in records of every kind.
     alike &= np.array([line.stands_out(frequency_Hz) for line in lines])
-    if middle < CONSTANTS.audible * math.sqrt(2.0) * noise_N or alike.mean() < 0.75:
+    if middle < CONSTANTS.shown * math.sqrt(2.0) * noise_N or alike.mean() < CONSTANTS.alike:
         return None
     amplitude = float(np.mean(sizes[alike]))
     spread = 2.6 * float(np.std(sizes[alike])) / math.sqrt(alike.sum()) + 0.02 * amplitude

@@ -15,6 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from estune.core.quantities import FloatArray
+from plants.diagnosis.constants import CONSTANTS
 from plants.diagnosis.prediction.prediction import Predictor
 from plants.diagnosis.search.score_context import ScoreContext
 from plants.effects import Effect, RecordScale, Role
@@ -22,8 +23,6 @@ from plants.effects import Effect, RecordScale, Role
 DECADES = np.arange(-3.0, 4.0)
 """Sizes tried, in powers of ten of the usual one; the size at which the residual changes by about
 its rms is interpolated. Below the smallest the residual changes in proportion to the size."""
-ACTING = 1e-6
-"""Change of the residual, in noise floors, from which on a limit acts at all: less is rounding."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -114,8 +113,7 @@ class Directions:
         kept: list[_Direction] = []
         for direction in directions:
             near = (np.abs(np.log(direction.start[rates] / k.start[rates])) for k in kept)
-            # Frequencies 35 % apart are worth a start each.
-            if not rates or all((distance > 0.3).any() for distance in near):
+            if not rates or all((distance > CONSTANTS.apart).any() for distance in near):
                 kept.append(direction)
         return kept
 
@@ -131,7 +129,8 @@ class Directions:
         p = self.declared[name]
         levels = np.geomspace(p.low, p.high, 14)
         change = self.context.products(self._changes(self._rows(name, levels))).rms
-        acting = np.flatnonzero(change > ACTING)
+        # In noise floors; less is rounding.
+        acting = np.flatnonzero(change > CONSTANTS.numerics)
         if not acting.size:
             return [_Direction(0.0, self.without_effect.copy())], 0.0
         top = min(int(acting[-1]) + 1, levels.size - 1)
@@ -141,7 +140,7 @@ class Directions:
         rows = self._rows(name, np.geomspace(levels[bottom], levels[top], levels.size))
         products = self.context.products(self._changes(rows))
         directions = []
-        for n in np.flatnonzero(products.rms > ACTING).tolist():
+        for n in np.flatnonzero(products.rms > CONSTANTS.numerics).tolist():
             share, weights = products.of(slice(n, n + 1)).explained(only_up=True)
             # A limit does not act in proportion to its level: a weight far from 1 is discounted.
             fits = math.exp(-0.1 * math.log(max(float(weights[0]), 1e-9)) ** 2)

@@ -168,7 +168,7 @@ def _finished(
     for fit in ranked:
         limit = min(least, _least(fitter, finished))
         limit = limit if math.isfinite(limit) else fit.J
-        leads = CONSTANTS.behind * limit > fit.J and len(finished) < 4
+        leads = CONSTANTS.behind * limit > fit.J
         rounds = 40 if fit is ranked[0] else 15
         finished.append(fitter.refine(fit, rounds) if leads else fit)
     return finished

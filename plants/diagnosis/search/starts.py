@@ -68,7 +68,7 @@ def halved(
         if len(rows) > most:
             fits = [fitter.fit(effects, row, rounds, held=shapes) for row in rows]
             fits.sort(key=lambda f: f.J)
-            if CONSTANTS.floor + 5.0 * (max(least, 1.0) - 1.0) < fits[0].J:
+            if CONSTANTS.behind * max(least, 1.0) < fits[0].J:
                 return fits[0]
             rows = np.array([f.fitted.values for f in fits[:most]])
     return fitter.fit(effects, rows[0], 3)

@@ -33,7 +33,7 @@ def find_wrong_parameter(
         # It does what all the others do together, which are wrong only where one is far off.
         moved = [abs(base.values[f.name] / f.start - 1.0) for f in numbers if f.start]
         # An inertia or a friction that was calculated from drawings may be a tenth off.
-        return best if max(moved, default=0.0) > 0.1 else None
+        return best if max(moved, default=0.0) > CONSTANTS.small else None
     unit = next(f.unit for f in numbers if f.name == effect.base_parameter)
     # What it is per length of cable is a part of it.
     per_length = f"{unit} per m"
