@@ -35,24 +35,23 @@ DECIDING = {
     "floor": (1.0, 1.15, 1.3, 1.45, 1.6),
     "one_more": (0.4, 0.5, 0.6, 0.7, 0.8),
     "named_share": (0.6, 0.7, 0.8, 0.9, 0.95),
-    "incomplete": (2.25, 4.0, 9.0, 16.0, 36.0),
+    "above_noise": (1.5, 2.0, 3.0, 4.0, 6.0),
     "tied": (0.05, 0.15, 0.3, 0.4, 0.5),
     "effective": (10.0, 20.0, 60.0, 200.0, 1000.0),
     "form": (0.0, 0.02, 0.05, 0.1, 0.2),
 }
 """Numbers whose curve takes stored fits: verdicts and probabilities."""
 WIDENING = {
-    "base_least": (0.0, 0.0003, 0.001, 0.002, 0.004),
     "form_least": (0.0, 0.0005, 0.001, 0.0025, 0.005),
     "form_taken_up": (0.0, 0.1, 0.2, 0.3, 0.4),
 }
 """Those whose curve takes models that are right: intervals."""
 IN_NOISE = {
-    "coarse": (1.0, 2.0, 3.0, 5.0, 8.0),
-    "line": (5.0, 15.0, 30.0, 60.0, 150.0),
-    "audible": (0.1, 0.25, 0.5, 1.0, 2.0),
+    "above_noise": (1.0, 2.0, 3.0, 5.0, 8.0),
+    "clear": (2.5, 4.0, 5.0, 8.0, 12.0),
+    "shown": (0.1, 0.2, 0.3, 0.5, 1.0),
 }
-"""Numbers whose curve takes new base fits. `shown` decides no verdict, only a list."""
+"""Numbers whose curve takes new base fits."""
 CASES, NOISE_CASES, RIGHT_CASES = 100, 12, 60
 
 
@@ -183,7 +182,9 @@ def main() -> int:
         },
         **{n: curve(n, v, lambda c: coverage(right, c)) for n, v in WIDENING.items()},
         **{
-            n: curve(n, v[1:4] if options.quick else v, lambda c: in_noise(noisy, c))
+            f"{n}: in noise": curve(
+                n, v[1:4] if options.quick else v, lambda c: in_noise(noisy, c)
+            )
             for n, v in IN_NOISE.items()
         },
     }

@@ -73,8 +73,9 @@ class Constants(NamedTuple):
     """Allowance for numerics and model form beside the noise, as a share of a signal's rms. Of
     nine answers 0.002 makes one sound drive unknown, and 0.008 misses one backlash."""
     quiet: float = 0.02
-    """Noise that is left in smoothed motion, as a share of it: derivatives and spans are chosen by
-    it."""
+    """Error of an estimated signal, as a share of it, that is accepted: noise in smoothed motion,
+    rounding in a travel, and what the model adds to the noise about an initial state. 0.05 of the
+    last does the same on nine answers; 0.1 misses one backlash."""
     fewest: float = 64
     """Samples of a record, and of a spectrum, at the least."""
     written: float = 0.15

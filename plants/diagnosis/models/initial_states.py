@@ -46,7 +46,7 @@ def estimate_states(
         if 2 * either > output.size or either * rate > 2.0 * math.pi:
             break
         wider = sampled.states(at, either)
-        if wider.residual > max((1.0 + CONSTANTS.small) * noise, best.residual):
+        if wider.residual > max((1.0 + CONSTANTS.quiet) * noise, best.residual):
             break
         best = wider
     return best._replace(deviation=noise * best.deviation)
