@@ -57,11 +57,11 @@ class Constants(NamedTuple):
     """Noise floors that an effect of usual size has to change, or the records cannot show it."""
     form_least: float = 0.001
     """Share of what an effect explains by which values are shifted for its law's not being quite
-    the machine's, some effects declare more; and least relative standard error of base parameters.
-    Of 84 values of effects 81 hold, half intervals being 5.7 times the median error of Coulomb
-    friction; with 0.005, 81 and 24 times. Of 26 base parameters on sound machines 0.92 hold: the
-    torque's gain, which the hysteresis of a gauge shifts, comes out 0.0005 to 0.0015 too small.
-    With 0.0003 as many of 104 values beside effects hold, but one of four of sound machines."""
+    the machine's; some effects declare more. Of 84 values of effects 81 hold, half intervals being
+    5.7 times the median error of Coulomb friction; with 0.005, 81 and 24 times. Also the least
+    relative error of base parameters beside a gauge: of 26 on sound machines 0.92 hold, for the
+    torque's gain, which a gauge's hysteresis shifts, is 0.0005 to 0.0015 too small. With 0.0003 as
+    many of 104 values beside effects hold, but one of four of sound machines."""
     form_taken_up: float = 0.2
     """Share of what effects leave by which values are shifted: 0.1, 0.15, 0.2 and 0.3 hold as many
     there, half intervals of hidden machines being 3.5, 4.0, 4.7 and 5.6 times the median error.
@@ -74,8 +74,8 @@ class Constants(NamedTuple):
     nine answers 0.002 makes one sound drive unknown, and 0.008 misses one backlash."""
     quiet: float = 0.02
     """Error of an estimated signal, as a share of it, that is accepted: noise in smoothed motion,
-    rounding in a travel, and what the model adds to the noise about an initial state. 0.05 of the
-    last does the same on nine answers; 0.1 misses one backlash."""
+    rounding in a travel, and what the model adds to the noise about an initial state. With 0.1 of
+    the last a backlash of 1.1 noise floors is missed."""
     fewest: float = 64
     """Samples of a record, and of a spectrum, at the least."""
     written: float = 0.15

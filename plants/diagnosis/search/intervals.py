@@ -76,6 +76,8 @@ def intervals(
         CONSTANTS.form_taken_up if model.effects else CONSTANTS.form_lacking
     )
     form = {e.name: max(e.form_error, CONSTANTS.form_least) for e in model.effects}
+    # The hysteresis of a gauge shifts base parameters, above all the torque's gain.
+    has_gauge = "tension_N" in fitter.floor.channels
     stated = {}
     for f, value, s, unit, shift in zip(
         free, values.tolist(), spread, prior, greatest_shifts(columns), strict=True
@@ -90,7 +92,7 @@ def intervals(
             by_law = law * min(explained * shift * unit, most)
         else:  # an effect that the model declares: how much it explains is not known
             by_law = CONSTANTS.form_least * size
-        least = CONSTANTS.form_least * size if f.owner == BASE else 0.0
+        least = CONSTANTS.form_least * size if f.owner == BASE and has_gauge else 0.0
         by_rest = min(unexplained * shift * unit, most)
         stated[f.name] = _interval(f, value, math.hypot(s, by_law, by_rest, least))
     return stated
