@@ -142,15 +142,15 @@ class DiagnosedLinear(DiagnosedPlant):
         return self.window_s(wanted, 24)
 
     def _travelling_s(self, shortest_s: float, longest_s: float) -> float:
-        """Time in which the input's rms moves the output so far that its noise is allowed.
+        """Time in which a tenth of the input's rms moves the output well past its noise.
 
         Of the travel, a parabola, the initial state explains all but 1/12.
         """
         model, n = self._linear, self.kinds.order
         stepped = np.zeros((n + 1, n + 1))
         stepped[:n, :n], stepped[:n, n] = np.reshape(np.array(model.A), (n, n)), model.B
-        step = self.sizes.torque_rms_Nm * self.model.torque_unit
-        visible = 12.0 * noise_floor(self.measurements).tension_N / CONSTANTS.allowance
+        step = 0.1 * self.sizes.torque_rms_Nm * self.model.torque_unit
+        visible = 12.0 * CONSTANTS.travel * noise_floor(self.measurements).tension_N
         times = np.geomspace(shortest_s, max(longest_s, shortest_s), num=60)
         travels = step * np.abs(expm(times[:, None, None] * stepped)[:, :n, n] @ np.array(model.C))
         return float(times[min(int(np.searchsorted(travels, visible)), times.size - 1)])

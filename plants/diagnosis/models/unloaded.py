@@ -102,16 +102,17 @@ class DiagnosedDrum(DiagnosedModel):
 
     @cached_property
     def suggested_horizon_s(self) -> float:
-        """Time in which the torque's rms moves the drum so far that the encoder's step is allowed.
+        """Time in which a tenth of the torque's rms moves the drum well past the encoder's step.
 
         A torque tau moves it by tau t^2/(2 J), of which the initial state explains all but 1/12.
         """
         steps = [step_of(m.angle_rad) for m in self.measurements if m.angle_rad is not None]
         step = max(steps) or 2.0 * math.pi / self.model.encoder_counts
         step /= math.sqrt(12.0)
-        torque = max(self.sizes.torque_rms_Nm, 1e-300)
-        moved = step / CONSTANTS.allowance
-        wanted = math.sqrt(12.0 * 2.0 * self.model.drum_inertia_kg_m2 * moved / torque)
+        torque = 0.1 * max(self.sizes.torque_rms_Nm, 1e-300)
+        wanted = math.sqrt(
+            12.0 * 2.0 * self.model.drum_inertia_kg_m2 * CONSTANTS.travel * step / torque
+        )
         # Longer windows weigh slow errors more: with 24 samples at least Coulomb friction of a
         # measured drive at 100 Hz comes out 7 % off, with 10 or 8 3 %.
         return self.window_s(wanted, 10)
