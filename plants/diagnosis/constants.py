@@ -6,6 +6,8 @@ plants, a positioning drive and an oscillator with a cubic spring; `python -m
 experiments.diagnosis_constants` prints what each number costs when it is another. Nine answers are
 those of `python -m experiments.diagnosis_numbers --cases 9`, of four independent drives and five
 hidden machines, on which numbers are halved and doubled.
+Numbers that state nothing of the kind were halved and doubled on
+one drive alone (`--cases 1`), which changed nothing.
 """
 
 from typing import NamedTuple
