@@ -60,7 +60,9 @@ def test_undeclared_effect_is_unknown_until_it_is_declared():
 
 
 def test_unknown_verdict_says_what_the_error_looks_like():
-    found = plants.explain(*drawn(601, "outside", "sensitivity_drift"))
+    # The sentence is of what the error looks like, not of the effects that were tried.
+    tried = ["gain_error", "gauge_offset", "coulomb_friction"]
+    found = plants.explain(*drawn(601, "outside", "sensitivity_drift"), effects=tried)
     assert found.verdict == "unknown"
     assert "It looks like a gain of the gauge that changes with time." in found.sentence
 
