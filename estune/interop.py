@@ -298,7 +298,7 @@ def linear_model(system: "TransferFunction | StateSpace", dead_time_s: float = 0
     Raises:
         InvalidInput: the system is of another kind, or the dead time is negative or not finite.
     """
-    from control import StateSpace, TransferFunction, ss  # noqa: PLC0415  slow to import
+    from control import StateSpace, TransferFunction  # noqa: PLC0415  slow to import
     from scipy.linalg import matrix_balance  # noqa: PLC0415  slow to import
 
     if not (math.isfinite(dead_time_s) and dead_time_s >= 0.0):
@@ -309,15 +309,12 @@ def linear_model(system: "TransferFunction | StateSpace", dead_time_s: float = 0
             "linearise a nonlinear system with control.linearize, fit frequency data first"
         )
     _check_siso_continuous(system, "plant")
-    try:
-        states = ss(system)
-    except ValueError as error:
-        raise InvalidInput(
-            "the plant has more zeros than poles; add the pole that bounds it at high frequency"
-        ) from error
-    A, B, C, E = (
-        np.asarray(part, dtype=np.float64) for part in (states.A, states.B, states.C, states.D)
-    )
+    if isinstance(system, TransferFunction):
+        A, B, C, E = _state_space(system)
+    else:
+        A, B, C, E = (
+            np.asarray(part, dtype=np.float64) for part in (system.A, system.B, system.C, system.D)
+        )
     if not all(np.isfinite(part).all() for part in (A, B, C, E)):
         raise InvalidInput("the plant has a coefficient that is not finite")
     if A.size:
@@ -364,3 +361,31 @@ def _not_a_pid(why: str) -> InvalidInput:
         f"the controller is not P + I/s + D s/(tau s + 1): {why}; "
         "give a controller of this form, or its gains"
     )
+
+
+def _state_space(
+    system: "TransferFunction",
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """A, B, C and D of a transfer function.
+
+    Time is counted in that of its poles, and the gain is one, for python-control takes numbers
+    below 1e-14 for zero: of five lags of 1000 s all of the numerator.
+    """
+    from control import ss, tf  # noqa: PLC0415  slow to import
+
+    num, den = (np.trim_zeros(np.asarray(part[0][0]), "f") for part in (system.num, system.den))
+    if num.size > den.size:
+        raise InvalidInput(
+            "the plant has more zeros than poles; add the pole that bounds it at high frequency"
+        )
+    rates = np.abs(np.roots(den))
+    rates = rates[rates > 0.0]
+    rate = math.exp(float(np.log(rates).mean())) if rates.size else 1.0
+    num = num * rate ** np.arange(num.size - den.size, -den.size, -1.0)
+    den = den * rate ** np.arange(0.0, -den.size, -1.0)
+    gain = float(np.abs(num / den[0]).max(initial=0.0)) or 1.0
+    states = ss(tf(num / gain if num.size else [0.0], den))
+    A, B, C, E = (
+        np.asarray(part, dtype=np.float64) for part in (states.A, states.B, states.C, states.D)
+    )
+    return rate * A, rate * B, gain * C, gain * E

@@ -116,13 +116,14 @@ def test_from_control_refuses_other_controllers_with_reason(controller, why):
     "system",
     [
         1 / (1 + 10 * s) ** 8,
+        1e-3 / (1 + 2000 * s) ** 5,
         (1 - 5 * s) / ((1 + 10 * s) * (1 + 20 * s)),
         3e12 * (s + 2) / ((s**2 + 80 * s + 4e4) * (s**2 + 100 * s + 3.3e6) * (s + 900)),
         (2 * s + 1) / (s + 3),
         control.tf([5.0], [1.0]),
         control.ss([[0.0, 1.0], [-4.0, -0.4]], [[0.0], [1.0]], [[1.0, 0.2]], [[0.1]]),
     ],
-    ids=["eight lags", "non-minimum phase", "fast modes", "feed-through", "gain", "state space"],
+    ids=["eight lags", "slow lags", "non-minimum phase", "fast modes", "feed-through", "gain", "state space"],
 )
 def test_linear_model_has_the_systems_frequency_response(system):
     model = linear_model(system, 0.25)
