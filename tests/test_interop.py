@@ -123,7 +123,15 @@ def test_from_control_refuses_other_controllers_with_reason(controller, why):
         control.tf([5.0], [1.0]),
         control.ss([[0.0, 1.0], [-4.0, -0.4]], [[0.0], [1.0]], [[1.0, 0.2]], [[0.1]]),
     ],
-    ids=["eight lags", "slow lags", "non-minimum phase", "fast modes", "feed-through", "gain", "state space"],
+    ids=[
+        "eight lags",
+        "slow lags",
+        "non-minimum phase",
+        "fast modes",
+        "feed-through",
+        "gain",
+        "state space",
+    ],
 )
 def test_linear_model_has_the_systems_frequency_response(system):
     model = linear_model(system, 0.25)

@@ -1,22 +1,27 @@
 """The order of an identified loop, and the models that its records allow."""
 
+import math
+
 import control
 import numpy as np
 import pytest
 from scipy.stats import norm
 
 import plants
+from estune.core.cost import StepCost
 from estune.core.gains import Gains
 from estune.loop_model.drawn_models import drawn_models, white_factor
 from estune.loop_model.fitting import fit_loop
 from estune.loop_model.hum import hum_of
 from estune.loop_model.identification import PoleFit, improve
+from estune.loop_model.intervals import predict_with_intervals
 from estune.loop_model.least_squares import signals_of
 from estune.loop_model.margins import robustness
 from estune.loop_model.poles import coordinates_of, difference_polynomial
 from estune.loop_model.records import LoopRecord
 from estune.trial.profiles import StepProfile
 from experiments.loop_claims import true_sensitivity
+from experiments.sample_efficiency.problems import step_trial
 from tests.support_binomial import most_misses
 from tests.test_loop_model import record_of
 
@@ -44,7 +49,7 @@ def fitted(plant, gains, seeds):
 
 @pytest.mark.parametrize("seeds", [20, pytest.param(200, marks=pytest.mark.nightly)])
 def test_lag_with_a_dead_time_is_identified_by_one_pole_as_a_rule(seeds):
-    """Noise makes a spare pole lower the criterion now and then, which leaves Ms as it is.
+    """Noise makes a spare pole lower the criterion now and then: Ms is as it is, or unknown.
 
     At one place of the pole and one dead time that is once in N samples, where chi-squared with
     two degrees of freedom exceeds 2 ln N. Many are tried, which are not independent, so that no
@@ -54,9 +59,11 @@ def test_lag_with_a_dead_time_is_identified_by_one_pole_as_a_rule(seeds):
     fits = [fitted(plant, gains, (1000 + seed,)) for seed in range(seeds)]
     assert sum(fit.order == 1 for fit in fits) > seeds / 2
     truth = true_sensitivity(plant, gains)
+    trial = step_trial(plant, StepCost(0.5))
     for fit in fits:
-        found = robustness(fit.model, gains, plant.controller)
-        assert found.sensitivity == pytest.approx(truth, rel=0.03)
+        found = robustness(fit.model, gains, plant.controller).sensitivity
+        if found != pytest.approx(truth, rel=0.03):  # of one trial, by which nothing is claimed
+            assert math.isinf(predict_with_intervals(fit, trial, gains).sensitivity.high)
 
 
 def test_dead_time_is_searched_again_with_the_poles_that_were_added():
