@@ -200,10 +200,10 @@ def test_plot_marks_unsafe_trials_without_scaling_to_them(tuned):
 
 
 def test_cost_axis_is_logarithmic_only_over_a_decade(tuned):
-    frame = tuned.to_frame()
-    narrow = figures.draw_cost(plot_style.new_axes(), frame, 1.0, math.inf)
-    frame.loc[frame["number"] == 4, "cost"] = 1000.0
-    wide = figures.draw_cost(plot_style.new_axes(), frame, 1.0, math.inf)
+    trials = tuned.columns()
+    narrow = figures.draw_cost(plot_style.new_axes(), trials, 1.0, math.inf)
+    trials["cost"][trials["number"] == 4] = 1000.0
+    wide = figures.draw_cost(plot_style.new_axes(), trials, 1.0, math.inf)
     assert (narrow.get_yscale(), wide.get_yscale()) == ("linear", "log")
 
 

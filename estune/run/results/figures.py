@@ -1,18 +1,19 @@
 """Figures of a run: cost per trial, step response before and after, gains over the trials.
 
-Each is drawn on the given axes or on new ones, from the columns of `RunResult.to_frame` and from
-trial records.
+Each is drawn on the given axes or on new ones, from `RunResult.columns` and from trial records.
 """
 
 import math
 from collections.abc import Iterator, Mapping
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.ticker import MaxNLocator
+from numpy.typing import NDArray
 
 from estune.core.gains import GAIN_NAMES, Gains
+from estune.core.quantities import BoolArray, FloatArray
 from estune.support.plot_style import (
     BLACK,
     BLUE,
@@ -30,8 +31,8 @@ from estune.support.quantity_text import axis_unit, with_unit
 from estune.trial import RigDescription, TrialRecord
 from estune.trial.profiles import LoadStepProfile, StepProfile
 
-if TYPE_CHECKING:
-    import pandas as pd
+Trials = Mapping[str, NDArray[Any]]
+"""Columns of a run's trials, as of `RunResult.columns`."""
 
 PHASES = {
     "baseline": (ORANGE, "s", "initial gains"),
@@ -54,38 +55,39 @@ VECTORS_MAX = 2000
 """Trials of a figure that are drawn one by one; more are drawn as an image."""
 
 
-def draw_cost(ax: Axes | None, frame: "pd.DataFrame", start_cost: float, eta_max: float) -> Axes:
+def draw_cost(ax: Axes | None, trials: Trials, start_cost: float, eta_max: float) -> Axes:
     """Cost per trial by phase, the lowest so far, and the unsafe trials.
 
     Args:
         ax: Axes.
-        frame: The trials, as of `RunResult.to_frame`.
+        trials: The trials, as of `RunResult.columns`.
         start_cost: Mean cost of the initial gains; nan if there is none.
         eta_max: The cost above which a trial is unsafe; may be infinite.
     """
     ax = ax or new_axes()
-    shown = frame[frame["cost"].notna() & ~frame["unsafe"]]
+    shown = _where(trials, ~np.isnan(trials["cost"]) & ~trials["unsafe"])
     for phase, (colour, marker, label) in PHASES.items():
-        part = shown[shown["phase"] == phase]
-        if part.empty:
+        part = _where(shown, shown["phase"] == phase)
+        count = part["number"].size
+        if not count:
             continue
         ax.plot(
             part["number"], part["cost"], marker, color=colour, label=label, zorder=3,
-            markersize=4.0 if len(part) < FEW else 3.2, markeredgewidth=0, alpha=0.85,
-            rasterized=len(part) > VECTORS_MAX,
+            markersize=4.0 if count < FEW else 3.2, markeredgewidth=0, alpha=0.85,
+            rasterized=count > VECTORS_MAX,
         )  # fmt: skip
     # Repeats after the search are left out: a lucky one does not mean better gains.
-    searched = _searched(frame)
+    searched = _searched(trials)
     ax.plot(
         searched["number"], searched["best_cost"], color=BLACK, linewidth=1.3,
         drawstyle="steps-post", label="best so far", zorder=2,
     )  # fmt: skip
     if math.isfinite(start_cost):
         ax.axhline(start_cost, color=ORANGE, linewidth=0.9, linestyle="--", zorder=1)
-    finite = shown["cost"].to_numpy(dtype=float)
+    finite = shown["cost"]
     if finite.size and finite.min() > 0.0 and finite.max() / finite.min() > _DECADE:
         ax.set_yscale("log")
-    _draw_unsafe(ax, frame[frame["unsafe"]], finite, eta_max)
+    _draw_unsafe(ax, trials["number"][trials["unsafe"]], finite, eta_max)
     ax.xaxis.set_major_locator(MaxNLocator(integer=True, steps=[1, 2, 5, 10]))
     finish(ax, "cost η (1 = as good as first order)", "trial")
     legend(ax, columns=4, left=-0.12)
@@ -181,7 +183,7 @@ def _before_and_after(
 
 def draw_gains(
     ax: Axes | None,
-    frame: "pd.DataFrame",
+    trials: Trials,
     start: Gains,
     recommended: Gains,
     *,
@@ -192,20 +194,21 @@ def draw_gains(
 
     Args:
         ax: Axes.
-        frame: The trials, as of `RunResult.to_frame`.
+        trials: The trials, as of `RunResult.columns`.
         start: Initial gains.
         recommended: The gains of the result, drawn behind the last trial.
         intervals: Confidence interval of each optimum, by name, drawn as bars.
         units: Units of the gains, by name.
     """
     ax = ax or new_axes()
-    last = float(frame["number"].max()) if len(frame) else 0.0
-    frame = _searched(frame)
+    last = float(trials["number"].max(initial=0))
+    searched = _searched(trials)
+    number = searched["number"]
     ax.set_yscale("log")
     ax.axhline(1.0, color=LIGHT, linewidth=0.9, zorder=0)
     for place, name in enumerate(GAIN_NAMES, start=2):
         colour, dash, label = GAIN_LOOKS[name]
-        values = frame[name].to_numpy(dtype=float)
+        values = searched[name]
         # A gain with initial value zero is shown relative to its first other value.
         above = values[values > 0.0]
         unit = getattr(start, name) or (above[0] if above.size else math.nan)
@@ -215,10 +218,10 @@ def draw_gains(
         shown = np.where(values > 0.0, values, np.nan) / unit
         label = f"{label}  {getattr(start, name):.3g} → {with_unit(end, units[name], 3)}"
         ax.plot(
-            frame["number"], shown, linestyle=dash, color=colour, linewidth=1.1, label=label,
-            rasterized=len(frame) > VECTORS_MAX,
+            number, shown, linestyle=dash, color=colour, linewidth=1.1, label=label,
+            rasterized=number.size > VECTORS_MAX,
         )  # fmt: skip
-        if end > 0.0 and len(frame):
+        if end > 0.0 and number.size:
             # Side by side, so that the bars do not overlap.
             behind = last * (1.0 + 0.015 * place) + 0.15 * place
             ax.plot(behind, end / unit, "o", color=colour, markersize=4.5, clip_on=False)
@@ -231,11 +234,15 @@ def draw_gains(
     return ax
 
 
-def _searched(frame: "pd.DataFrame") -> "pd.DataFrame":
-    return frame[frame["phase"].isin(["baseline", "search"])]
+def _where(trials: Trials, chosen: BoolArray) -> Trials:
+    return {name: column[chosen] for name, column in trials.items()}
 
 
-def _draw_unsafe(ax: Axes, unsafe: "pd.DataFrame", safe: Any, eta_max: float) -> None:
+def _searched(trials: Trials) -> Trials:
+    return _where(trials, np.isin(trials["phase"], ["baseline", "search"]))
+
+
+def _draw_unsafe(ax: Axes, unsafe: NDArray[Any], safe: FloatArray, eta_max: float) -> None:
     """Unsafe trials as crosses along the top edge: their cost, if any, is off the scale."""
     if safe.size:
         low, high = float(safe.min()), float(safe.max())
@@ -249,6 +256,6 @@ def _draw_unsafe(ax: Axes, unsafe: "pd.DataFrame", safe: Any, eta_max: float) ->
             ax.axhline(eta_max, color=VERMILION, linewidth=0.9, linestyle=":", zorder=1)
     if len(unsafe):
         ax.plot(
-            unsafe["number"], np.full(len(unsafe), 0.965), "x", color=VERMILION, markersize=5,
+            unsafe, np.full(len(unsafe), 0.965), "x", color=VERMILION, markersize=5,
             markeredgewidth=1.3, transform=ax.get_xaxis_transform(), label="unsafe", zorder=3,
         )  # fmt: skip

@@ -230,7 +230,7 @@ def _sensitivity_limit(result: RunResult) -> float:
 def _search(result: RunResult) -> Iterator[Block]:
     if not result.entries:
         return
-    frame = result.to_frame()
+    columns = result.columns()
     figure = new_figure(7.2, 5.4)
     upper, lower = figure.subplots(2, 1, sharex=True)
     result.plot_cost(upper)
@@ -244,7 +244,7 @@ def _search(result: RunResult) -> Iterator[Block]:
         f"{result.verdict.message[:1].upper()}{result.verdict.message[1:]}. The lowest "
         "cost of a search may be luck, so repeats after it compare the gains. Behind the last "
         "trial: the gains of the result with their intervals.",
-        csv=_csv({name: frame[name].to_numpy() for name in names}),
+        csv=_csv({name: columns[name] for name in names}),
     )
 
 

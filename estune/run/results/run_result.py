@@ -6,9 +6,10 @@ from collections import Counter
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.optimize import OptimizeResult
 
 from estune.core.comparison import Change, repeatability
@@ -290,21 +291,26 @@ class RunResult(OptimizeResult):  # type: ignore[misc]  # scipy ships no type in
         """The trials, one row each: number, phase, gains, cost, best cost so far, outcome."""
         import pandas as pd  # noqa: PLC0415  slow to import
 
-        eta_max = self.session.eta_max
-        rows = [
-            (
-                *(e.number, e.attempt, e.trial_id, e.phase.value, *e.gain_values, e.cost),
-                *(_is_unsafe(e, eta_max), str(e.outcome), e.reason),
-            )
-            for e in self.entries
-        ]
-        before, after = ("number", "attempt", "trial_id", "phase"), ("unsafe", "outcome", "reason")
-        frame = pd.DataFrame(rows, columns=[*before, *GAIN_NAMES, "cost", *after])
-        frame["unsafe"] = frame["unsafe"].astype(bool)
-        safe = frame["cost"].where(~frame["unsafe"]).to_numpy(dtype=float)
-        place = list(frame.columns).index("cost") + 1
-        frame.insert(place, "best_cost", np.fmin.accumulate(safe))
-        return frame
+        return pd.DataFrame(self.columns())
+
+    def columns(self) -> dict[str, NDArray[Any]]:
+        """The columns of `to_frame` by name, without pandas, which takes long to import."""
+        entries = self.entries
+        costs = np.array([e.cost for e in entries], np.float64)
+        gains = np.array([e.gain_values for e in entries], np.float64).reshape(-1, len(GAIN_NAMES))
+        unsafe = np.array([_is_unsafe(e, self.session.eta_max) for e in entries], np.bool_)
+        return {
+            "number": np.array([e.number for e in entries], np.int64),
+            "attempt": np.array([e.attempt for e in entries], np.int64),
+            "trial_id": np.array([e.trial_id for e in entries], np.object_),
+            "phase": np.array([e.phase.value for e in entries], np.object_),
+            **dict(zip(GAIN_NAMES, gains.T, strict=True)),
+            "cost": costs,
+            "best_cost": np.fmin.accumulate(np.where(unsafe, np.nan, costs)),
+            "unsafe": unsafe,
+            "outcome": np.array([str(e.outcome) for e in entries], np.object_),
+            "reason": np.array([e.reason for e in entries], np.object_),
+        }
 
     def record(self, number: int) -> TrialRecord:
         """The record of one trial.
@@ -332,7 +338,7 @@ class RunResult(OptimizeResult):  # type: ignore[misc]  # scipy ships no type in
         from estune.run.results import figures  # noqa: PLC0415  slow to import
 
         costs = self.verdict.start_cost, self.session.eta_max
-        return figures.draw_cost(ax, self.to_frame(), *costs)
+        return figures.draw_cost(ax, self.columns(), *costs)
 
     def plot_response(self, ax: "Axes | None" = None) -> "Axes":
         """Draws the step response before and after, on `ax` or a figure of its own."""
@@ -350,7 +356,7 @@ class RunResult(OptimizeResult):  # type: ignore[misc]  # scipy ships no type in
         intervals = self.tuned.intervals if self.tuned else {}
         units = self.rig.gain_units
         gains = self.start_gains, self.gains
-        return figures.draw_gains(ax, self.to_frame(), *gains, intervals=intervals, units=units)
+        return figures.draw_gains(ax, self.columns(), *gains, intervals=intervals, units=units)
 
 
 def _is_unsafe(entry: JournalEntry, eta_max: float) -> bool:
