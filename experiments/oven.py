@@ -9,8 +9,10 @@ Eleven runs of a small chamber under an Arduino PID (`oven` of cellularmitosis/l
 names state the gains. The controller sees the reading of a thermistor, which falls with the
 temperature; its output goes from 0 to 255, without its fraction. A model of all runs but one
 predicts the one left out in closed loop, from its first seconds and its setpoint alone. It is
-the one that `suggest` finds. The data are not part of this project: `--data` or the environment
-variable ESTUNE_DATA is the folder with oven/run02_kp2.0_ki1.0_kd0.5.csv and further runs.
+the one that `suggest` finds. Fitted to all runs, it predicts these very runs (`fitted`) to 0.33 to
+1.9 % of their ranges, one of them to less than 0.8 %, which is not missed for want of the run left
+out. The data are not part of this project: `--data` or the environment variable ESTUNE_DATA is the
+folder with oven/run02_kp2.0_ki1.0_kd0.5.csv and further runs.
 """
 
 import math
@@ -251,7 +253,10 @@ def main() -> int:
     pooled = suggest(Logs(tuple(run.log for run in judged), (), SETTINGS)).fit
     folder_s = time.process_time() - begun
     rows = {
-        run.log.name: alone(run, pooled.model) | left_out(runs, runs.index(run)) for run in judged
+        run.log.name: alone(run, pooled.model)
+        | left_out(runs, runs.index(run))
+        | {"fitted": prediction(pooled.model, judged, run)[0]}
+        for run in judged
     }
     figures = {"runs": rows, "pooled_poles": pooled.order, "folder_cpu_s": folder_s}
     targets = targets_of([*rows.values()], folder_s)

@@ -9,6 +9,7 @@ import pytest
 
 import plants
 from estune.core.cost import StepCost
+from estune.core.filtering import lfilter
 from estune.core.gains import Gains
 from estune.core.pidf import ControllerSettings
 from estune.core.response import StepShape
@@ -17,7 +18,8 @@ from estune.loop_model.excitation import UnknownLoop, wanted_setpoint
 from estune.loop_model.fitting import fit_loop
 from estune.loop_model.intervals import predict_with_intervals, setpoint_deviation
 from estune.loop_model.margins import robustness
-from estune.loop_model.model import LoopModel, close_loop
+from estune.loop_model.model import LoopModel, close_loop, exchanged
+from estune.loop_model.poles import polynomial
 from estune.loop_model.prediction import StepTrial
 from estune.loop_model.records import LoopRecord
 from estune.trial.profiles import StepProfile
@@ -185,6 +187,51 @@ def test_record_of_holding_still_tells_nothing_of_the_loop():
     record = service("still", 3200, 4)
     fit = fit_loop([record], RATE_HZ, SETTLING_S)
     assert setpoint_deviation(fit, [record], GAINS, SETTINGS) == math.inf
+
+
+SLOW = (1000.0, 30.0, 6.0)
+"""Time constants of a chamber of gain 7, in samples."""
+
+
+def chamber_taps():
+    A = np.ones(1)
+    for samples in SLOW:
+        A = np.convolve(A, [1.0, -math.exp(-1.0 / samples)])
+    return A, 7.0 * A.sum()
+
+
+def chamber_record(P, seed, samples=700):
+    """Steps of the chamber under P alone, with a coloured noise of the sensor."""
+    (A, b), rng = chamber_taps(), np.random.default_rng(seed)
+    noise = lfilter([0.15], [1.0, -0.6], rng.standard_normal(samples))
+    setpoint = np.repeat([10.0, 30.0, 50.0], samples // 3 + 1)[:samples]
+    state, effort, y = np.zeros((3, samples))
+    for k in range(4, samples):
+        state[k] = b * effort[k - 1] - A[1:] @ state[k - 3 : k][::-1]
+        y[k] = state[k] + noise[k]
+        effort[k] = P * (setpoint[k] - y[k])
+    return LoopRecord(effort, y, setpoint, Gains(P, 0.0, 0.0, 0.0))
+
+
+def test_pole_slower_than_all_records_is_not_taken_for_a_load():
+    records = [chamber_record(P, 10 + i) for i, P in enumerate((3.0, 5.0, 8.0))]
+    model = fit_loop(records, 4.0, 18.0).model
+    A, b = chamber_taps()
+    step = np.ones(300)
+    truth = lfilter([0.0, b], A, step)
+    B = np.pad(exchanged(np.array(model.numerator)), (model.dead_samples + 1, 0))
+    found = lfilter(B, polynomial(model.coordinates), step)
+    assert found[-1] == pytest.approx(truth[-1], rel=0.1)
+
+
+def test_fragments_before_a_long_record_do_not_begin_the_search():
+    gains = Gains(3.0, 0.0, 0.0, 0.0)
+    full = chamber_record(3.0, 0)
+    signals = full.effort_N, full.measurement_N, full.setpoint_N
+    parts = [LoopRecord(*(x[a:b] for x in signals), gains) for a, b in ((0, 60), (60, 130))]
+    records = [*parts, LoopRecord(*(x[130:] for x in signals), gains)]
+    one, other = fit_loop(records, 4.0, 18.0), fit_loop(records[::-1], 4.0, 18.0)
+    assert one.residual_N == pytest.approx(other.residual_N, rel=1e-3)
 
 
 def service(kind, samples, seed):

@@ -62,12 +62,10 @@ def cold_starts(signals: FitSignals, noises: Iterable[NoiseModel] = (WHITE,)) ->
     delays = dead_times(signals.settling_samples)
     poles = [np.log([scale * f, z]) for f in START_FREQUENCIES for z in START_DAMPINGS]
     coarse = [
-        min(
-            (PoleFit(Solution.at(signals, x, d, noise).cost, x, d, noise) for d in delays),
-            key=by_cost,
-        )
+        PoleFit(best.cost, x, best.dead, noise)
         for x in poles
         for noise in noises
+        for best in [min(Solution.over(signals, x, delays, noise), key=by_cost)]
     ]
     ranked = sorted(coarse, key=by_cost)
     starts = [*ranked[:STARTS], ranked[0]._replace(dead=0)]

@@ -10,7 +10,7 @@ are searched. With white noise e is the output error y - B/A u.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -156,21 +156,36 @@ class Solution(NamedTuple):
         numerator: FloatArray | None = None,
     ) -> "Solution":
         """The solution at these poles, this noise and dead time; or with a given numerator."""
-        nuisances, rows, targets = [], [], []
-        for group in signals.groups:
-            Q = _nuisance(group, coordinates, noise, signals)
-            raw, target = _whitened(group, coordinates, dead, noise, signals.settling_samples)
-            nuisances.append(Q)
-            rows.append(without(raw, Q).reshape(len(raw), -1))
-            targets.append(without(target, Q).ravel())
-        X = (rows[0] if len(rows) == 1 else np.concatenate(rows, axis=1)).T
+        return next(cls.over(signals, coordinates, (dead,), noise, numerator))
+
+    @classmethod
+    def over(
+        cls,
+        signals: FitSignals,
+        coordinates: FloatArray,
+        delays: Iterable[int],
+        noise: NoiseModel = WHITE,
+        numerator: FloatArray | None = None,
+    ) -> "Iterator[Solution]":
+        """The solutions at several dead times, for which all is filtered once."""
+        nuisance = tuple(_nuisance(group, coordinates, noise, signals) for group in signals.groups)
+        filtered = [
+            _whitened(group, coordinates, noise, signals.settling_samples)
+            for group in signals.groups
+        ]
+        of_groups = [*zip(signals.groups, filtered, nuisance, strict=True)]
+        targets = [without(one[1][:, g.history :], Q).ravel() for g, one, Q in of_groups]
         y = targets[0] if len(targets) == 1 else np.concatenate(targets)
-        size = np.maximum(np.linalg.norm(X, axis=0), 1e-300)
-        basis, triangle = np.linalg.qr(X / size)  # almost collinear: not by X'X
-        if numerator is None:
-            numerator = np.linalg.lstsq(triangle, basis.T @ y, rcond=1e-10)[0] / size
-        residual = y - X @ numerator
-        return cls(coordinates, noise, dead, tuple(nuisances), X, basis, numerator, residual)
+        for dead in delays:
+            late = [(delayed(one[0], dead + 1)[..., g.history :], Q) for g, one, Q in of_groups]
+            rows = [without(terms, Q).reshape(len(terms), -1) for terms, Q in late]
+            X = (rows[0] if len(rows) == 1 else np.concatenate(rows, axis=1)).T
+            size = np.maximum(np.linalg.norm(X, axis=0), 1e-300)
+            basis, triangle = np.linalg.qr(X / size)  # almost collinear: not by X'X
+            b = numerator
+            if b is None:
+                b = np.linalg.lstsq(triangle, basis.T @ y, rcond=1e-10)[0] / size
+            yield cls(coordinates, noise, dead, nuisance, X, basis, b, y - X @ b)
 
     @property
     def squares(self) -> float:
@@ -278,10 +293,10 @@ def free_parameters(group: RecordGroup, poles: int, noise: NoiseModel) -> int:
 
 
 def _whitened(
-    group: RecordGroup, coordinates: FloatArray, dead: int, noise: NoiseModel, settling: float
+    group: RecordGroup, coordinates: FloatArray, noise: NoiseModel, settling: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Regressors of the numerator, shape (terms, records, samples), and what they explain."""
-    driven, target = delayed(group.effort, dead + 1), group.measurement
+    """Regressors of the numerator, undelayed, (terms, records, samples), and what they explain."""
+    driven, target = group.effort, group.measurement
     if noise.is_white:
         for section in sections_of(coordinates):
             driven = lfilter([1.0], section.taps, driven)
@@ -294,7 +309,7 @@ def _whitened(
     terms = [driven]
     for _ in coordinates:
         terms.append(_moving(terms[-1], 1.0))
-    return np.stack(terms)[..., group.history :], target[:, group.history :]
+    return np.stack(terms), target
 
 
 def _moving(signals: FloatArray, share: float) -> FloatArray:

@@ -10,7 +10,7 @@ from estune.core.controller_equation import unlimited_effort
 from estune.core.gains import Gains
 from estune.core.pidf import ControllerSettings
 from estune.core.quantities import FloatArray
-from estune.loop_model.fitting import fit_loop, likely_settling_time
+from estune.loop_model.fitting import fit_loop_of_any_scale
 from estune.loop_model.loop_fit import LoopFit
 from estune.loop_model.model import close_loop
 from estune.loop_model.plant_error import PlantErrorBound, plant_error
@@ -68,8 +68,8 @@ def identify(
     """
     records = tuple(loop_record(part, settings) for part in parts)
     rate = settings.sampling_Hz
-    scale = settling_time_s or likely_settling_time(records, rate, _scales(records, rate))
-    fit = fit_loop(records, rate, scale)
+    scales = [settling_time_s] if settling_time_s else _scales(records, rate)
+    fit = fit_loop_of_any_scale(records, rate, scales)
     return ServiceLoop(fit, records, settings, plant_error(fit, records))
 
 

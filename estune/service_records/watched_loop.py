@@ -79,9 +79,23 @@ class WatchedMargins(NamedTuple):
 
 
 def observe(
-    known: WatchedLoop, record: LoopRecord, sampling_Hz: float, settling_time_s: float
+    known: WatchedLoop,
+    record: LoopRecord,
+    sampling_Hz: float,
+    settling_time_s: float,
+    *,
+    refit: bool = True,
 ) -> tuple[WatchedLoop, bool]:
-    """A loop with one record more, and whether its plant has changed."""
+    """A loop with one record more, and whether its plant has changed.
+
+    Args:
+        known: The loop.
+        record: The record.
+        sampling_Hz: Its sampling rate.
+        settling_time_s: Settling time asked for.
+        refit: Whether the fit follows the records; whether a plant has changed, which is told by
+            the reference, does not depend on it.
+    """
     newest: tuple[LoopRecord, ...] = (record,)
     shown: tuple[PlantEvidence, ...] = ()
     reference = known.reference
@@ -98,8 +112,11 @@ def observe(
         if likely < SUSPECT and len(suspects) < UNDECIDED:
             return known._replace(suspects=suspects), False
     records = (*known.records, *newest)
-    fit = fit_loop(records[-KEPT:], sampling_Hz, settling_time_s, known.fit)
-    if len(records) <= KEPT:
+    begins = len(records) <= KEPT
+    fit = known.fit
+    if refit or begins:
+        fit = fit_loop(records[-KEPT:], sampling_Hz, settling_time_s, fit)
+    if fit is not None and begins:
         return _begun(records, fit), False
     remembered = (*known.known, *shown)[-REMEMBERED:]
     return WatchedLoop(records[-KEPT:], fit, known.reference, remembered), False
