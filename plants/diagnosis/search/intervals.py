@@ -78,6 +78,7 @@ def intervals(
     form = {e.name: max(e.form_error, CONSTANTS.form_least) for e in model.effects}
     # The hysteresis of a gauge shifts base parameters, above all the torque's gain.
     has_gauge = "tension_N" in fitter.floor.channels
+    base_least = CONSTANTS.form_least if has_gauge else CONSTANTS.base_least
     stated = {}
     for f, value, s, unit, shift in zip(
         free, values.tolist(), spread, prior, greatest_shifts(columns), strict=True
@@ -92,7 +93,7 @@ def intervals(
             by_law = law * min(explained * shift * unit, most)
         else:  # an effect that the model declares: how much it explains is not known
             by_law = CONSTANTS.form_least * size
-        least = CONSTANTS.form_least * size if f.owner == BASE and has_gauge else 0.0
+        least = base_least * size if f.owner == BASE else 0.0
         by_rest = min(unexplained * shift * unit, most)
         stated[f.name] = _interval(f, value, math.hypot(s, by_law, by_rest, least))
     return stated
