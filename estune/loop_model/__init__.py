@@ -20,8 +20,8 @@ white.
   searches these few numbers; `order` adds poles, a load or a drift where prediction errors are
   not white (`whiteness`) and the Bayesian information criterion falls; `friction` does so for
   dry friction (`friction_motion`), in service also where a load makes them white
-  (`friction_score`); friction of another law shows by errors that grow with motion
-  (`motion_score`).
+  (`friction_score`); friction of another law shows by errors or a plant that change
+  with motion (`motion_score`).
 - `hum` finds a line that stands at rest; it is free in each record, like its offsets.
 - `fitting` leaves out excitations that spoil the fit of the steps, and records that the others
   contradict, up to a quarter: those whose prediction by a fit without them is worse than three
@@ -31,6 +31,8 @@ white.
   gains whose trials show another loop; `intervals` holds the uncertainty of the parameters;
   `claim` says what of the loop is known, or which band is not, and `excitation` how large a
   multisine on the setpoint would make it known.
+- `rival` is the model of one pair of poles more that the criterion refuses and the likelihood does
+  not: recommended gains keep their limits with it, too.
 - `optimum`, `drawn_optima`, `limit_price`, `prediction`, `sampled_loop`: the best gains within
   limits, by the model.
 

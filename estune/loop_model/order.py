@@ -220,6 +220,13 @@ def criterion(
     return n * math.log(variance) + count * math.log(n)
 
 
+def with_further_pair(signals: FitSignals, best: PoleFit) -> PoleFit:
+    """The fit with the further pair of poles that promises most, whatever the criterion says."""
+    solution = solution_of(signals, best)
+    pair = max(_pairs(signals, solution), key=lambda extra: _gain(signals, solution, extra))
+    return improve(signals, best._replace(coordinates=np.append(best.coordinates, pair)))
+
+
 def _further(signals: FitSignals, solution: Solution) -> Iterator[Selected]:
     """Starts of fits with further poles, and the criterion that the start alone would reach."""
     poles, noise, dead = solution.coordinates, solution.noise, solution.dead

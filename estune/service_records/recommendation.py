@@ -9,8 +9,10 @@ import numpy as np
 from estune.core.gains import Gains
 from estune.core.quantities import FloatArray
 from estune.loop_model.intervals import PredictedMargins
+from estune.loop_model.model import LoopModel
 from estune.loop_model.optimum import RegionSearch, RobustnessLimits
-from estune.loop_model.prediction import StepTrial
+from estune.loop_model.prediction import StepTrial, predict
+from estune.loop_model.rival import rival_model
 from estune.service_records.identification import ServiceLoop
 from estune.service_records.judgement import margins_of
 
@@ -62,6 +64,7 @@ def recommend(
     def gains_of(x: FloatArray) -> Gains:
         return Gains(*np.exp(x).tolist())
 
+    rival = rival_model(loop.fit, loop.records)
     within, first_cost, x = limits, math.nan, start
     for _ in range(ROUNDS):
         search = RegionSearch(
@@ -72,7 +75,7 @@ def recommend(
         if not (best.feasible and math.isfinite(best.prediction.cost)):
             return None
         x, gains = best.coordinates, gains_of(best.coordinates)
-        margins = margins_of(loop, trial, gains)[0]
+        margins = _with_rival(margins_of(loop, trial, gains)[0], rival, trial, gains)
         if math.isnan(first_cost):
             first_cost = margins.cost.value
         tighter = _tightened(within, limits, margins)
@@ -80,6 +83,19 @@ def recommend(
             return Recommendation(gains, margins, max(margins.cost.value / first_cost - 1.0, 0.0))
         within = tighter
     return None
+
+
+def _with_rival(
+    margins: PredictedMargins, rival: LoopModel | None, trial: StepTrial, gains: Gains
+) -> PredictedMargins:
+    """The margins with upper ends that hold what a rival model foretells."""
+    if rival is None:
+        return margins
+    other, Ms, overshoot = predict(rival, trial, gains), margins.sensitivity, margins.overshoot
+    return margins._replace(
+        sensitivity=Ms._replace(high=max(Ms.high, other.sensitivity)),
+        overshoot=overshoot._replace(high=max(overshoot.high, other.overshoot)),
+    )
 
 
 def _tightened(
