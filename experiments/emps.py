@@ -226,7 +226,7 @@ def main() -> int:
     data = folder(options.data) / "emps"
     if not (data / FITTED).exists():
         reason = f"skipped: {data / FITTED} is not there; name the folder with --data"
-        return print_results({"emps": reason}, {}, as_json=options.json)
+        return print_results({"emps": reason}, {}, as_json=options.json, tables=True)
     plain = InverseDynamics.of(record(data / FITTED)).numbers()
     cases = [diagnose(data, *case) for case in (QUICK if options.quick else CASES)]
     beside = {} if options.quick else with_friction(data, float(plain[2]))

@@ -246,7 +246,7 @@ def main() -> int:
     files = sorted(data.glob("run*.csv"))
     if not files:
         reason = f"skipped: {data} has no runs; name the folder above it with --data"
-        return print_results({"oven": reason}, {}, as_json=options.json)
+        return print_results({"oven": reason}, {}, as_json=options.json, tables=True)
     runs = [read_run(file) for file in files]
     judged = runs[5:7] if options.quick else runs
     begun = time.process_time()
