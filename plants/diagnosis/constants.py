@@ -65,7 +65,7 @@ class Constants(NamedTuple):
     torque's gain, which a gauge's hysteresis shifts, is 0.0005 to 0.0015 too small. With 0.0003 as
     many of 104 values beside effects hold, but one of four of sound machines."""
     base_least: float = 0.0003
-    """Least relative error of base parameters without a gauge. Without one 27 of 32 inertias of one
+    """Least relative error of base parameters without a gauge. Without it 27 of 32 inertias of one
     block of drives hold, half intervals being 2.3 times the median error; with this 28, the others
     being of drives with an effect that is not named or not quite its law, and 2.7 times. In two
     blocks before, 30 of 32 with this and 3.9 times, 22 of 24 with 0.001 and 9.7 times."""
