@@ -142,7 +142,7 @@ def setpoint_deviation(
             for s in (1.0, -1.0)
         ]
         slopes.append((ends[0] - ends[1]) / (2.0 * share))
-    total = INFLATION * float(np.linalg.norm(slopes))
+    total = INFLATION * math.hypot(*slopes)
     return total if math.isfinite(total) else math.inf
 
 
