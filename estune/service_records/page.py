@@ -63,7 +63,7 @@ def page(suggestion: JudgedRecords) -> Page:
 
 def _replayed(suggestion: JudgedRecords) -> Iterator[Block]:
     compared = suggestion.replay
-    if compared is not None and suggestion.verdict != "other gains ran":
+    if compared is not None and compared.agrees:  # else it is the first line, or a remark
         sentence = compared.sentence()
         yield Paragraph(f"{sentence[:1].upper()}{sentence[1:]}.", style="soft")
 
