@@ -23,7 +23,7 @@ from estune.recordings.loop_log import LoopLog, read_loop_log
 from estune.service_records.advice import advise
 from estune.service_records.identification import ServicePart, identify
 from estune.service_records.replay import replay
-from estune.service_records.sources import Logs
+from estune.service_records.sources import Logs, read_logs
 from estune.service_records.stretches import Stretch, find_stretches
 from experiments.loop_claims.truth import TrueLoop, true_sensitivity
 from experiments.sample_efficiency.problems import PROBLEMS
@@ -172,6 +172,12 @@ def test_terms_that_rounded_signals_alone_would_need_are_not_said_to_have_run():
     ran = replay([Stretch("log", 0.0, setpoint, measured, effort)], own, None).ran
     assert (ran.I, ran.D, ran.setpoint_filter_s) == (0.0, 0.0, 0.0)
     assert pytest.approx(16.0, rel=1e-5) == ran.P
+
+
+def test_logs_of_a_folder_are_in_the_order_of_their_numbers(tmp_path):
+    for name in ("run10", "run2", "run9"):
+        write(tmp_path / f"{name}.csv", dict.fromkeys("tsyu", range(50)))
+    assert [log.name for log in read_logs(tmp_path).logs] == ["run2.csv", "run9.csv", "run10.csv"]
 
 
 def test_gains_of_logs_are_read_from_a_file_and_those_of_no_log_refused(tmp_path):

@@ -1,5 +1,6 @@
 """Logs below paths: files of any known format, or the trials of a run."""
 
+import re
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -91,10 +92,15 @@ def _files(paths: Iterable[Path]) -> Iterator[Path]:
             continue
         if (path / FILE_NAME).is_file():
             raise InvalidInput(f"{path} is a run; give it alone, without other logs")
-        for file in sorted(path.rglob("*")):
+        for file in sorted(path.rglob("*"), key=_numbered):
             hidden = any(part.startswith(".") for part in file.relative_to(path).parts)
             if file.is_file() and is_readable(file) and not hidden:
                 yield file
+
+
+def _numbered(path: Path) -> list[str | int]:
+    """The parts of a path, so that run2 comes before run10."""
+    return [int(part) if part.isdecimal() else part for part in re.split(r"(\d+)", str(path))]
 
 
 def _reversed(log: LoopLog) -> LoopLog:

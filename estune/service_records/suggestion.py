@@ -75,7 +75,7 @@ def suggest(
     Args:
         records: A file of any known format, a folder of them, several of both, a run, or logs.
             The gains in use are those of the last log; those of a folder are in the order of
-            their names.
+            their names, run2 before run10.
         gains: The gains that ran, of all logs or by the log's name; of the logs' metadata by
             default.
         columns: Channels of `time`, `setpoint`, `measurement` and `effort` that are not found by
