@@ -174,6 +174,14 @@ def test_terms_that_rounded_signals_alone_would_need_are_not_said_to_have_run():
     assert pytest.approx(16.0, rel=1e-5) == ran.P
 
 
+def test_a_step_beyond_the_motion_of_the_records_is_said(busy):
+    found = suggest(busy)
+    for size_N, is_said in ((1e-3, False), (1e3, True)):
+        trial = replace(found.trial, step=found.trial.step._replace(size_N=size_N))
+        remarks = replace(found, trial=trial).remarks()
+        assert any("larger than the setpoint's range" in one for one in remarks) == is_said
+
+
 def test_logs_of_a_folder_are_in_the_order_of_their_numbers(tmp_path):
     for name in ("run10", "run2", "run9"):
         write(tmp_path / f"{name}.csv", dict.fromkeys("tsyu", range(50)))

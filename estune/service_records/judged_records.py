@@ -135,6 +135,13 @@ class JudgedRecords:
                 f"Nothing is known {self.judgement.unseen}: the records do not excite it, and a "
                 "resonance there would not be seen."
             )
+        moved = self._setpoint_range()
+        if self.judgement.can_tell and self.trial.step.size_N > moved:
+            remarks.append(
+                f"The step, {self.trial.step.size_N:.3g}, is larger than the setpoint's range in "
+                f"the records, {moved:.3g}: what shows in large motion alone, as a cable that "
+                "begins to slide in an eyelet, would not be seen."
+            )
         if self.recommendation is not None and self.recommendation.price > 0.01:
             remarks.append(
                 "The uncertainty of the records costs "
@@ -144,6 +151,10 @@ class JudgedRecords:
         if self.recommendation is None or self.experiment is not None:
             remarks.append(advice(self.experiment))
         return remarks
+
+    def _setpoint_range(self) -> float:
+        setpoints = [stretch.setpoint for stretch in self.stretches]
+        return float(max(s.max() for s in setpoints) - min(s.min() for s in setpoints))
 
     def to_json(self) -> dict[str, Any]:
         """All numbers as JSON values."""
