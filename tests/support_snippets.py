@@ -74,15 +74,8 @@ class Page:
         if commands is None:
             self._run_in_shell(script)
         for command in commands or ():
-            said = io.StringIO()
-            with (
-                contextlib.redirect_stdout(said),
-                contextlib.redirect_stderr(said),
-                patch.object(signal, "signal"),
-                patch.dict(os.environ, COLUMNS="100"),
-            ):
-                code = run(command)
-            assert code == 0, f"exit code {code}:\n{said.getvalue()}"
+            code, said = _run_here(command)
+            assert code == 0, f"exit code {code}:\n{said}"
 
     def _run_in_shell(self, script):
         log = self.folder / f".log{len(self._groups)}"
@@ -102,6 +95,8 @@ class Page:
         if script.rstrip().endswith("&"):
             for port in re.findall(r"127\.0\.0\.1:(\d+)", script):
                 _await(int(port))
+            for endpoint in re.findall(r"--listen (\S+)", script):
+                _await_rig(endpoint)
 
     def close(self):
         for group in self._groups:
@@ -119,6 +114,26 @@ class Page:
                 free.bind(("127.0.0.1", 0))
                 self._ports[written] = str(free.getsockname()[1])
         return self._ports[written]
+
+
+def _run_here(command):
+    """Exit code and output of a command in this process."""
+    said = io.StringIO()
+    with (
+        contextlib.redirect_stdout(said),
+        contextlib.redirect_stderr(said),
+        patch.object(signal, "signal"),
+        patch.dict(os.environ, COLUMNS="100"),
+    ):
+        return run(command), said.getvalue()
+
+
+def _await_rig(endpoint):
+    """Waits until a rig answers: the port listens a moment before."""
+    for _ in range(round(LONGEST_S)):
+        if _run_here(["discover", endpoint])[0] == 0:
+            return
+    raise TimeoutError(f"no rig answers at {endpoint}")
 
 
 def _await(port):
