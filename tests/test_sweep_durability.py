@@ -94,7 +94,7 @@ def undisturbed(tmp_path_factory):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("kills", "seeds"), [(2, 4), pytest.param(20, 40, marks=pytest.mark.nightly)]
+    ("kills", "seeds"), [(2, 6), pytest.param(20, 40, marks=pytest.mark.nightly)]
 )
 def test_killed_sweep_loses_and_repeats_no_finished_cell(
     tmp_path, monkeypatch, undisturbed, kills, seeds
