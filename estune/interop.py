@@ -378,6 +378,8 @@ def _state_space(
         raise InvalidInput(
             "the plant has more zeros than poles; add the pole that bounds it at high frequency"
         )
+    if not (np.isfinite(num).all() and np.isfinite(den).all()):
+        raise InvalidInput("the plant has a coefficient that is not finite")
     rates = np.abs(np.roots(den))
     rates = rates[rates > 0.0]
     rate = math.exp(float(np.log(rates).mean())) if rates.size else 1.0

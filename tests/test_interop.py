@@ -152,6 +152,7 @@ def test_linear_model_has_the_systems_frequency_response(system):
         (control.ss(-np.eye(2), np.eye(2), np.eye(2), 0.0), 0.0, "2 inputs and 2 outputs; choose"),
         (control.frd([1.0, 0.5], [1.0, 2.0]), 0.0, "FrequencyResponseData; .* fit"),
         (control.ss([[math.inf]], [[1.0]], [[1.0]], [[0.0]]), 0.0, "not finite"),
+        (control.tf([math.nan], [1.0, math.inf]), 0.0, "not finite"),
         ("1/(s+1)", 0.0, "is a str"),
         (1 / (s + 1), -1.0, "dead time is -1.0 s"),
         (1 / (s + 1), math.nan, "dead time is nan s"),
