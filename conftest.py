@@ -1,5 +1,47 @@
-"""The snippets of README.md and docs/ are tests."""
+"""Settings of all tests: lanes, distribution over processes, pages whose blocks are tests."""
 
-from tests.support_snippets import SNIPPETS
+import os
+import sys
+from pathlib import Path
 
-pytest_collect_file = SNIPPETS.pytest()
+import pytest
+from hypothesis import settings
+
+from tests.support_snippets import collected_page
+
+WORKERS = 3
+"""One more than the two cores CI has, as tests of the slow lane wait for other processes."""
+
+if sys.dont_write_bytecode:
+    # Else each process of the tests compiles all modules anew: 15 s of CPU to collect the tests,
+    # and 7 s with compiled ones; hundreds of processes start a rig or a command.
+    sys.dont_write_bytecode, sys.pycache_prefix = False, str(Path(sys.prefix) / "pycache")
+    os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+    os.environ["PYTHONPYCACHEPREFIX"] = sys.pycache_prefix
+
+# Equal examples on every machine, however slow it is.
+settings.register_profile("estune", derandomize=True, deadline=None)
+settings.load_profile("estune")
+
+pytest_collect_file = collected_page
+
+
+def _whole(config: pytest.Config) -> bool:
+    """Whether no file is named on the command line."""
+    return config.args_source is config.ArgsSource.TESTPATHS
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Selects the day lane of the whole suite, both lanes of named files, the night by name.
+
+    A file that is named runs whole: else a change of a slow test would seem to pass.
+    """
+    lane = config.option.markexpr or ("not slow" if _whole(config) else "")
+    if "nightly" not in lane:
+        lane = f"({lane}) and not nightly" if lane else "not nightly"
+    config.option.markexpr = lane
+
+
+def pytest_xdist_auto_num_workers(config: pytest.Config) -> int:
+    """Workers for the whole suite; files named on the command line run in this process."""
+    return WORKERS if _whole(config) else 0

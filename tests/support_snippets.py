@@ -34,6 +34,8 @@ from itertools import takewhile
 from pathlib import Path
 from unittest.mock import patch
 
+import pytest
+from cyclopts import ValidationError
 from sybil import Region, Sybil
 from sybil.evaluators.doctest import DocTestEvaluator
 from sybil.evaluators.python import PythonEvaluator
@@ -174,6 +176,7 @@ def check_commands(text):
     subprocess.run(["bash", "-n", "-c", text], check=True)
     for line in text.replace("\\\n", " ").splitlines():
         words = [*takewhile(lambda word: word not in OPERATORS, shlex.split(line, comments=True))]
+        words = [word for word in words if not word.startswith("$")]
         if words[:1] == ["estune"]:
             app.parse_args(words[1:], exit_on_error=False, print_error=False)
         if words[:2] == ["python", "-m"]:
@@ -236,18 +239,66 @@ class FencedBlocks:
                 yield Region(region.start, region.end, source, evaluate, region.lexemes)
 
 
-def begin(namespace):
-    namespace["page"] = Page()
+class PageBlocks(pytest.Item):
+    """All blocks of a page in order, in one folder and one namespace."""
+
+    line = 1
+
+    def runtest(self):
+        document = SNIPPETS.parse(self.path)
+        page = document.namespace["page"] = Page()
+        try:
+            for example in document.examples():
+                self.line = example.line
+                example.evaluate()
+        finally:
+            page.close()
+
+    def reportinfo(self):
+        return self.path, None, self.name
+
+    def repr_failure(self, excinfo):
+        return f"{self.path}:{self.line}\n{super().repr_failure(excinfo)}"
 
 
-def end(namespace):
-    namespace["page"].close()
+class PageCommands(pytest.Item):
+    """The commands of a page of the slow lane exist, with their options."""
+
+    def runtest(self):
+        for text in programs(self.path):
+            with contextlib.suppress(ValidationError):  # a value names what the page writes
+                check_commands(text)
+
+    def reportinfo(self):
+        return self.path, None, self.name
+
+
+def programs(path):
+    """The blocks of a page that start programs."""
+    regions = SNIPPETS.parse(path)
+    return [
+        e.parsed for e in regions.examples() if (e.region.lexemes or {}).get("language") == "bash"
+    ]
+
+
+class PageFile(pytest.File):
+    """A page; of the slow lane if one of its blocks starts programs."""
+
+    def collect(self):
+        blocks = PageBlocks.from_parent(self, name="blocks")
+        yield blocks
+        if programs(self.path):
+            blocks.add_marker("slow")
+            yield PageCommands.from_parent(self, name="commands")
 
 
 SNIPPETS = Sybil(
-    parsers=[FencedBlocks()],
-    patterns=["README.md", "docs/*.md", "docs/*/*.md"],
-    path=str(ROOT),
-    setup=begin,
-    teardown=end,
+    parsers=[FencedBlocks()], patterns=["README.md", "docs/*.md", "docs/*/*.md"], path=str(ROOT)
 )
+
+
+def collected_page(file_path, parent):
+    """What pytest collects of a file: its blocks, if it is a page."""
+    if SNIPPETS.should_parse(file_path):
+        return PageFile.from_parent(parent, path=file_path)
+    return None
