@@ -15,7 +15,7 @@ from estune.errors import EstuneError, InvalidInput, JournalError, RigError
 from estune.loop_model.optimum import RobustnessLimits
 from estune.run import archived_run, loop, progress
 from estune.run.approval import ApprovalCallback
-from estune.run.journal import RECORDS_LEAST, Journal
+from estune.run.journal import RECORDS_LEAST, RUNS, Journal
 from estune.run.labels import write_numbers
 from estune.run.loop import ProgressListener, Stopped, TuningRun
 from estune.run.plan import Search
@@ -37,9 +37,6 @@ if TYPE_CHECKING:
     from estune.run.results.result import TuneResult
 else:
     Security = Any  # slow to import
-
-RUNS = "runs"
-"""Default folder of runs, in the working directory."""
 
 
 @dataclass(frozen=True, kw_only=True)

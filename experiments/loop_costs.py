@@ -22,8 +22,9 @@ import numpy as np
 import plants
 from estune.core.gains import Gains
 from estune.run.loop import start
+from estune.run.phase import Phase
 from estune.run.planning import make_plan
-from estune.run.session import Phase, next_request
+from estune.run.session import next_request
 from estune.service_records.sources import Logs
 from estune.service_records.suggestion import suggest
 from estune.studies.sweep.cells import expand_cells

@@ -12,7 +12,8 @@ from estune.errors import JournalError, ProtocolError
 from estune.run import disk_space, loop, snapshot
 from estune.run.compressed_frame import compress, decompress
 from estune.run.journal import FILE_NAME, CompletedTrial, Journal
-from estune.run.session import Phase, next_request
+from estune.run.phase import Phase
+from estune.run.session import next_request
 from estune.support import sqlite
 from estune.trial import TrialRequest, record_frame
 from estune.tuners import TUNERS

@@ -15,10 +15,10 @@ from estune.errors import InvalidInput
 from estune.loop_model.optimum import RobustnessLimits
 from estune.run.ending import RunEnding
 from estune.run.loop import Stopped
+from estune.run.phase import Phase
 from estune.run.results.result import TuneResult
 from estune.run.results.tuning_data import tuning_data
 from estune.run.robustness import claim_from, identify
-from estune.run.session import Phase
 from estune.trial import Outcome, TrialRequest
 from estune.trial.loop_records import loop_signals
 from estune.trial.profiles import LoadStepProfile, StepProfile

@@ -15,8 +15,8 @@ from estune.core.gains import Gains
 from estune.errors import JournalError
 from estune.run.ending import RunEnding
 from estune.run.loop import Stopped
+from estune.run.phase import Phase
 from estune.run.results import figures
-from estune.run.session import Phase
 from estune.support import plot_style
 from estune.trial import LinearModel, Outcome
 from estune.trial.scoring import cost_of, metrics_of

@@ -10,13 +10,13 @@ from hypothesis import strategies as st
 from estune.core.cost import StepCost
 from estune.core.gains import GAIN_NAMES
 from estune.errors import InvalidInput
+from estune.run.phase import Phase
 from estune.run.plan import CONFIRMATION_REPEATS_MAX, Plan
 from estune.run.planning import make_plan, plan_from_json, plan_to_json
 from estune.run.results.summary import summarise
 from estune.run.session import (
     CONSECUTIVE_CENSORED_MAX,
     UNSAFE_RATIO,
-    Phase,
     after_trial,
     new_session,
     next_request,

@@ -151,6 +151,7 @@ def export_controller(
         board_files,
         compensation_files,
     )
+    from estune.run.journal import RUNS  # noqa: PLC0415
     from estune.support.whole_file import write_file  # noqa: PLC0415  as above
 
     if not c:
@@ -164,7 +165,7 @@ def export_controller(
     elif board:
         raise InvalidInput("a board's program has the limits of a rig; give the rig's file")
     else:
-        result = api.load(find_run(source, folder or Path(api.RUNS)))
+        result = api.load(find_run(source, folder or Path(RUNS)))
         settings, gains = result.rig.controller, result.start_gains if start else result.gains
     files[out] = controller_source(settings, gains)
     if schedule is not None:

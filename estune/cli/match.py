@@ -11,9 +11,9 @@ from rich.text import Text
 
 from estune.cli import output
 from estune.cli.interruption import continued_by_same_command
-from estune.cli.options import NO_COST, NO_STEP, CostOptions, StepOptions
+from estune.cli.options import NO_COST, NO_STEP, CostOptions, StepOptions, TunerName
 from estune.cli.tune import trial_of
-from estune.cli.values import Flag, TunerName, check_folder_exists, security_from
+from estune.cli.values import Flag, check_folder_exists, security_from
 from estune.errors import EstuneError, InvalidInput, RigError
 from estune.run.targets import is_endpoint, open_target
 from estune.studies.match import procedure

@@ -1,15 +1,35 @@
 """Options of the command line made from declared settings."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, make_dataclass
 from typing import Annotated, Any, ClassVar, TypeVar
 
 from cyclopts import Group, Parameter
+from cyclopts.completion import CompletionContext
 
 from estune.cli.values import share_from
 from estune.core.setting import Declared
 from estune.loop_model.optimum import RobustnessLimits
 from estune.run.toml_tables import COST, LIMITS, SEARCH, STEP, SettingsGroup
+from estune.tuners import TUNERS, tuner_class
+
+
+def _check_tuner(_kind: Any, name: str) -> None:
+    tuner_class(name)
+
+
+def _tuner_names(_context: CompletionContext) -> Iterable[tuple[str, str]]:
+    return [(name, tuner.purpose) for name, tuner in TUNERS.items()]
+
+
+TunerName = Annotated[
+    str,
+    Parameter(
+        validator=_check_tuner,
+        completer=_tuner_names,
+        help=f"Tuner: {', '.join(TUNERS)}, or module:Class of your own tuner.",
+    ),
+]
 
 
 @dataclass(frozen=True, kw_only=True)

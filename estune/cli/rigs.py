@@ -4,7 +4,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from estune import api
+import estune
 from estune.cli import output
 from estune.cli.runs import find_run
 from estune.cli.values import Flag, RunName, command_line, security_from, share_from
@@ -14,6 +14,7 @@ from estune.errors import InvalidInput, RigError
 from estune.proof.patch import SUFFIX as PATCH_SUFFIX
 from estune.remote import messages, zenoh
 from estune.remote.security import Security
+from estune.run.journal import RUNS
 from estune.run.limit_verdict import LimitState
 from estune.run.robustness import claim_from
 from estune.run.targets import open_target
@@ -57,7 +58,7 @@ def apply(
     backoff: str = "0%",
     rig: str | None = None,
     security: Path | None = None,
-    folder: Path = Path(api.RUNS),
+    folder: Path = Path(RUNS),
 ) -> None:
     """Make the gains of a run, or its start gains, live on a rig; or put a patch in a rig's file.
 
@@ -76,7 +77,7 @@ def apply(
 
         apply_patch(Path(run), Path(target), yes=yes)
         return
-    result = api.load(find_run(run, folder))
+    result = estune.load(find_run(run, folder))
     share = share_from("--backoff", backoff)
     _check_gains(result, start=start, share=share)
     if not (start or yes):

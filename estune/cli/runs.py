@@ -9,16 +9,14 @@ from typing import TYPE_CHECKING, Any
 
 from rich.text import Text
 
-from estune import api
+import estune
 from estune.cli import output
 from estune.cli.values import Flag, RunName, command_line
-from estune.core.gains import GAIN_NAMES
 from estune.errors import EstuneError, InvalidInput, JournalError
 from estune.run.ending import RunEnding
-from estune.run.journal import FILE_NAME, Journal, being_written
+from estune.run.journal import FILE_NAME, RUNS, Journal, being_written
 from estune.run.labels import ListedNumbers, read_labels, read_numbers
-from estune.run.progress import counting
-from estune.run.session import Phase
+from estune.run.phase import Phase
 from estune.support.quantity_text import time_text
 
 if TYPE_CHECKING:
@@ -42,7 +40,7 @@ _COLUMNS: dict[str, Callable[[dict[str, Any]], str]] = {
 """Columns of the list of runs."""
 
 
-def list_runs(folder: Path = Path(api.RUNS), *, json: Flag = False) -> None:
+def list_runs(folder: Path = Path(RUNS), *, json: Flag = False) -> None:
     """List the runs of a folder, newest first.
 
     Args:
@@ -66,7 +64,7 @@ def show(
     run: RunName,
     /,
     *,
-    folder: Path = Path(api.RUNS),
+    folder: Path = Path(RUNS),
     trials: Flag = False,
     forms: Flag = False,
     json: Flag = False,
@@ -81,13 +79,15 @@ def show(
         json: Print JSON.
     """
     path = find_run(run, folder)
-    result = api.load(path)
+    result = estune.load(path)
     state = _state(path, result)
     if json:
         output.print_json(result_facts(result, trials=trials) | {"state": state})
         return
     output.show_result(result)
     if trials:
+        from estune.core.gains import GAIN_NAMES  # noqa: PLC0415  slow to import
+
         frame = result.to_frame()[["number", "phase", *GAIN_NAMES, "cost", "best_cost", "outcome"]]
         heads = ("trial", "phase", "P", "I", "D", "filter_s", "cost", "best", "outcome")
         output.show_table(heads, (map(_cell, row) for row in frame.itertuples(index=False)))
@@ -112,7 +112,7 @@ def report(
     /,
     *,
     out: Path | None = None,
-    folder: Path = Path(api.RUNS),
+    folder: Path = Path(RUNS),
 ) -> None:
     """Write the report of a run as one HTML page that works offline and prints well.
 
@@ -122,7 +122,7 @@ def report(
         folder: Folder of runs.
     """
     path = find_run(run, folder)
-    output.show_next({"report": api.load(path).report(out or path / REPORT_NAME)})
+    output.show_next({"report": estune.load(path).report(out or path / REPORT_NAME)})
 
 
 def export(
@@ -134,7 +134,7 @@ def export(
     mcap: Flag = False,
     per_trial: Flag = False,
     out: Path | None = None,
-    folder: Path = Path(api.RUNS),
+    folder: Path = Path(RUNS),
     quiet: Flag = False,
 ) -> None:
     """Write a run's trial records as files, Parquet unless CSV is chosen.
@@ -150,7 +150,8 @@ def export(
         folder: Folder of runs.
         quiet: Show no progress.
     """
-    from estune.run.results.export import export_run, export_trials  # noqa: PLC0415  only needed here
+    from estune.run.progress import counting  # noqa: PLC0415  slow to import
+    from estune.run.results.export import export_run, export_trials  # noqa: PLC0415  slow to import
 
     if csv + parquet + mcap > 1:
         raise InvalidInput(
@@ -212,7 +213,7 @@ def _summary(path: Path) -> dict[str, Any]:
             known = list(filter(math.isfinite, costs))
             listed = ListedNumbers(start_cost=fmean(known) if known else None)
         else:
-            listed = listed if listed.ending else api.load(path).listed_numbers
+            listed = listed if listed.ending else estune.load(path).listed_numbers
             state = str(listed.ending)
     except EstuneError as error:
         state = f"unreadable: {error}"

@@ -18,12 +18,12 @@ from estune.cli.options import (
     LimitOptions,
     SearchOptions,
     StepOptions,
+    TunerName,
 )
 from estune.cli.runs import find_run, result_facts
 from estune.cli.values import (
     Flag,
     RunName,
-    TunerName,
     Values,
     check_folder_exists,
     command_line,
@@ -33,7 +33,7 @@ from estune.cli.values import (
 )
 from estune.core.gains import GAIN_NAMES
 from estune.errors import InvalidInput
-from estune.run.journal import Journal
+from estune.run.journal import RUNS, Journal
 from estune.run.planning import known_start, suited_step
 from estune.run.start import KnownStart
 from estune.run.targets import is_endpoint, open_target
@@ -62,7 +62,7 @@ def tune(
     security: Path | None = None,
     patience: float | None = None,
     run: str | None = None,
-    folder: Path = Path(api.RUNS),
+    folder: Path = Path(RUNS),
     records: int | None = None,
     report: Path | None = None,
     quiet: Flag = False,
@@ -140,7 +140,7 @@ def resume(
     target: str | None = None,
     security: Path | None = None,
     patience: float | None = None,
-    folder: Path = Path(api.RUNS),
+    folder: Path = Path(RUNS),
     report: Path | None = None,
     quiet: Flag = False,
     json: Flag = False,

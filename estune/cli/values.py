@@ -12,7 +12,6 @@ from cyclopts.completion import CompletionContext
 
 from estune.core.setting import share
 from estune.errors import InvalidInput
-from estune.tuners import TUNERS, tuner_class
 
 if TYPE_CHECKING:
     from estune.remote.security import Security
@@ -32,28 +31,9 @@ Effects = Annotated[
 """Effects of the user's own, each as module:Class."""
 
 
-def _check_tuner(_kind: Any, name: str) -> None:
-    tuner_class(name)
-
-
-def _tuner_names(_context: CompletionContext) -> Iterable[tuple[str, str]]:
-    return [(name, tuner.purpose) for name, tuner in TUNERS.items()]
-
-
-TunerName = Annotated[
-    str,
-    Parameter(
-        validator=_check_tuner,
-        completer=_tuner_names,
-        help=f"Tuner: {', '.join(TUNERS)}, or module:Class of your own tuner.",
-    ),
-]
-
-
 def _run_names(context: CompletionContext) -> Iterable[str]:
     """Names of the runs in the folder that is given, or else in the default one."""
-    from estune.api import RUNS  # noqa: PLC0415  slow to import
-    from estune.run.journal import FILE_NAME  # noqa: PLC0415  slow to import
+    from estune.run.journal import FILE_NAME, RUNS  # noqa: PLC0415  slow to import
 
     folder = Path(context["folder"].raw or RUNS)
     return sorted(path.parent.name for path in folder.glob(f"*/{FILE_NAME}"))

@@ -5,13 +5,12 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from estune import api
 from estune.cli.runs import find_run
 from estune.cli.values import Flag, RunName, security_from
 from estune.errors import RigError
 from estune.remote.security import Security
 from estune.remote.zenoh.endpoints import check_endpoint
-from estune.run.journal import FILE_NAME
+from estune.run.journal import FILE_NAME, RUNS
 from estune.run.targets import is_endpoint
 
 if TYPE_CHECKING:
@@ -28,7 +27,7 @@ def watch(
     allow_commands: Flag = False,
     allow_remote: Flag = False,
     security: Path | None = None,
-    folder: Path = Path(api.RUNS),
+    folder: Path = Path(RUNS),
 ) -> None:
     """Show runs, rigs and daemons live on a page in the browser.
 

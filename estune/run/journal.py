@@ -9,16 +9,21 @@ import math
 import shlex
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any, NamedTuple, Self
+from typing import TYPE_CHECKING, Any, NamedTuple, Self
 
-from estune.core.gains import Gains
 from estune.errors import JournalError, ProtocolError
-from estune.run.compressed_frame import compress, decompress
-from estune.run.session import Phase
+from estune.run.phase import Phase
 from estune.support.closing import Closing
 from estune.support.garbage import collection_paused
 from estune.support.sqlite import FileKind, SqliteFile, has_writer
-from estune.trial import Outcome, TrialRecord, TrialRequest, record_frame
+from estune.trial.outcome import Outcome
+
+if TYPE_CHECKING:
+    from estune.core.gains import Gains
+    from estune.trial import TrialRecord, TrialRequest
+
+RUNS = "runs"
+"""Folder of runs, unless another one is given."""
 
 FILE_NAME = "run.sqlite"
 
@@ -79,16 +84,18 @@ class JournalEntry(NamedTuple):
     margin: float = math.inf
 
     @property
-    def gains(self) -> Gains:
+    def gains(self) -> "Gains":
         """The requested gains."""
+        from estune.core.gains import Gains  # noqa: PLC0415  slow to import
+
         return Gains(*self.gain_values)
 
 
 class CompletedTrial(NamedTuple):
     """A trial to be committed; the reason is its outcome in words, or why it has no cost."""
 
-    request: TrialRequest
-    record: TrialRecord
+    request: "TrialRequest"
+    record: "TrialRecord"
     cost: float
     margin: float
     reason: str = ""
@@ -164,13 +171,16 @@ class Journal(Closing):
         _write_facts(self._file, facts)
 
     def commit(
-        self, finished: CompletedTrial | None, following: tuple[TrialRequest, Phase] | None
+        self, finished: CompletedTrial | None, following: "tuple[TrialRequest, Phase] | None"
     ) -> None:
         """Commits a finished trial with its record and cost, and the request that follows it.
 
         Raises:
             JournalError: it could not be committed; nothing was changed.
         """
+        from estune.run.compressed_frame import compress  # noqa: PLC0415  slow to import
+        from estune.trial import record_frame  # noqa: PLC0415  slow to import
+
         now = datetime.now(UTC).isoformat(timespec="milliseconds")
         frame = compress(record_frame.encode(finished.record)) if finished else b""
         with self._file.transaction():
@@ -223,12 +233,15 @@ class Journal(Closing):
                 entries.append(JournalEntry(n, attempt, name, _PHASES[phase], gains, *ending))
         return entries
 
-    def record(self, trial_id: str) -> TrialRecord:
+    def record(self, trial_id: str) -> "TrialRecord":
         """The record of one trial.
 
         Raises:
             JournalError: the run holds no record of that trial, or a damaged one.
         """
+        from estune.run.compressed_frame import decompress  # noqa: PLC0415  slow to import
+        from estune.trial import record_frame  # noqa: PLC0415  slow to import
+
         rows = self._file.rows(
             "SELECT frame FROM trial JOIN record USING (number, attempt) WHERE trial_id=?",
             trial_id,

@@ -15,10 +15,10 @@ from estune.run.approval import ApprovalCallback, approval_request
 from estune.run.failed_trials import declined, run_trial
 from estune.run.first_trial import BACKWARDS, adopted, check_answer, moved_backwards
 from estune.run.journal import CompletedTrial, Journal, JournalEntry
+from estune.run.phase import Phase
 from estune.run.plan import Plan
 from estune.run.recorded import with_recorded
 from estune.run.session import (
-    Phase,
     Session,
     after_trial,
     is_unsafe,

@@ -22,7 +22,7 @@ from rich.text import Text
 
 from estune.run.disk_space import DiskForecast
 from estune.run.loop import Progress, ProgressListener, TuningRun
-from estune.run.session import Phase
+from estune.run.phase import Phase
 
 _REDRAW_S = 0.25
 """Minimum time between two drawings."""

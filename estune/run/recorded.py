@@ -9,7 +9,8 @@ from dataclasses import replace
 
 from estune.core.gains import Gains
 from estune.run.confirmation import confirming
-from estune.run.session import Phase, Session, known_costs
+from estune.run.phase import Phase
+from estune.run.session import Session, known_costs
 from estune.tuners.interface import RecordUsingTuner
 
 

@@ -14,7 +14,6 @@ restores the session and all later proposals, bit for bit unless `estune.run.rec
 
 import math
 from dataclasses import dataclass, replace
-from enum import StrEnum
 from statistics import fmean
 from typing import Any
 
@@ -23,21 +22,11 @@ from estune.core.gains import Gains
 from estune.loop_model.records import LoopRecord
 from estune.run.confirmation import confirming, extended
 from estune.run.excitation import ExcitationTrial, excitation_trial
+from estune.run.phase import Phase
 from estune.run.plan import Plan
 from estune.trial import Outcome, RigDescription, TrialRequest
 from estune.tuners.interface import CostPrediction, PredictingTuner, RecordUsingTuner
 from estune.tuners.observation import Observation
-
-
-class Phase(StrEnum):
-    """Phase of a run."""
-
-    BASELINE = "baseline"
-    SEARCH = "search"
-    EXCITE = "excite"
-    CHOOSE = "choose"
-    CONFIRM = "confirm"
-
 
 UNSAFE_RATIO = 3.0
 """Default of the unsafe cost, as a multiple of the initial cost."""

@@ -25,6 +25,7 @@ INTERVAL = 500
 
 _MODULES = (
     *("estune.core.", "estune.loop_model.", "estune.trial.", "estune.tuners."),
+    "estune.run.phase",
     "estune.run.plan",
     "estune.run.session",
 )

@@ -13,7 +13,8 @@ from estune.core.controller_form import OWN_FORM, ControllerForm
 from estune.core.quantities import FloatArray
 from estune.errors import InvalidInput
 from estune.trial.description import RigDescription
-from estune.trial.records import SATURATED, Outcome, TrialRecord
+from estune.trial.outcome import Outcome
+from estune.trial.records import SATURATED, TrialRecord
 
 REPRODUCED = 0.01
 """Residual of the increments of the effort, as a share of them, up to which a form reproduces the

@@ -13,8 +13,9 @@ from estune.core.controller_equation import unlimited_effort
 from estune.core.quantities import FloatArray
 from estune.loop_model.records import LoopRecord
 from estune.trial.description import RigDescription
+from estune.trial.outcome import Outcome
 from estune.trial.profiles import StepProfile
-from estune.trial.records import SATURATED, Outcome, TrialRecord
+from estune.trial.records import SATURATED, TrialRecord
 
 LAGS = (-2, -1, 0, 1, 2)
 """Shifts of the logged effort that are compared with none, in samples."""

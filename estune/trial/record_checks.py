@@ -5,7 +5,8 @@ from datetime import datetime
 import numpy as np
 
 from estune.trial.description import RigDescription
-from estune.trial.records import COLUMNS, Outcome, TrialRecord, TrialRequest
+from estune.trial.outcome import Outcome
+from estune.trial.records import COLUMNS, TrialRecord, TrialRequest
 
 STEP_MAX = 10.0
 """Sampling interval, in periods, from which the rig's clock has jumped."""

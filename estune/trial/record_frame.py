@@ -28,8 +28,9 @@ from estune.core.gains import GAIN_NAMES, Gains
 from estune.errors import ProtocolError
 from estune.support.plain_fault import plain_fault
 from estune.support.printable import printable_json
+from estune.trial.outcome import Outcome
 from estune.trial.profiles import Kind, Loop
-from estune.trial.records import COLUMNS, OPTIONAL_COLUMNS, Outcome, TrialRecord
+from estune.trial.records import COLUMNS, OPTIONAL_COLUMNS, TrialRecord
 
 if TYPE_CHECKING:
     from pydantic import TypeAdapter

@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 
 from estune.core.gains import Gains
 from estune.core.quantities import FloatArray
-from estune.core.sentence_enum import SentenceEnum
 from estune.trial.description import RigDescription, omitted_if
+from estune.trial.outcome import Outcome
 from estune.trial.profiles import Kind, Loop, Profile
 
 SATURATED, GUARD, LATE = 1, 2, 4
@@ -27,22 +27,6 @@ COMPENSATION_COLUMNS = (
 
 OPTIONAL_COLUMNS = ("reference_N", *COMPENSATION_COLUMNS)
 """Columns that only some rigs record."""
-
-
-class Outcome(SentenceEnum):
-    """End of a trial. Only `done` has a cost; void trials carry no information on the gains."""
-
-    DONE = "done", "the trial ran to its end"
-    DIVERGED = "diverged", "the response left the finite range"
-    GUARD = "guard", "the rig's guard ended the trial at one of its limits"
-    CANCELLED = "cancelled", "the trial was stopped by the operator"
-    INTERRUPTED = "interrupted", "the rig stopped in the middle of the trial"
-    DECLINED = "declined", "the operator declined the trial"
-
-    @property
-    def is_void(self) -> bool:
-        """Whether the trial carries no information on its gains and may be repeated."""
-        return self in (Outcome.CANCELLED, Outcome.INTERRUPTED)
 
 
 @dataclass(frozen=True, slots=True)

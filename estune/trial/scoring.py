@@ -18,8 +18,9 @@ from estune.core.quantities import FloatArray
 from estune.errors import RigError
 from estune.trial.description import RigDescription
 from estune.trial.effort_scale import measured_effort_scale
+from estune.trial.outcome import Outcome
 from estune.trial.profiles import StepProfile
-from estune.trial.records import Outcome, TrialRecord
+from estune.trial.records import TrialRecord
 
 
 def cost_of(

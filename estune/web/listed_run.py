@@ -8,7 +8,7 @@ from typing import Any
 from estune.errors import EstuneError
 from estune.run.journal import FILE_NAME, Journal, being_written
 from estune.run.labels import LABELS, NUMBERS, ListedNumbers, read_labels, read_numbers
-from estune.run.session import Phase
+from estune.run.phase import Phase
 from estune.trial import Outcome
 
 _COMPARED = (Phase.BASELINE, Phase.SEARCH)

@@ -21,8 +21,9 @@ from estune.core.quantities import FloatArray
 from estune.errors import EstuneError
 from estune.run import loop, snapshot
 from estune.run.journal import Journal, JournalEntry, being_written
+from estune.run.phase import Phase
 from estune.run.planning import description_from_json, plan_from_json
-from estune.run.session import UNSAFE_RATIO, Phase, Session, is_safe, predict_next
+from estune.run.session import UNSAFE_RATIO, Session, is_safe, predict_next
 from estune.support.quantity_text import axis_label
 from estune.trial import Outcome, RigDescription, TrialRecord
 from estune.tuners import tuner_space

@@ -15,6 +15,7 @@ from estune.cli.runs import find_run
 from estune.cli.values import Flag, Values, check_folder_exists, numbers_from, security_from
 from estune.core.gains import GAIN_NAMES, Gains
 from estune.errors import InvalidInput
+from estune.run.journal import RUNS
 
 if TYPE_CHECKING:
     from plants.bench.cable_platform.force_benches import TestedReel
@@ -33,7 +34,7 @@ def bench(
     drum_radius: float = 0.025,
     part: float = 9.0,
     seed: int = 0,
-    folder: Path = Path(api.RUNS),
+    folder: Path = Path(RUNS),
     report: Path = Path("bench.html"),
     json: Flag = False,
     security: Path | None = None,

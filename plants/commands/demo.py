@@ -6,9 +6,11 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from estune import api
+from estune.cli.options import TunerName
 from estune.cli.tune import finish
-from estune.cli.values import Flag, TunerName
+from estune.cli.values import Flag
 from estune.cli.watch import PORT, watch
+from estune.run.journal import RUNS
 from estune.run.loop import Stopped
 from estune.support.child_process import child_process, next_line
 from estune.tuners import DEFAULT_TUNER
@@ -27,7 +29,7 @@ def demo(
     pace: float = 0.1,
     page: Flag = False,
     port: int = PORT,
-    folder: Path = Path(api.RUNS),
+    folder: Path = Path(RUNS),
 ) -> int:
     """Tune a simulated reel, which runs in another process, over Zenoh.
 

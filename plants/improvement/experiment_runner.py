@@ -14,6 +14,7 @@ from estune.core.gains import Gains
 from estune.core.quantities import FloatArray
 from estune.errors import Interrupted, InvalidInput, RigError
 from estune.run.failed_trials import run_trial
+from estune.run.journal import RUNS
 from estune.run.loop import CONSECUTIVE_VOID_MAX
 from estune.run.planning import description_from_json, description_to_json
 from estune.run.results.export import write_record
@@ -128,7 +129,7 @@ class ExperimentRunner:
 
 def default_folder() -> Path:
     """A folder of runs named by the time of day."""
-    return Path(api.RUNS) / f"improve-{datetime.now().astimezone():%Y%m%d-%H%M%S}"
+    return Path(RUNS) / f"improve-{datetime.now().astimezone():%Y%m%d-%H%M%S}"
 
 
 def begin(rig: Rig, folder: Path, model: str, say: Say) -> ExperimentRunner:

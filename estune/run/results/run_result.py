@@ -29,6 +29,7 @@ from estune.run.ending import RunEnding
 from estune.run.journal import Journal, JournalEntry
 from estune.run.labels import ListedNumbers
 from estune.run.limit_verdict import LimitVerdict, measured_overshoot
+from estune.run.phase import Phase
 from estune.run.plan import Plan
 from estune.run.results import result_warnings
 from estune.run.results.sentences import (
@@ -49,7 +50,7 @@ from estune.run.robustness import (
     limit_price,
     robustness_cells,
 )
-from estune.run.session import Phase, Session, is_safe, is_unsafe
+from estune.run.session import Session, is_safe, is_unsafe
 from estune.run.trial_quality import quality_remarks
 from estune.trial import Rig, RigDescription, TrialRecord
 from estune.trial.scoring import constraint_margin

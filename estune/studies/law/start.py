@@ -12,7 +12,7 @@ from estune.core.gains import GAIN_NAMES, Gains
 from estune.errors import InvalidInput, JournalError
 from estune.loop_model.optimum import RobustnessLimits
 from estune.loop_model.prediction import StepTrial
-from estune.run.journal import FILE_NAME
+from estune.run.journal import FILE_NAME, RUNS
 from estune.run.start import KnownStart, StartRule
 from estune.service_records.sources import RATES_APART, read_logs
 from estune.service_records.suggestion import suggest
@@ -93,7 +93,7 @@ def _by_records(
 
 
 def _run_folder(run: str) -> Path:
-    for path in (Path(run), Path(api.RUNS) / run):
+    for path in (Path(run), Path(RUNS) / run):
         if (path / FILE_NAME).is_file():
             return path
     raise JournalError(f"there is no run {run}; list the runs with: estune list")

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 from estune import api
 from estune.errors import EstuneError, InvalidInput, UnsafeStart
-from estune.run.journal import FILE_NAME
+from estune.run.journal import FILE_NAME, RUNS
 from estune.run.loop import ProgressListener
 from estune.run.start import KnownStart
 from estune.studies.sweep.cells import Cell, open_rig
@@ -78,7 +78,7 @@ def _tune(cell: Cell, rig: Rig, runs: Path | None, watch: ProgressListener | Non
         return api.resume(runs / name, rig, watch=watch)
     return api.tune(
         rig, tuner=cell.tuner, start=cell.start, step=cell.step, cost=cell.cost, run=name,
-        folder=runs or api.RUNS, journal=runs is not None, watch=watch, **cell.search,
+        folder=runs or RUNS, journal=runs is not None, watch=watch, **cell.search,
     )  # fmt: skip
 
 
