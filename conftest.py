@@ -20,7 +20,7 @@ if sys.dont_write_bytecode:
     os.environ["PYTHONPYCACHEPREFIX"] = sys.pycache_prefix
 
 # Equal examples on every machine, however slow it is.
-settings.register_profile("estune", derandomize=True, deadline=None)
+settings.register_profile("estune", derandomize=True, deadline=None, max_examples=40)
 settings.load_profile("estune")
 
 pytest_collect_file = collected_page

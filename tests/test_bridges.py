@@ -289,6 +289,7 @@ def is_part(whole, part):
     return all(value in rest for value in part)
 
 
+@pytest.mark.slow
 def test_trials_are_shown_in_plotjuggler_and_ros_by_processes_of_their_own(router, store):
     session, ros = router
     received, records = Received(session), []

@@ -162,6 +162,7 @@ def test_trial_whose_first_reply_is_lost_runs_once():
     assert rig.requests == trials
 
 
+@pytest.mark.slow
 def test_trial_survives_a_rig_frozen_longer_than_the_lease():
     with served("unhurried") as server, zenoh.connect(server.endpoint, timeout_s=10.0) as client:
         server.process.send_signal(signal.SIGSTOP)
@@ -169,6 +170,7 @@ def test_trial_survives_a_rig_frozen_longer_than_the_lease():
         assert same(client.run(trial()), replace(response(trial()), rig="reel"))
 
 
+@pytest.mark.slow
 def test_rig_killed_during_a_trial_raises_that_it_may_have_run():
     with (
         served("slow scripted") as server,
@@ -214,6 +216,7 @@ def run_across_a_restart(kind: str, first: Path, second: Path):
             yield client, results[0]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["slow scripted", "moving scripted"])
 def test_trial_interrupted_by_a_restart_is_reported_not_repeated(kind, tmp_path):
     with run_across_a_restart(kind, tmp_path / "l", tmp_path / "l") as (client, record):
@@ -224,17 +227,20 @@ def test_trial_interrupted_by_a_restart_is_reported_not_repeated(kind, tmp_path)
         assert client.run(trial()).outcome is Outcome.INTERRUPTED
 
 
+@pytest.mark.slow
 def test_trial_on_a_moving_rig_without_its_ledger_is_not_repeated(tmp_path):
     with run_across_a_restart("moving scripted", tmp_path / "1", tmp_path / "2") as (_, error):
         assert "with another ledger" in str(error)
         assert "trial run-00000 may have run" in str(error)
 
 
+@pytest.mark.slow
 def test_trial_on_a_simulated_rig_without_its_ledger_is_repeated(tmp_path):
     with run_across_a_restart("slow scripted", tmp_path / "1", tmp_path / "2") as (_, record):
         assert same(record, replace(response(trial()), rig="reel"))
 
 
+@pytest.mark.slow
 def test_client_follows_a_rig_restarted_between_trials(tmp_path):
     ledger = tmp_path / "ledger"
     with served("scripted", ledger=ledger) as server, zenoh.connect(server.endpoint) as client:
@@ -246,6 +252,7 @@ def test_client_follows_a_rig_restarted_between_trials(tmp_path):
             assert client.run(trial(1)).outcome is Outcome.DONE
 
 
+@pytest.mark.slow
 def test_client_killed_during_a_trial_stops_it():
     text = """
 import sys
@@ -265,6 +272,7 @@ zenoh.connect(sys.argv[1]).run(trial())
         assert "for 1 s, so the lease expired" in record.reason
 
 
+@pytest.mark.slow
 def test_lease_is_renewed_while_the_main_thread_computes():
     text = """
 import sys, time

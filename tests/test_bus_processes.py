@@ -14,6 +14,7 @@ from tests.support_rigs import ScriptedRig
 from tests.test_bus import SOON_S, end, script, trial, until
 
 
+@pytest.mark.slow
 def test_client_process_ends_without_close():
     text = """
 import sys
@@ -26,6 +27,7 @@ print(rig.run(trial()).outcome)
         assert end(script(text, server.endpoint)).split() == ["done"]
 
 
+@pytest.mark.slow
 def test_server_process_without_close_stops_its_trial_and_ends():
     text = """
 import threading
@@ -49,6 +51,7 @@ while not rig.requests:
     assert "cancelled" in end(script(text))
 
 
+@pytest.mark.slow
 def test_ctrl_c_interrupts_run_and_abort_stops_the_trial():
     text = """
 import signal, sys

@@ -278,6 +278,7 @@ def test_export_writes_one_file_per_trial(tuned, form, tmp_path, here):
     assert done.startswith(f"{trials} trials")
 
 
+@pytest.mark.slow
 def test_ctrl_c_reports_live_gains_and_resume_continues(tmp_path, here):
     with served("--pace", "0.1") as endpoint:
         options = ["--trials", "6", "--run", "cut", "--folder", str(tmp_path)]
@@ -312,6 +313,7 @@ def test_ctrl_c_reports_live_gains_and_resume_continues(tmp_path, here):
     assert again.entries[: result.nfev] == result.entries
 
 
+@pytest.mark.slow
 def test_estop_holds_the_rig_across_restarts_until_cleared(tmp_path, here):
     with served("--name", "drum", ledger=tmp_path / "ledger") as endpoint:
         assert "drum is stopped" in here("estop", endpoint, "--reason", "smoke")
@@ -323,6 +325,7 @@ def test_estop_holds_the_rig_across_restarts_until_cleared(tmp_path, here):
         assert "idle" in here("discover", endpoint)
 
 
+@pytest.mark.slow
 def test_demo_tunes_a_reel_in_another_process_and_ends_it(tmp_path):
     done = call("demo", "--trials", 25, "--pace", 0, "--folder", tmp_path)
     assert "TUNED: reel, " in done.stdout

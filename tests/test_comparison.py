@@ -45,7 +45,9 @@ OTHERS = [
 """Improvements, and noise of the log costs, beside the worst pair."""
 
 
-@pytest.mark.parametrize("known", [False, True], ids=["none", "one"])
+@pytest.mark.parametrize(
+    "known", [pytest.param(False, marks=pytest.mark.slow), True], ids=["none", "one"]
+)
 @pytest.mark.parametrize(("improvement", "noise"), [(0.2, 0.02), *OTHERS])
 def test_intervals_of_repeats_that_end_once_narrow_hold_the_true_change(improvement, noise, known):
     rng, covered, runs = np.random.default_rng(7), 0, 1500

@@ -246,7 +246,10 @@ def rest_and_tracking(hidden, compensation):
     return found
 
 
-@pytest.mark.parametrize("name", FRICTIONS)
+@pytest.mark.parametrize(
+    "name",
+    ["Stribeck", *(pytest.param(n, marks=pytest.mark.slow) for n in FRICTIONS if n != "Stribeck")],
+)
 def test_friction_along_the_known_motion_improves_tracking_and_keeps_the_rest_calm(name):
     hidden, _ = friction_table(name, 0.8)
     calm, tracking = rest_and_tracking(hidden, None)

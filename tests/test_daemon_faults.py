@@ -191,6 +191,7 @@ def test_leases_lost_in_an_overload_need_no_operator(tmp_path):
         access.close()
 
 
+@pytest.mark.slow
 def test_hanging_rig_does_not_delay_another(tmp_path):
     with served("unhurried", "hung") as hung, rig_served() as (_, where):
         long = rig_table("hung", hung.endpoint, trials=400)

@@ -71,6 +71,7 @@ def multisines(rig):
     return sum(request.profile.kind == "multisine" for request in rig.requests)
 
 
+@pytest.mark.slow
 def test_a_heavier_drum_is_noticed_within_two_records_and_a_quiet_reel_is_left_alone(tmp_path):
     with watched(tmp_path) as (rig, it):
         status = it.until(lambda s: s.sensitivity is not None and multisines(rig) >= 6)

@@ -85,6 +85,7 @@ def rig_process(it, kind, endpoint, ledger):
         until_idle(endpoint)
 
 
+@pytest.mark.slow
 def test_a_good_map_stays_and_one_whose_zero_moved_is_switched_off_and_stays_off(
     tmp_path, patch_text
 ):
@@ -117,6 +118,7 @@ def until_pair(endpoint, it):
         it.until(lambda _: "-behaviour-" in rig.status().trial_id)
 
 
+@pytest.mark.slow
 def test_a_daemon_killed_in_a_pair_leaves_the_rig_as_it_was(tmp_path, patch_text):
     with served("rippled", "drum", ledger=tmp_path / "ledger") as rig:
         with daemon_process(tmp_path, table(tmp_path, rig.endpoint, patch_text)) as (process, it):
@@ -132,6 +134,7 @@ def test_a_daemon_killed_in_a_pair_leaves_the_rig_as_it_was(tmp_path, patch_text
             assert not remedies(it)
 
 
+@pytest.mark.slow
 def test_a_rig_killed_in_a_pair_comes_back_as_it_was_and_nothing_is_switched_off(
     tmp_path, patch_text
 ):
@@ -154,6 +157,7 @@ def test_a_rig_killed_in_a_pair_comes_back_as_it_was_and_nothing_is_switched_off
             assert not remedies(it)
 
 
+@pytest.mark.slow
 def test_nothing_is_measured_without_a_proven_patch(tmp_path, patch_text):
     with served("rippled", "drum") as rig:
         plain = table(tmp_path, rig.endpoint, patch_text).replace(REMEDIES, "")

@@ -43,7 +43,7 @@ def installed(tmp_path_factory):
     return out
 
 
-@pytest.mark.parametrize("form", ["site", "installed"])
+@pytest.mark.parametrize("form", [pytest.param("site", marks=pytest.mark.slow), "installed"])
 def test_built_pages_name_no_script_style_or_image_of_another_host(form, request):
     built = request.getfixturevalue(form)
     for page in built.rglob("*.html"):

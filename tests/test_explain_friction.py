@@ -80,8 +80,10 @@ def records(friction):
 @pytest.mark.parametrize(
     ("friction", "name", "size"),
     [
-        (smoothed, "coulomb_friction", "torque_Nm"),
-        (bristles_that_fade, "stribeck_friction", "coulomb_Nm"),
+        pytest.param(smoothed, "coulomb_friction", "torque_Nm", marks=pytest.mark.slow),
+        pytest.param(
+            *(bristles_that_fade, "stribeck_friction", "coulomb_Nm"), marks=pytest.mark.slow
+        ),
         (bristles, "dahl_hysteresis", "torque_Nm"),
     ],
 )

@@ -47,6 +47,7 @@ def page(tmp_path):
     made.close()
 
 
+@pytest.mark.slow
 @needs_browser
 def test_dropped_log_is_mapped_by_hand_and_explained_with_a_model_by_form(page, log, tmp_path):
     narrow = {"viewport": {"width": 400, "height": 800}, "color_scheme": "dark"}

@@ -62,9 +62,11 @@ def records(friction_N=0.0, hum_m=0.0, step_m=0.0, stiffness_N_m=STIFFNESS_N_m):
 @pytest.mark.parametrize(
     ("hidden", "name", "truth"),
     [
-        ({"friction_N": FRICTION_N}, "coulomb_friction", FRICTION_N),
+        pytest.param(
+            *({"friction_N": FRICTION_N}, "coulomb_friction", FRICTION_N), marks=pytest.mark.slow
+        ),
         ({"hum_m": HUM_m}, "mains_interference", HUM_m),
-        ({}, None, None),
+        pytest.param({}, None, None, marks=pytest.mark.slow),
     ],
     ids=str,
 )
@@ -94,7 +96,10 @@ def test_plant_that_states_its_units_is_told_of_in_them():
     assert written_unit("N", plant) == "m"
 
 
-@pytest.mark.parametrize(("friction_N", "verdict"), [(0.0, "none"), (FRICTION_N, "named")])
+@pytest.mark.parametrize(
+    ("friction_N", "verdict"),
+    [pytest.param(0.0, "none", marks=pytest.mark.slow), (FRICTION_N, "named")],
+)
 def test_horizon_of_a_free_stage_exceeds_its_noise(friction_N, verdict):
     believed = control.tf([1.0], [1.1 * MASS_kg, 1.3 * DAMPING_Ns_m, 0.0])
     found = plants.explain(believed, list(records(friction_N, step_m=1e-6, stiffness_N_m=0.0)))

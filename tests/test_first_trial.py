@@ -82,6 +82,7 @@ def test_effort_that_stays_at_its_limit_is_refused():
         tune(weak)
 
 
+@pytest.mark.slow
 def test_search_by_cost_alone_stays_where_the_identified_loop_is_stable():
     result = tune(slowly_unstable().rig(seed=1), trials=12)
     about = result.rig

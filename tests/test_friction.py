@@ -209,6 +209,7 @@ def test_ramps_in_both_directions_recover_friction_and_inertia():
     assert fit.residual_counts == pytest.approx(1.0 / math.sqrt(12.0), rel=0.1)  # rounding
 
 
+@pytest.mark.slow
 def test_bias_by_presliding_falls_with_its_stiffness():
     off = {}
     for stiffness in (60.0, 300.0):  # the drum creeps half a count before it slips, and a tenth
@@ -227,6 +228,7 @@ def drawn_ramp(rng):
     return ramp(duration=2.6, phase=rng.random(), **truth), truth
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("fits", [4, pytest.param(100, marks=pytest.mark.nightly)])
 def test_confidence_intervals_match_the_spread_of_estimates(fits):
     rng, scores = np.random.default_rng(0), []

@@ -168,6 +168,7 @@ def test_killed_loop_leaves_the_reel_to_the_hardwares_watchdog(hardware):
                 call()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])
 def test_loop_killed_or_hung_in_a_trial_is_a_permanent_error(hardware, number):
     address, truth = hardware
@@ -181,6 +182,7 @@ def test_loop_killed_or_hung_in_a_trial_is_a_permanent_error(hardware, number):
         eventually(lambda: truth().tripped == 1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])
 def test_killed_or_hung_rig_program_leaves_the_reel_safe(hardware, number):
     address, truth = hardware

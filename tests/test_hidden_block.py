@@ -10,6 +10,8 @@ import pytest
 from experiments.hidden_scores import DiagnosisTask, diagnose
 from tests.support_hidden import skip_without_compiler
 
+pytestmark = pytest.mark.slow
+
 FIRST_SEED = 70_200
 BLOCK = {"plain": 3, "unloaded": 2, "none": 1, "none_unloaded": 1, "outside": 1}
 

@@ -88,6 +88,7 @@ def test_records_that_are_there_already_are_explained_with_the_experiments(
     assert len(seen) == 1 + len(initial_experiments(about("reel")))
 
 
+@pytest.mark.slow
 def test_complete_model_is_unchanged_over_the_link(tmp_path, capsys):
     with served("simulated") as rig:
         wanted = ["improve-model", rig.endpoint, "--folder", str(tmp_path / "x"), "--json"]

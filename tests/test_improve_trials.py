@@ -66,7 +66,9 @@ def test_improvement_ends_with_what_model_and_tuning_brought(whole, reached, tun
     assert said in replace(whole, costs=tuple(costs)).conclusion
 
 
-@pytest.mark.parametrize("at", [3, 16])  # among the experiments, and in the rig's tuning
+@pytest.mark.parametrize(
+    "at", [3, pytest.param(16, marks=pytest.mark.slow)]
+)  # among the experiments, and in the rig's tuning
 def test_interrupted_improvement_continues_where_it_stopped(whole, tmp_path, at):
     rig = REEL.rig()
     live, ids = rig.describe().gains, watched(rig, at, stop)

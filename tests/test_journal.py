@@ -80,7 +80,13 @@ def trace(entries) -> list[tuple]:
     return [(e.number, e.phase, e.gains.as_tuple(), e.cost) for e in entries]
 
 
-@pytest.mark.parametrize("tuner", TUNERS)
+@pytest.mark.parametrize(
+    "tuner",
+    [
+        name if name == "least_squares_gradient" else pytest.param(name, marks=pytest.mark.slow)
+        for name in TUNERS
+    ],
+)
 def test_run_killed_at_any_event_resumes_as_if_undisturbed(tuner, tmp_path):
     # The events do not depend on the tuner: all of them for one, every fifth for the others.
     stride = 1 if tuner == "otis" else 5

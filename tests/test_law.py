@@ -60,7 +60,7 @@ def tunings(
 
 
 @pytest.mark.parametrize("told", [True, False], ids=["errors told", "errors unknown"])
-@pytest.mark.parametrize("repeats", [1, 4])
+@pytest.mark.parametrize("repeats", [1, pytest.param(4, marks=pytest.mark.slow)])
 def test_slope_interval_has_its_nominal_coverage(told, repeats):
     rng, n, hits = np.random.default_rng(repeats), 300, 0
     length = np.repeat(LENGTHS, repeats)

@@ -96,7 +96,8 @@ def test_stability_of_any_order_agrees_with_the_poles_of_the_closed_loop(order):
 
 
 @pytest.mark.parametrize(
-    ("mode_Hz", "share", "damping"), [(60.0, 0.05, 0.006), (50.0, 0.03, 0.01)]
+    ("mode_Hz", "share", "damping"),
+    [pytest.param(60.0, 0.05, 0.006, marks=pytest.mark.slow), (50.0, 0.03, 0.01)],
 )
 def test_weak_mode_is_identified_and_its_sensitivity_predicted(mode_Hz, share, damping):
     plant, gains = with_mode(mode_Hz, share, damping), Gains(0.5, 5.0, 0.012, 0.01)

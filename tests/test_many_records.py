@@ -42,6 +42,7 @@ def test_records_searched_differ_in_gains_and_profile(monkeypatch):
     assert [int(one.name) for one in some] == sorted(int(one.name) for one in some)
 
 
+@pytest.mark.slow
 def test_effect_found_on_some_records_is_fitted_to_all_of_them(monkeypatch):
     skip_without_compiler()
     given, measured = drawn(502, "unloaded", "coulomb_friction")

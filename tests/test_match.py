@@ -182,6 +182,7 @@ def test_interrupted_matching_continues_and_repeats_no_trial(tmp_path):
         estune.match(cut, settings=replace(BRIEF, trials=50), folder=tmp_path / "cut" / "m")
 
 
+@pytest.mark.slow
 def test_match_command_matches_two_rigs_over_zenoh(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     reels = plants.reference_reel(), plants.reference_reel(cable_EA_N=8e3)

@@ -258,6 +258,7 @@ def test_other_limits_are_kept():
     assert true_sensitivity(plants.reference_reel(1.1), result.gains) <= 1.45
 
 
+@pytest.mark.slow
 def test_friction_is_identified_and_the_limits_are_kept_and_claimed():
     plant = SLOWER + CoulombFriction(torque_Nm=0.05)
     result = tune(plant)
@@ -282,6 +283,7 @@ def test_remaining_improvement_is_bounded_or_names_what_the_model_leaves():
     assert left < estimate.remaining_improvement or "unexplained" in result.message
 
 
+@pytest.mark.slow
 def test_friction_in_the_eyelet_leaves_no_claim_and_says_why():
     result = tune(SLOWER + EyeletFriction(0.93), trials=1)
     assert result.claim.margins is None

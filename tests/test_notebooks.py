@@ -21,6 +21,7 @@ def manager():
         yield started
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("path", [*map(run_by_day, NOTEBOOKS)], ids=lambda path: path.stem)
 def test_notebook_runs_without_a_complaint(path, tmp_path, manager):
     found = outputs(executed(path, tmp_path, manager))

@@ -68,6 +68,7 @@ def test_start_whose_oscillation_grows_is_unsafe_and_says_so():
         estune.tune(slowly_unstable(), start=start, journal=False, watch=None)
 
 
+@pytest.mark.slow
 def test_trials_that_are_truly_unstable_are_counted_as_unsafe():
     start = Gains(0.15, 3.4, 0.001, 0.02)
     options = {"tuner": "phase_compensated", "trials": 25, "journal": False, "watch": None}

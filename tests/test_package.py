@@ -40,6 +40,7 @@ def test_dir_lists_names_that_are_loaded_lazily(package):
     assert set(package.__all__) <= set(dir(package))
 
 
+@pytest.mark.slow
 def test_wheel_has_the_product_alone_and_runs_beside_a_module_of_the_same_name(tmp_path):
     command = [sys.executable, "-m", "pip", "wheel", "--quiet", "--no-deps", "--no-index"]
     subprocess.run(

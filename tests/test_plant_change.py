@@ -39,6 +39,7 @@ def test_a_gain_that_changes_is_noticed_and_its_records_are_the_new_loop(known):
     assert gain == pytest.approx(CHANGE, rel=0.15)
 
 
+@pytest.mark.slow
 def test_one_disturbed_record_is_no_change(known):
     knock = CASE.record(30)
     knock.measurement_N[1000:1100] += 0.2 * CASE.trial.step.size_N

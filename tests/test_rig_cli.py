@@ -52,6 +52,7 @@ def file(tmp_path):
     return path
 
 
+@pytest.mark.slow
 def test_serve_hardware_remembers_trials_over_a_restart(file):
     with served(file) as (process, endpoint), zenoh.connect(endpoint) as rig:
         description = rig.describe()
@@ -66,6 +67,7 @@ def test_serve_hardware_remembers_trials_over_a_restart(file):
         assert rig.describe() == description
 
 
+@pytest.mark.slow
 def test_serve_hardware_ends_with_its_dead_loop(file):
     with served(file) as (process, endpoint), zenoh.connect(endpoint, timeout_s=1.0) as rig:
         children = Path(f"/proc/{process.pid}/task/{process.pid}/children").read_text().split()

@@ -40,6 +40,7 @@ def run_suite(*options: str) -> subprocess.CompletedProcess:
     return subprocess.run(command, capture_output=True, text=True, check=False)
 
 
+@pytest.mark.slow
 def test_suite_on_the_command_line_tests_the_rig_at_the_endpoint(tmp_path):
     with small_board(tmp_path) as (_, endpoint):
         done = run_suite("--endpoint", endpoint, "--rig", "board", "-k", "describe or limits")
@@ -49,6 +50,7 @@ def test_suite_on_the_command_line_tests_the_rig_at_the_endpoint(tmp_path):
         assert done.returncode == RigError.exit_code
 
 
+@pytest.mark.slow
 def test_suite_on_the_command_line_fails_if_no_rig_answers():
     endpoint = with_port("tcp/127.0.0.1:0")
     done = run_suite("--endpoint", endpoint)

@@ -68,10 +68,10 @@ def tuned(transfer, measurement, effort, *, knows, **settings):
     ("tuner", "transfer", "knows"),
     [
         ("model_based", LAG, True),
-        ("model_based", LAG, False),
+        pytest.param("model_based", LAG, False, marks=pytest.mark.slow),
         ("safe_bayesian", LAG, False),
-        ("otis", LAG, True),
-        ("safe_bayesian", INTEGRATOR, True),
+        pytest.param("otis", LAG, True, marks=pytest.mark.slow),
+        pytest.param("safe_bayesian", INTEGRATOR, True, marks=pytest.mark.slow),
         ("otis", INTEGRATOR, False),
     ],
 )

@@ -19,7 +19,7 @@ def suggested(plant, cost, gains, kind, length=80.0, *, seed=1):
     return estune.suggest(logs, settling_time_s=cost.settling_time_s, step=trial.step.size_N)
 
 
-@pytest.mark.parametrize("kind", ["busy", "small steps"])
+@pytest.mark.parametrize("kind", [pytest.param("busy", marks=pytest.mark.slow), "small steps"])
 def test_friction_in_service_is_in_the_margins_or_refuses_them(kind):
     plant = plants.reference_reel() + CoulombFriction(0.005)
     gains = Gains(0.685, 11.2, 0.00815, 0.00825)
@@ -41,7 +41,9 @@ def test_an_eyelet_in_motion_and_a_drum_that_sticks_refuse_the_margins(effect, k
     assert suggested(plant, PROBLEMS["friction"].cost, gains, kind).margins is None
 
 
-@pytest.mark.parametrize("seed", [8, 12, 14])
+@pytest.mark.parametrize(
+    "seed", [8, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (12, 14))]
+)
 def test_an_eyelet_shows_by_another_plant_in_fast_motion(seed):
     # The power of the errors alone is no reason: they state Ms as 1.50 to 1.60 for 1.87.
     plant = plants.reference_reel() + EyeletFriction(0.93)

@@ -91,6 +91,7 @@ def test_the_effort_need_not_be_logged(busy):
     assert other == pytest.approx(one, rel=0.01)
 
 
+@pytest.mark.slow
 def test_a_loop_that_holds_still_tells_nothing_and_the_experiment_advised_tells():
     still = suggest(log_of("still"))
     assert still.exit_code == 9

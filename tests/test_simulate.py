@@ -124,6 +124,7 @@ def test_note_of_a_library_that_is_not_there_is_written_again(cache, damage):
     assert note.read_text() == whole
 
 
+@pytest.mark.slow
 def test_concurrent_processes_compile_the_same_structure(cache):
     code = (
         "import plants; from estune.core.gains import Gains;"

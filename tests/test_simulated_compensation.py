@@ -145,6 +145,7 @@ def test_what_a_simulated_rig_has_not_is_refused():
         run(plants.reference_reel(), {"gravity": ALL["gravity"]})
 
 
+@pytest.mark.slow
 def test_a_notch_is_offered_only_where_it_gains():
     """A notch at a low mode lowers every measure at the same gains, and takes margin."""
     hum = offers_for(found(MainsInterference(0.4, 50.0, 0.3), 0.02), GAINS)

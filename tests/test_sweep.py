@@ -114,6 +114,7 @@ def test_dry_run_shows_the_trials_and_writes_nothing(tmp_path, capsys, monkeypat
     assert [path.name for path in tmp_path.iterdir()] == ["sweep.toml"]
 
 
+@pytest.mark.slow
 def test_processes_give_equal_outcomes_and_a_second_call_runs_nothing(tmp_path):
     one = run_sweep(tmp_path / "one")
     many = run_sweep(tmp_path / "many", jobs=2)

@@ -104,6 +104,7 @@ def test_run_ends_after_consecutive_void_trials(tmp_path):
     run.journal.close()
 
 
+@pytest.mark.slow
 def test_run_continues_when_its_rig_is_killed_and_restarted(tmp_path):
     kills, servers = {1, 4}, []
 
