@@ -4,16 +4,13 @@ import inspect
 import json
 import re
 import types
-from collections.abc import Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator
 from dataclasses import MISSING, fields
 from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 
 from estune.remote.state_machine.reply_codes import ReplyCode
 from estune.remote.state_machine.state import Mode
-from estune.trial import (
-    Outcome,
-    TrialRecord,
-)
+from estune.trial import Outcome
 from estune.trial.profiles import PROFILES
 
 
@@ -24,32 +21,69 @@ def table(head: Iterable[str], rows: Iterable[Iterable[Any]]) -> Iterator[str]:
         yield f"| {' | '.join(map(str, row))} |\n"
 
 
-def message_section(kind: type) -> Iterator[str]:
-    """Name, meaning and fields of a message."""
-    yield f"### {kind.__name__}\n\n{title(kind)}\n\n"
-    yield from fields_table(kind)
+def message_section(
+    kind: type, remark: str = "", known: set[tuple[str, str]] | None = None
+) -> Iterator[str]:
+    """Name, meaning and fields of a message.
 
-
-def fields_table(kind: type, others: dict[str, Any] | None = None) -> Iterator[str]:
-    """The fields of a message as a table."""
+    Args:
+        kind: The message.
+        remark: Text after its meaning.
+        known: Names and meanings of fields that earlier messages have; those of this one are
+            added. A field that they have with its meaning is left out: the example shows it.
+    """
+    yield f"### {kind.__name__}\n\n{title(kind)}{remark}\n\n"
     if not fields(kind):
         yield "No fields: `{}`.\n\n"
         return
-    hints, meanings = get_type_hints(kind), _attributes(kind)
-    if others:
-        meanings = _attributes(TrialRecord) | meanings
-    rows = []
+    said = set(_attributes(kind).items())
+    yield from fields_list(kind, leave_out={name for name, _ in said & (known or set())})
+    if known is not None:
+        known |= said
+
+
+def fields_list(
+    kind: type, base: type | None = None, leave_out: Collection[str] = ()
+) -> Iterator[str]:
+    """The fields of a message as a list: name, type, default, meaning.
+
+    Args:
+        kind: The message.
+        base: A class that says what fields mean whose meaning the message leaves to it.
+        leave_out: Names of fields that are left out.
+    """
+    hints = get_type_hints(kind)
+    meanings = (_attributes(base) if base else {}) | _attributes(kind)
     for field in fields(kind):
-        default = "" if field.default is MISSING else f"; default {json_code(field.default)}"
-        meaning = meanings.get(field.name, _OWN.get(field.name, "")).replace("|", "\\|")
-        rows.append((f"`{field.name}`", f"{_type(hints[field.name])}{default}", meaning))
-    yield from table(("field", "type", "meaning"), rows)
+        if field.name in leave_out:
+            continue
+        default = "" if field.default is MISSING else f", default {json_code(field.default)}"
+        meaning = meanings.get(field.name, _OWN.get(field.name, ""))
+        yield f"* `{field.name}` ({_type(hints[field.name])}{default}): {meaning}\n"
     yield "\n"
 
 
+def profile_sections(kinds: Iterable[type], known: Collection[str] = ()) -> Iterator[str]:
+    """Setpoint profiles: formula, fields in order, and what those mean that are new.
+
+    Args:
+        kinds: The profiles.
+        known: Names of fields whose meaning the reader knows.
+    """
+    seen = {"kind", *known}
+    for kind in kinds:
+        text = inspect.getdoc(kind) or ""
+        prose = text.split("Attributes:")[0].partition("\n")[2].strip("\n")
+        yield f"### {kind.__name__}: `{default(kind, 'kind')}`\n\n{title(kind)}\n\n"
+        yield f"```text\n{inspect.cleandoc(prose)}\n```\n\n" if prose else ""
+        if seen & {field.name for field in fields(kind)} > {"kind"}:
+            yield f"Fields: {', '.join(f'`{field.name}`' for field in fields(kind))}.\n\n"
+        yield from fields_list(kind, leave_out=seen)
+        seen |= {field.name for field in fields(kind)}
+
+
 _OWN = {
-    "columns": "The columns that follow, in this order: the five of a record, and those "
-    "of the optional ones that there are. `flags` is always the last and is not named.",
+    "columns": "The columns that follow, without the flags.",
     "samples": "Number of samples in each column.",
 }
 
@@ -58,6 +92,9 @@ def json_code(value: object) -> str:
     """A value as JSON, in code."""
     return f"`{json.dumps(value)}`"
 
+
+OPTIONAL = ("ControllerForm", "LinearModel", "Setpoint", "Feedback", "Following")
+"""Messages and parts of docs/reference/rig-options.md that others name."""
 
 _PLAIN: dict[Any, str] = {
     float: "number",
@@ -87,8 +124,9 @@ def _type(hint: Any) -> str:
 
 
 def link(name: str) -> str:
-    """A link to the section of a message."""
-    return f"[{name}](#{name.lower()})"
+    """A link to the section of a message, on either page."""
+    other = "rig-options.md" if name in OPTIONAL else ""
+    return f"[{name}]({other}#{name.lower()})"
 
 
 def title(thing: Any) -> str:
@@ -120,10 +158,10 @@ def _attributes(kind: type) -> dict[str, str]:
 
 
 def hex_dump(data: bytes) -> Iterator[str]:
-    """Hexadecimal dump: offset, sixteen bytes, and their text."""
+    """Hexadecimal dump: offset, 32 bytes in words of eight, and their text."""
     yield "```text\n"
-    for at in range(0, len(data), 16):
-        line = data[at : at + 16]
+    for at in range(0, len(data), 32):
+        line = data[at : at + 32]
         text = "".join(chr(byte) if 32 <= byte < 127 else "." for byte in line)
-        yield f"{at:04x}  {line.hex(' '):47}  {text}".rstrip() + "\n"
+        yield f"{at:04x}  {line.hex(' ', -8):67}  {text}".rstrip() + "\n"
     yield "```\n"

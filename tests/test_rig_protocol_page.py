@@ -9,16 +9,27 @@ import numpy as np
 import pytest
 
 from estune.remote import messages
-from estune.remote.state_machine.reply_codes import OF_TRIAL
+from estune.remote.state_machine import events, rig, state
+from estune.remote.state_machine.reply_codes import OF_TRIAL, ReplyCode
 from estune.remote.state_machine.state import Mode
 from estune.remote.state_machine.trials import TrialState
 from estune.trial import record_frame
 from experiments.inert_rig import RECORD
 from tests.protocol_examples import EXAMPLES, SAMPLES
-from tests.rig_protocol_page import PAGE, SECTIONS, STATES, page
+from tests.rig_protocol_page import PAGES, SECTIONS, page
 from tests.support_rigs import same
 
-TEXT = PAGE.read_text("utf-8")
+TEXTS = [path.read_text("utf-8") for path in PAGES]
+TEXT = "".join(TEXTS)
+HELD = state.RigState(state.GrantedLease("right", "anna", 1.0))
+ACTIVE, NOTED, RUNNING, STOPPING = (
+    HELD._replace(trial=state.AcceptedTrial("active", *progress))
+    for progress in ((), (True,), (True, True), (True, True, "a reason"))
+)
+SAFE = HELD._replace(latched="the first reason")
+CLOSED = state.RigState(closed=True)
+STATES = (state.RigState(), HELD, ACTIVE, NOTED, RUNNING, STOPPING, SAFE, CLOSED)
+"""A state in each mode, in their order; the lease, where one is held, is `right`."""
 
 
 def section(name: str) -> str:
@@ -31,13 +42,64 @@ def dump_bytes(name: str) -> bytes:
     return bytes.fromhex("".join(lines))
 
 
-def test_page_is_up_to_date():
+def test_pages_are_up_to_date():
     assert set(re.findall(r"from the code: (\w+)", TEXT)) == set(SECTIONS)
-    assert page(TEXT) == TEXT, "run: ./dev python -m tests.rig_protocol_page"
+    assert [*map(page, TEXTS)] == TEXTS, "run: ./dev python -m tests.rig_protocol_page"
 
 
-def test_table_of_submits_has_a_state_of_every_mode():
-    assert [state.mode for state in STATES] == list(Mode)
+def expected_refusal(before, token, *, outside):
+    """Reply code by the order of refusals in the page."""
+    if before.mode is Mode.CLOSED:
+        return ReplyCode.REFUSED
+    if before.mode is Mode.SAFE:
+        return ReplyCode.SAFE
+    if before.lease is None:
+        return ReplyCode.NO_LEASE
+    if token != before.lease.token:
+        return ReplyCode.HELD
+    if before.trial:
+        return ReplyCode.BUSY
+    return ReplyCode.REFUSED if outside else ReplyCode.ACCEPTED
+
+
+@pytest.mark.parametrize("token", ["right", "wrong"])
+@pytest.mark.parametrize("before", STATES, ids=list(Mode))
+def test_commands_are_refused_in_the_order_of_the_page(before, token):
+    for outside in ("", "outside the limits"):
+        for event in (
+            events.SubmitEvent(token, "id", TrialState.UNKNOWN, outside),
+            events.FollowEvent(token, outside),
+        ):
+            code = rig.step(before, event, 0.0).reply_code
+            assert code is expected_refusal(before, token, outside=bool(outside)), event
+    for event in (events.SetGainsEvent(token), events.SwitchOffEvent(token)):
+        code = rig.step(before, event, 0.0).reply_code
+        assert code is expected_refusal(before, token, outside=False), event
+
+
+@pytest.mark.parametrize(
+    ("before", "event", "code"),
+    [
+        (HELD, events.Renew("wrong"), ReplyCode.HELD),
+        (HELD, events.Release("wrong"), ReplyCode.HELD),
+        (state.RigState(), events.Renew("wrong"), ReplyCode.NO_LEASE),
+        (state.RigState(), events.Release("wrong"), ReplyCode.NO_LEASE),
+        (RUNNING, events.CancelEvent("wrong"), ReplyCode.HELD),
+        (RUNNING, events.CancelEvent("right", "id"), ReplyCode.ACCEPTED),
+        (HELD, events.VoidEvent("wrong", "id", TrialState.ENDED), ReplyCode.ENDED),
+        (HELD, events.VoidEvent("wrong", "id", TrialState.UNKNOWN), ReplyCode.HELD),
+        (ACTIVE, events.VoidEvent("right", "active", TrialState.UNKNOWN), ReplyCode.BUSY),
+        (SAFE, events.EstopEvent("another"), ReplyCode.ACCEPTED),
+        (SAFE, events.ClearEvent(), ReplyCode.ACCEPTED),
+    ],
+)
+def test_other_commands_are_answered_as_the_page_says(before, event, code):
+    move = rig.step(before, event, 0.0)
+    assert move.reply_code is code
+    if code is not ReplyCode.ACCEPTED or before is RUNNING:
+        assert (move.state, move.orders) == (before, ())
+    if isinstance(event, events.EstopEvent):
+        assert move.state.latched == "the first reason"
 
 
 @pytest.mark.parametrize("state", TrialState)

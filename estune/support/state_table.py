@@ -5,7 +5,7 @@ which each machine says; the first line of their docstring is the text of the pr
 """
 
 import inspect
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from enum import Enum
 from types import MappingProxyType
 from typing import Any, Generic, TypeVar
@@ -71,21 +71,3 @@ def sentence_of(cell: Callable[..., Any] | str) -> str:
     if not isinstance(cell, str):
         return (inspect.getdoc(cell) or "").split("\n")[0]
     return f"{cell[:1].upper()}{cell[1:]}." if cell == IMPOSSIBLE else f"Refused: {cell}."
-
-
-def printed(table: StateTable[Any, Any, Any], title: Callable[[Any], str]) -> Iterator[str]:
-    """A table in Markdown: for each event the modes and what it does there.
-
-    Args:
-        table: The table.
-        title: Heading of an event.
-    """
-    for event, row in table.rows.items():
-        yield f"{title(event)}\n\n| in mode | then |\n| --- | --- |\n"
-        by_cell: dict[Any, list[str]] = {}
-        for mode, cell in row.items():
-            name = str(mode.value) if isinstance(mode.value, str) else mode.name.lower()
-            by_cell.setdefault(cell, []).append(f"`{name}`")
-        for cell, modes in by_cell.items():
-            yield f"| {', '.join(modes)} | {sentence_of(cell)} |\n"
-        yield "\n"

@@ -150,12 +150,10 @@ class RigDescription(NamedSignals):
         cable_length_m: Deployed cable length, m, or None.
         linear_model: The plant linearised about the suggested step, or None.
         software: Name and version of the rig's program.
-        simulated: Whether nothing physical moves, so that an interrupted trial may be repeated
-            without a check by the operator.
-        measurement: What is measured, with its unit after the last comma: "speed, rad/s". Fields
-            named in N hold this unit.
+        simulated: Whether nothing physical moves: an interrupted trial may then be repeated.
+        measurement: What is measured, and its unit, "speed, rad/s"; fields in N have this unit.
         command: What the controller commands, as `measurement`: "voltage, V".
-        compensation: Its own compensations, as a trial's request has them; empty without any.
+        compensation: Its own compensations, as in a request.
 
     Raises:
         InvalidInput: a number is not finite, or not above zero.

@@ -35,13 +35,12 @@ class TrialRequest:
 
     Attributes:
         run: Name of the run the trial belongs to.
-        number: Number of the trial in the run, from 0. A simulated rig's noise depends only on it
-            and the rig's seed, so that a run is reproducible.
-        gains: Controller gains for the duration of the trial; without effect in an open loop.
+        number: Number of the trial in the run, from 0; it seeds a simulated rig's noise.
+        gains: Gains for the trial; without effect in an open loop.
         profile: The setpoint.
-        attempt: Number of void attempts before, from 0. A trial id never runs twice.
-        compensation: Compensations for the duration of the trial, in the place of the rig's own:
-            the table `[compensation]` of a rig's file as JSON, `{}` for none; empty keeps them.
+        attempt: Number of void attempts before, from 0.
+        compensation: Compensations for the trial: the table `[compensation]` of a rig's file as
+            JSON, `{}` for none; empty keeps the rig's own.
     """
 
     run: str

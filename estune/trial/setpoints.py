@@ -16,10 +16,9 @@ class Setpoint:
 
     Attributes:
         tension_N: Tension to be held, N.
-        angle_rad: Angle of the drum to be held by position control, rad; None selects tension
-            control.
-        far_end_m_s: Velocity with which the cable's far end is commanded to move, away from the
-            reel, m/s; what the rig feeds forward along a known motion follows it.
+        angle_rad: Angle of the drum to be held, rad; None selects tension control.
+        far_end_m_s: Commanded velocity of the cable's far end, away from the reel, m/s; the
+            compensation of a known motion uses it.
 
     Raises:
         InvalidInput: a number is not finite.

@@ -1,6 +1,6 @@
 """Binary messages: parts of a record's frame, and live samples.
 
-docs/reference/rig-protocol.md, section 5, has their layout byte by byte. The frame of a whole
+docs/reference/rig-options.md has their layout byte by byte. The frame of a whole
 record is that of `estune.trial.record_frame`.
 """
 

@@ -58,9 +58,8 @@ class Submit(Message):
     Attributes:
         lease: The client's lease.
         request: The trial.
-        digest: Distinguishes the request from another of the same id. A rig must compare it with
-            the digest in its ledger; it may compute it, to refuse a request that was damaged in
-            transit.
+        digest: Checksum of the request (section 4). A rig must compare it with the digest in its
+            ledger, and may verify it.
     """
 
     lease: str
@@ -103,10 +102,8 @@ class SetGains(Message):
     Attributes:
         lease: The client's lease.
         gains: The gains.
-        original: The gains that ran before any daemon that shares the rig set others. The rig
-            keeps them as long as `gains` are live, for the daemon that takes the rig over. One
-            that cannot refuses the command, as any with an unknown field, and is sent the gains
-            alone.
+        original: The gains that ran before a sharing daemon set others, kept as long as `gains`
+            are live. A rig that cannot keep them refuses the field, and is sent the gains alone.
     """
 
     lease: str
@@ -205,8 +202,7 @@ VERBS: Mapping[str, Verb] = MappingProxyType(
         ),
         "cancel": Verb(
             Cancel,
-            "[Answer](#answer); its `trial_id` names the trial that has not ended yet, and "
-            "is empty once none is active",
+            "[Answer](#answer), with the `trial_id` that has not ended yet, empty if none",
         ),
         "void": Verb(Void, "[Answer](#answer): `void`, or the trial's state in the ledger"),
         "gains": Verb(SetGains),

@@ -103,9 +103,7 @@ class Description(Message):
         instance: This start of it; part of the keys of its commands.
         ledger: Identity of its ledger; survives a restart if the ledger does.
         protocol: Protocol version.
-        original: The gains that ran before daemons that share the rig set others, as the
-            command said by which the live ones were set; absent if it said none, or if others
-            are live since.
+        original: The `original` of the command that set the live gains; absent without one.
     """
 
     __pydantic_config__: ClassVar = {

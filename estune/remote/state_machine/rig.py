@@ -84,12 +84,12 @@ def release_and_stop(state: RigState, event: events.Release, _now_s: float) -> T
 
 
 def expire(state: RigState, _event: events.Expire, now_s: float) -> Transition:
-    """End a lease that has expired."""
+    """End an expired lease."""
     return Transition(state if _is_leased(state, now_s) else state._replace(lease=None))
 
 
 def expire_and_stop(state: RigState, _event: events.Expire, now_s: float) -> Transition:
-    """End a lease that has expired, and stop the trial: the dead-man's switch."""
+    """End an expired lease and stop the trial: the dead-man's switch."""
     if state.lease is None or _is_leased(state, now_s):
         return Transition(state)
     reason = f"no renewal by {state.lease.holder} for {LEASE_S:g} s, so the lease expired"
@@ -100,7 +100,7 @@ def expire_and_stop(state: RigState, _event: events.Expire, now_s: float) -> Tra
 
 
 def accept(state: RigState, event: events.SubmitEvent, _now_s: float) -> Transition:
-    """Accept the trial, if the ledger has no entry, the lease is right and the limits hold."""
+    """Accept the trial, if it is new, the lease is right and the limits hold."""
     if event.known is not TrialState.UNKNOWN:
         return Transition(state, OF_TRIAL[event.known])
     if not _owns(state, event.token):
@@ -112,21 +112,21 @@ def accept(state: RigState, event: events.SubmitEvent, _now_s: float) -> Transit
 
 
 def submit_while_busy(state: RigState, event: events.SubmitEvent, _now_s: float) -> Transition:
-    """Reply with the trial's state in the ledger; busy without an entry."""
+    """Reply with the state in the ledger; busy without an entry."""
     if event.known is not TrialState.UNKNOWN:
         return Transition(state, OF_TRIAL[event.known])
     return _busy(state) if _owns(state, event.token) else _without_lease(state)
 
 
 def submit_while_safe(state: RigState, event: events.SubmitEvent, _now_s: float) -> Transition:
-    """Reply with the trial's state in the ledger; refuse until cleared without an entry."""
+    """Reply with the state in the ledger; refuse until cleared without an entry."""
     if event.known is not TrialState.UNKNOWN:
         return Transition(state, OF_TRIAL[event.known])
     return _safe(state)
 
 
 def submit_while_closed(state: RigState, event: events.SubmitEvent, now_s: float) -> Transition:
-    """Reply with the trial's state in the ledger; refuse without an entry."""
+    """Reply with the state in the ledger; refuse without an entry."""
     if event.known is not TrialState.UNKNOWN:
         return Transition(state, OF_TRIAL[event.known])
     return refuse_closed(state, event, now_s)
@@ -147,12 +147,12 @@ def cancel(state: RigState, event: events.CancelEvent, _now_s: float) -> Transit
 
 
 def cancel_again(state: RigState, event: events.CancelEvent, _now_s: float) -> Transition:
-    """Accept, if the lease is right: the trial is being stopped already."""
+    """Accept, if the lease is right; the trial is being stopped."""
     return Transition(state) if _owns(state, event.token) else _without_lease(state)
 
 
 def void(state: RigState, event: events.VoidEvent, _now_s: float) -> Transition:
-    """Note in the ledger that the trial must never run, if the ledger has no entry of it."""
+    """Note in the ledger that the trial must never run, if it has no entry."""
     if event.known is not TrialState.UNKNOWN:
         return Transition(state, OF_TRIAL[event.known])
     if not _owns(state, event.token):
@@ -196,7 +196,7 @@ def held_safe(state: RigState, _event: events.Event, _now_s: float) -> Transitio
 
 
 def follow(state: RigState, event: events.FollowEvent, _now_s: float) -> Transition:
-    """Follow the setpoint, if the lease is right, it is no old one, and the limits hold."""
+    """Follow the setpoint, if the lease is right and the setpoint is valid."""
     if not _owns(state, event.token):
         return _without_lease(state)
     if event.objection:
@@ -223,7 +223,7 @@ def clear(state: RigState, _event: events.ClearEvent, _now_s: float) -> Transiti
 
 
 def clear_while_busy(state: RigState, _event: events.ClearEvent, _now_s: float) -> Transition:
-    """Refuse while a trial is active."""
+    """Refuse: a trial is active."""
     return _busy(state)
 
 
@@ -246,7 +246,7 @@ def begin(state: RigState, _event: events.Begin, _now_s: float) -> Transition:
 
 
 def refuse_begin(state: RigState, _event: events.Begin, _now_s: float) -> Transition:
-    """Refuse to start the trial: it is being stopped."""
+    """Refuse: the trial is being stopped."""
     return Transition(
         state, ReplyCode.REFUSED, "" if state.trial is None else state.trial.stopping
     )
