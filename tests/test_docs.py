@@ -75,7 +75,7 @@ def test_formulas_are_drawn_without_a_script(form, request, chromium):
 
 
 @needs_browser
-@pytest.mark.parametrize("name", ["index", "explanation/mathematics", "how-to/own-rig"])
+@pytest.mark.parametrize("name", ["index", "explanation/mathematics", "how-to/extend"])
 def test_installed_pages_have_no_serious_fault_of_accessibility(name, installed, chromium):
     with opened(chromium, (installed / f"{name}.html").as_uri(), **NARROW_DARK) as page:
         assert serious(page) == []

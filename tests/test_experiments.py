@@ -102,7 +102,7 @@ def test_experiment_opens_with_its_question_command_and_target(name):
 
 def test_page_of_experiments_has_the_question_of_each():
     page = (ROOT / "docs" / "reference" / "experiments.md").read_text("utf-8")
-    rows = re.findall(r"^\| `python -m experiments\.(\w+)` \| (.+) \|$", page, re.MULTILINE)
+    rows = re.findall(r"^\* `(\w+)`: (.+)$", page, re.MULTILINE)
     assert dict(rows) == {name: text.partition("\n")[0] for name, text in experiments().items()}
     assert len(rows) == len(dict(rows))
 

@@ -1,4 +1,4 @@
-"""Conformance suite of a driver; see docs/how-to/own-driver.md."""
+"""Conformance suite of a driver; see docs/how-to/extend.md."""
 
 import itertools
 import math

@@ -22,7 +22,7 @@ from experiments.results import at_least, command_line, print_results
 
 NONE = "no fault"
 UNFOUND = "a trial moves the rig twice"
-"""Nothing on the link shows it; see docs/how-to/own-rig.md."""
+"""Nothing on the link shows it; see docs/how-to/extend.md."""
 
 
 @contextmanager

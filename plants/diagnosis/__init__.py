@@ -12,7 +12,7 @@ from the frozen values of the steps before it to one of its own; no step goes ba
     intervals  the model believed          -> 95 % intervals of its numbers
     report     all of it                   -> the diagnosis in words, in the plant's own units
 
-What each step assumes, why, and what was tried instead: docs/explanation/how-explain-works.md.
+What each step assumes, and why: docs/explanation/diagnosis.md.
 
 Rooms from a user's view down: `pipeline`; `report`, how a diagnosis is shown; `search`, the parts
 of screen, compare and intervals; `experiments`, what to measure next; `result`, the diagnosis as
