@@ -17,8 +17,6 @@ from jupyter_client.manager import KernelManager
 from nbclient import NotebookClient
 from PIL import Image
 
-from tests.support_fmu import build
-
 FOLDER = Path(__file__).parents[1] / "docs" / "notebooks"
 SVG = re.compile(r"<svg.*?</svg>", re.DOTALL)
 WIDTH, COLOURS = 640, 48
@@ -38,8 +36,7 @@ def kernel() -> Iterator[KernelManager]:
 
 
 def executed(path: Path, folder: Path, manager: KernelManager) -> nbformat.NotebookNode:
-    """The notebook with the outputs that it has in a folder with an FMU, without earlier names."""
-    build(folder, start="0.0").rename(folder / "lag.fmu")
+    """The notebook with the outputs that it has in a folder, without earlier names."""
     notebook = nbformat.read(path, as_version=4)
     first = nbformat.v4.new_code_cell(f"%reset -f\n%cd -q {folder}")
     # Cell 1 of the notebook is to be numbered 1.

@@ -8,13 +8,6 @@ from tests.support_notebooks import FOLDER, executed, kernel, outputs
 NOTEBOOKS = sorted(FOLDER.glob("*.ipynb"))
 
 
-def run_by_day(path):
-    """All but those beside which a page of the same name says the same, and runs by day."""
-    return pytest.param(
-        path, marks=[pytest.mark.nightly] if [*FOLDER.parent.rglob(f"{path.stem}.md")] else []
-    )
-
-
 @pytest.fixture(scope="module")
 def manager():
     with kernel() as started:
@@ -22,7 +15,7 @@ def manager():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("path", [*map(run_by_day, NOTEBOOKS)], ids=lambda path: path.stem)
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
 def test_notebook_runs_without_a_complaint(path, tmp_path, manager):
     found = outputs(executed(path, tmp_path, manager))
     assert [o.text for o in found if o.get("name") == "stderr"] == []
