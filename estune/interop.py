@@ -292,7 +292,7 @@ def linear_model(system: "TransferFunction | StateSpace", dead_time_s: float = 0
     """The plant given as a python-control transfer function or state space.
 
     Args:
-        system: Continuous, proper, single input (effort, N) and single output (tension, N).
+        system: Continuous, proper, single input (effort) and single output (measurement).
         dead_time_s: Dead time of the plant, s; python-control's systems have none of their own.
 
     Raises:

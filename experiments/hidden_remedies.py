@@ -124,7 +124,7 @@ def measured(
     tracked = tracking_of(triangle, settling_s, rate, asked - followed)
     stepped = (column[: step.samples(rate)] for column in rested)
     cost = default_cost(settling_s).evaluate(rate, step.shape(rate), *stepped)
-    return np.array([tracked.rms_N, float(cost), rest_of(settling_s, rate, rested[1])])
+    return np.array([tracked.rms, float(cost), rest_of(settling_s, rate, rested[1])])
 
 
 def main() -> int:

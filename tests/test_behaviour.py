@@ -27,12 +27,12 @@ def tuned(tmp_path_factory):
 def test_result_has_tracking_and_rest_at_both_gains_and_keeps_them_on_disk(tuned):
     found = tuned.behaviour
     assert set(found) == {"start", "tuned"}
-    assert found["tuned"].tracking_N < 0.7 * found["start"].tracking_N
+    assert found["tuned"].tracking < 0.7 * found["start"].tracking
     assert estune.load(tuned.folder).behaviour == found
     labels = [row.label for row in tuned.rows()]
     assert labels[-3:] == ["tracking error (rms)", "error at reversals", "deviation at rest"]
     row = next(row for row in tuned.rows() if row.label == "tracking error (rms)")
-    assert row.tuned == tuned.rig.measured(found["tuned"].tracking_N, 3)
+    assert row.tuned == tuned.rig.measured(found["tuned"].tracking, 3)
     assert "error at reversals" in tuned._repr_html_()
 
 
@@ -49,9 +49,9 @@ def test_a_rig_measures_what_a_model_predicts():
     predicted = dict(
         zip(MEASURES, behaviour(STICKY, about.gains, about.settling_time_s), strict=True)
     )
-    assert measured.tracking_N == pytest.approx(predicted["tracking"], rel=0.02)
-    assert measured.reversal_N == pytest.approx(predicted["reversal"], rel=0.05)
-    assert measured.rest_N == pytest.approx(predicted["rest"], rel=0.1)
+    assert measured.tracking == pytest.approx(predicted["tracking"], rel=0.02)
+    assert measured.reversal == pytest.approx(predicted["reversal"], rel=0.05)
+    assert measured.rest == pytest.approx(predicted["rest"], rel=0.1)
 
 
 def test_what_a_rig_cannot_measure_is_told_and_the_result_stays(monkeypatch):

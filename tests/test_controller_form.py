@@ -89,7 +89,9 @@ def test_every_form_is_the_recursion_of_its_name():
     setpoint = 10.0 + 5.0 * (np.arange(120) > 20)
     measurement = 9.0 + np.cumsum(0.1 * rng.standard_normal(120))
     for form in FORMS:
-        effort = unlimited_effort(SETTINGS, GAINS, setpoint, measurement, first_N=7.0, form=form)
+        effort = unlimited_effort(
+            SETTINGS, GAINS, setpoint, measurement, first_effort=7.0, form=form
+        )
         expected = textbook_effort(form, GAINS, setpoint, measurement, 7.0)
         assert effort == pytest.approx(expected, rel=1e-9, abs=1e-9), form
 
@@ -97,7 +99,7 @@ def test_every_form_is_the_recursion_of_its_name():
 def test_forms_differ_but_for_the_rule_of_a_filter_that_two_share():
     setpoint, measurement = 10.0 + 5.0 * (np.arange(60) > 9), np.sin(np.arange(60.0))
     seen = {
-        unlimited_effort(SETTINGS, GAINS, setpoint, measurement, first_N=0.0, form=form)
+        unlimited_effort(SETTINGS, GAINS, setpoint, measurement, first_effort=0.0, form=form)
         .round(9)
         .tobytes()
         for form in FORMS
@@ -116,13 +118,13 @@ magnitude = st.floats(1e-3, 1e3)
 def test_own_form_is_the_equation_of_pidf(gains, signals):
     r, y = np.array(signals).T
     c = coefficients(SETTINGS, gains)
-    state = state_at_rest(float(r[0]), 3.0)._replace(filtered_measurement_N=float(y[0]))
+    state = state_at_rest(float(r[0]), 3.0)._replace(filtered_measurement=float(y[0]))
     state = bumpless(c, state, r[0], y[0], 3.0)
-    effort = unlimited_effort(SETTINGS, gains, r, y, first_N=3.0, form=OWN_FORM)
+    effort = unlimited_effort(SETTINGS, gains, r, y, first_effort=3.0, form=OWN_FORM)
     largest = 1.0
     for k in range(r.size):
         state, expected, _ = step(c, state, r[k], y[k])
-        largest = max(largest, abs(expected), abs(state.integral_N))
+        largest = max(largest, abs(expected), abs(state.integral))
         assert effort[k] == pytest.approx(expected, abs=1e-9 * largest)
 
 
@@ -166,7 +168,7 @@ def with_form(record, about, form):
     """The record as if its controller had run another form with the same measurement."""
     effort = unlimited_effort(
         *(about.controller, record.gains, record.setpoint_N, record.tension_N),
-        first_N=float(record.current_A[0]) * about.newtons_per_ampere,
+        first_effort=float(record.current_A[0]) * about.newtons_per_ampere,
         form=form,
     )
     return replace(record, current_A=effort / about.newtons_per_ampere)

@@ -200,19 +200,19 @@ def test_unknown_option_is_refused_with_the_choices(option):
 @pytest.mark.parametrize(
     ("changed", "message"),
     [
-        ({"step": StepShape(STEP_INDEX, 0.0)}, "step size is 0.0 N"),
-        ({"step": StepShape(STEP_INDEX, math.nan)}, "step size is nan N"),
+        ({"step": StepShape(STEP_INDEX, 0.0)}, "step size is 0.0"),
+        ({"step": StepShape(STEP_INDEX, math.nan)}, "step size is nan"),
         ({"sampling_Hz": 0.0}, "sampling rate is 0.0 Hz"),
         ({"step": StepShape(-1, 5.0)}, "outside the record of 632 samples"),
         ({"step": StepShape(SAMPLES, 5.0)}, "outside the record of 632 samples"),
         ({"step": StepShape(SAMPLES - 1, 5.0)}, "the step is at the last sample"),
         ({"step": StepShape(0, 5.0)}, "the step at the first sample has no effort before it"),
-        ({"setpoint_N": np.zeros(5)}, "5, 632 and 632 samples"),
-        ({"effort_N": np.zeros(7)}, "632, 632 and 7 samples"),
+        ({"setpoint": np.zeros(5)}, "5, 632 and 632 samples"),
+        ({"effort": np.zeros(7)}, "632, 632 and 7 samples"),
     ],
 )
 def test_response_that_cannot_be_scored_is_refused(changed, message):
-    names = ("setpoint_N", "measurement_N", "effort_N")
+    names = ("setpoint", "measurement", "effort")
     arguments = {
         "sampling_Hz": SAMPLING_Hz,
         "step": SHAPE,

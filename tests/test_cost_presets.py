@@ -36,9 +36,9 @@ def plant(**how):
 
 def mean_square(response: StepResponse) -> float:
     """A cost of the user's: mean square error, and moves of the effort."""
-    error = (response.setpoint_N - response.measurement_N)[response.step_index :]
-    moves = np.diff(response.effort_N)
-    return float(error @ error / error.size + 0.01 * moves @ moves) / response.step_N**2
+    error = (response.setpoint - response.measurement)[response.step_index :]
+    moves = np.diff(response.effort)
+    return float(error @ error / error.size + 0.01 * moves @ moves) / response.step_size**2
 
 
 @pytest.mark.parametrize("criterion", ["itae", "ise"])

@@ -59,11 +59,11 @@ def test_handed_over_integral_gives_the_effort_of_the_other(which, effort, seed)
         # By root finding, with the whole controller as a black box.
         integral = brentq(
             lambda value, c=c, state=state, r=r, y=y: (
-                pidf.step(c, state._replace(integral_N=value), r, y)[1] - effort
+                pidf.step(c, state._replace(integral=value), r, y)[1] - effort
             ),
             -1e5, 1e5, xtol=1e-12,
         )  # fmt: skip
-        expected, _, _ = pidf.step(c, state._replace(integral_N=integral), r, y)
+        expected, _, _ = pidf.step(c, state._replace(integral=integral), r, y)
         assert effort_taken == pytest.approx(effort, abs=1e-9)
         assert after == pytest.approx(expected, rel=1e-9, abs=1e-9)
 
@@ -75,7 +75,7 @@ def test_handed_over_integral_at_rest_is_effort_over_gain():
     for controller, integral_gain, level in ((c.tension, 12.0, 15.0), (c.position, 6000.0, 0.3)):
         state = PidfState(99.0, level, level)
         after, _ = hybrid.hand_over(controller, state, level, level, 18.0)
-        assert after.integral_N / integral_gain == pytest.approx(18.0 / integral_gain)
+        assert after.integral / integral_gain == pytest.approx(18.0 / integral_gain)
 
 
 @settings(max_examples=80)

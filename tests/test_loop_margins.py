@@ -63,7 +63,7 @@ def closed_loop_radius(model, gains, controller):
         state, u, _ = step(c, PidfState(integral, 0.0, filtered), 0.0, y)
         line = np.concatenate([[u], past])
         x = plant.Phi @ x + plant.now * line[-2] + plant.before * line[-1]
-        return np.concatenate([x, line[:-1], [state.integral_N, state.filtered_measurement_N]])
+        return np.concatenate([x, line[:-1], [state.integral, state.filtered_measurement]])
 
     present = [True] * (n + d + 1) + [gains.I > 0.0, gains.D > 0.0]
     matrix = np.array([advance(unit) for unit in np.eye(len(present))]).T[np.ix_(present, present)]

@@ -237,7 +237,7 @@ def test_hum_that_stands_at_rest_is_no_mode_of_the_loop():
     still, humming = (robustness(fit.model, GAINS, plant.controller).sensitivity for fit in fits)
     assert [fit.order for fit in fits] == [2, 2]
     assert humming == pytest.approx(still, rel=0.02)
-    assert fits[1].noise_N == pytest.approx(NOISE_N, rel=0.1)
+    assert fits[1].noise_std == pytest.approx(NOISE_N, rel=0.1)
 
 
 @pytest.mark.parametrize(("gain", "kept"), [(1.0, 1), (0.8, 0)])
@@ -255,7 +255,7 @@ def test_friction_is_identified_from_one_record():
     reel = plants.reference_reel() + CoulombFriction(torque_Nm=0.02)
     record = record_of(reel, Gains(0.4, 4.0, 0.003, 0.03), noise_N=0.04)
     model = fit_loop([record], reel.controller.sampling_Hz, 0.13).model
-    assert model.friction_N == pytest.approx(0.02 / reel.drum_radius_m, rel=0.05)
+    assert model.friction == pytest.approx(0.02 / reel.drum_radius_m, rel=0.05)
     gains = Gains(1.0, 30.0, 0.018, 0.0016)
     Ms = robustness(model, gains, reel.controller).sensitivity
     assert Ms == pytest.approx(true_sensitivity(reel, gains), rel=0.05)

@@ -123,7 +123,7 @@ def test_simple_plant_keeps_a_simple_model():
     fit = fit_loop(records_of(reel, near(Gains(0.8, 20.0, 0.01, 0.005), 5)), 632.0, 0.128)
     assert fit.order == 2
     assert fit.noise.is_white
-    assert not fit.model.friction_N
+    assert not fit.model.friction
 
 
 def test_disturbed_record_is_left_out_and_told():
@@ -131,7 +131,7 @@ def test_disturbed_record_is_left_out_and_told():
     records = records_of(reel, near(Gains(0.8, 20.0, 0.01, 0.005), 5))
     knock = np.zeros(records[2].samples)
     knock[300:340] = 2.0
-    disturbed = records[2]._replace(measurement_N=records[2].measurement_N + knock)
+    disturbed = records[2]._replace(measurement=records[2].measurement + knock)
     fit = fit_loop([*records[:2], disturbed, *records[3:]], 632.0, 0.128)
     assert fit.left_out == (2,)
     assert fit.misfit < 0.002 < fit.misfits[2]
@@ -228,11 +228,11 @@ def test_pole_slower_than_all_records_is_not_taken_for_a_load():
 def test_fragments_before_a_long_record_do_not_begin_the_search():
     gains = Gains(3.0, 0.0, 0.0, 0.0)
     full = chamber_record(3.0, 0)
-    signals = full.effort_N, full.measurement_N, full.setpoint_N
+    signals = full.effort, full.measurement, full.setpoint
     parts = [LoopRecord(*(x[a:b] for x in signals), gains) for a, b in ((0, 60), (60, 130))]
     records = [*parts, LoopRecord(*(x[130:] for x in signals), gains)]
     one, other = fit_loop(records, 4.0, 18.0), fit_loop(records[::-1], 4.0, 18.0)
-    assert one.residual_N == pytest.approx(other.residual_N, rel=1e-3)
+    assert one.residual_std == pytest.approx(other.residual_std, rel=1e-3)
 
 
 def service(kind, samples, seed):

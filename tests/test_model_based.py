@@ -262,7 +262,7 @@ def test_other_limits_are_kept():
 def test_friction_is_identified_and_the_limits_are_kept_and_claimed():
     plant = SLOWER + CoulombFriction(torque_Nm=0.05)
     result = tune(plant)
-    found = result.identified.fit.model.friction_N
+    found = result.identified.fit.model.friction
     assert found == pytest.approx(0.05 / SLOWER.drum_radius_m, rel=0.1)
     truth = true_sensitivity(plant, result.gains)
     assert truth <= 1.65
@@ -312,7 +312,7 @@ def test_recomputed_effort_equals_the_logged_one_of_a_simulated_rig(trial):
     signals = loop_signals(record, rig.step, rig)
     logged = record.current_A * rig.newtons_per_ampere
     # The derivative filter at rest is not known to the last digit; it forgets within milliseconds.
-    assert np.diff(signals.record.effort_N)[50:] == pytest.approx(np.diff(logged)[50:], abs=1e-6)
+    assert np.diff(signals.record.effort)[50:] == pytest.approx(np.diff(logged)[50:], abs=1e-6)
 
 
 @pytest.mark.parametrize(

@@ -85,7 +85,7 @@ def test_unexplained_error_selects_the_experiment_that_excites_it():
     assert found.separation is None
     assert where.blocks[0].regime.name in found.sentence
     low, high = rig_of(REEL, seen).limits.tension_min_N, rig_of(REEL, seen).limits.tension_max_N
-    assert low <= found.trial.profile.extremes_N[0] < found.trial.profile.extremes_N[1] <= high
+    assert low <= found.trial.profile.extremes[0] < found.trial.profile.extremes[1] <= high
 
 
 @pytest.fixture

@@ -42,7 +42,7 @@ def test_a_gain_that_changes_is_noticed_and_its_records_are_the_new_loop(known):
 @pytest.mark.slow
 def test_one_disturbed_record_is_no_change(known):
     knock = CASE.record(30)
-    knock.measurement_N[1000:1100] += 0.2 * CASE.trial.step.size_N
+    knock.measurement[1000:1100] += 0.2 * CASE.trial.step.size
     quiet = [CASE.record(seed) for seed in range(31, 36)]
     loop, changes = observed(known, [knock, *quiet])
     assert chance(known.fit, known.known, [evidence(known.fit, knock)]) < 1e-6

@@ -29,7 +29,7 @@ ALL = [StepProfile(15.0, -3.0, 0.2, 1.0), TRIANGLE, MULTISINE, CHIRP, STAIRS]
 @given(rate=st.floats(130.0, 5000.0))
 def test_setpoint_starts_at_preload_and_stays_within_extremes(profile, rate):
     setpoint = profile.setpoint(rate)
-    low, high = profile.extremes_N
+    low, high = profile.extremes
     assert setpoint.shape == (profile.samples(rate),)
     assert setpoint[0] == 15.0
     assert low - 1e-12 <= setpoint.min() <= setpoint.max() <= high + 1e-12
@@ -61,7 +61,7 @@ def test_multisine_has_power_on_its_lines_only():
 
 def test_multisine_with_schroeder_phases_has_a_low_peak():
     profile = replace(MULTISINE, lines="all", last_line=200)
-    low, high = profile.extremes_N
+    low, high = profile.extremes
     assert (high - 15.0) / profile.rms_N < 2.0  # equal phases would reach sqrt(2 x 200) = 20
     fine = profile.setpoint(20_000.0)
     assert fine.max() - 15.0 > 0.97 * (high - 15.0) or 15.0 - fine.min() > 0.97 * (15.0 - low)

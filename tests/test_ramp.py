@@ -62,7 +62,7 @@ def test_prediction_of_a_ramp_is_that_of_its_setpoint():
     step = StepTable(ramp_s=0.2).of(about)
     trial = step_trial(about, step, StepCost(about.settling_time_s))
     rate = about.controller.sampling_Hz
-    assert step.preload_N + trial.setpoint_N == pytest.approx(step.setpoint(rate))
+    assert step.preload_N + trial.setpoint == pytest.approx(step.setpoint(rate))
 
 
 @pytest.mark.parametrize(

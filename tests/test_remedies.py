@@ -73,9 +73,9 @@ def test_prediction_is_what_the_loop_then_measures(name):
     assert offer.worth
     compensation["friction"] = dict(offer.tables["friction"])
     off, on = (measured_tracking(hidden, c) for c in (None, compensation))
-    assert offer.ratios["tracking"].value == pytest.approx(on.rms_N / off.rms_N, abs=0.05)
+    assert offer.ratios["tracking"].value == pytest.approx(on.rms / off.rms, abs=0.05)
     assert offer.ratios["tracking"].low <= offer.ratios["tracking"].value
-    assert offer.ratios["reversal"].high >= on.reversal_N / off.reversal_N
+    assert offer.ratios["reversal"].high >= on.reversal / off.reversal
 
 
 def test_a_curve_of_the_gauge_is_seen_in_the_true_tension_alone():

@@ -126,7 +126,7 @@ def test_bumpless_exchange_keeps_the_effort(one, other, signals):
         r, y = signals[-1]
         controller.exchange(pidf.coefficients(SETTINGS, other), r, y)
         scale = sum(g.P * 400.0 + g.D * 400.0 * 632.0 for g in (one, other)) + abs(
-            stays._state.integral_N
+            stays._state.integral
         )
         expected = stays.step(r, y)
         assert controller.step(r, y) == pytest.approx(expected, rel=0.0, abs=1e-14 * scale)

@@ -16,7 +16,7 @@ def suggested(plant, cost, gains, kind, length=80.0, *, seed=1):
     rate, trial = plant.controller.sampling_Hz, step_trial(plant, cost)
     r = serve(plant, trial, gains, Service(kind, length), seed)
     logs = Logs((r.log(rate, gains),), (), plant.controller)
-    return estune.suggest(logs, settling_time_s=cost.settling_time_s, step=trial.step.size_N)
+    return estune.suggest(logs, settling_time_s=cost.settling_time_s, step=trial.step.size)
 
 
 @pytest.mark.parametrize("kind", [pytest.param("busy", marks=pytest.mark.slow), "small steps"])

@@ -46,7 +46,7 @@ def log_of(kind, seed=3):
 
 def suggest(log, **options):
     trial = REEL.trial
-    given = {"settling_time_s": trial.cost.settling_time_s, "step": trial.step.size_N}
+    given = {"settling_time_s": trial.cost.settling_time_s, "step": trial.step.size}
     return estune.suggest(Logs((log,), (), trial.controller), **given | options)
 
 
@@ -156,7 +156,7 @@ def test_replay_finds_the_form_that_ran(form):
     own = ControllerSettings(100.0, 0.02, -math.inf, math.inf)
     gains = Gains(2.0, 20.0, 0.1, 0.05)
     ran = replace(own, form=form)
-    effort = unlimited_effort(ran, gains, setpoint, measured, first_N=3.0)
+    effort = unlimited_effort(ran, gains, setpoint, measured, first_effort=3.0)
     stretch = Stretch("log", 0.0, setpoint, measured, effort)
     assert replay([stretch], ran, gains).agrees
     found = replay([stretch], own, gains)
@@ -177,8 +177,8 @@ def test_terms_that_rounded_signals_alone_would_need_are_not_said_to_have_run():
 
 def test_a_step_beyond_the_motion_of_the_records_is_said(busy):
     found = suggest(busy)
-    for size_N, is_said in ((1e-3, False), (1e3, True)):
-        trial = replace(found.trial, step=found.trial.step._replace(size_N=size_N))
+    for size, is_said in ((1e-3, False), (1e3, True)):
+        trial = replace(found.trial, step=found.trial.step._replace(size=size))
         remarks = replace(found, trial=trial).remarks()
         assert any("larger than the setpoint's range" in one for one in remarks) == is_said
 
@@ -286,7 +286,7 @@ def test_suggestion_minimises_the_cost_it_is_given(busy, cost):
     plain, found = suggest(busy), suggest(busy, cost=cost)
     trial, loop = found.trial, found.fit
     costs = [
-        predict(loop.model, trial, one.recommendation.gains, loop.noise_N).cost
+        predict(loop.model, trial, one.recommendation.gains, loop.noise_std).cost
         for one in (found, plain)
     ]
     assert costs[0] < costs[1]
@@ -357,7 +357,7 @@ def test_replay_names_the_unit_of_time_where_times_are_a_thousand_times_too_long
     setpoint = np.repeat(random.standard_normal(20), 100)
     measured = np.convolve(setpoint, np.full(40, 1 / 40))[: setpoint.size]
     gains, ran = Gains(2.0, 20.0, 0.0, 0.0), ControllerSettings(100.0, 0.0, -math.inf, math.inf)
-    effort = unlimited_effort(ran, gains, setpoint, measured, first_N=3.0)
+    effort = unlimited_effort(ran, gains, setpoint, measured, first_effort=3.0)
     stretch = Stretch("log", 0.0, setpoint, measured, effort)
     as_read = replace(ran, sampling_Hz=0.1)
     assert "check the unit of the time" in replay([stretch], as_read, gains).sentence()

@@ -105,7 +105,7 @@ def test_controller_of_another_form_in_the_browser_runs_its_own_difference_equat
         *(np.convolve(x, y)[::-1] for x, y in ((A, c.denominator), (B, c.measurement)))
     )
     through = np.convolve(np.convolve(B, c.setpoint), c.filter_numerator)
-    expected = lfilter(through, np.convolve(loop[::-1], c.filter_denominator), asked.setpoint_N)
+    expected = lfilter(through, np.convolve(loop[::-1], c.filter_denominator), asked.setpoint)
     shown = page.evaluate(SIMULATE, [problem([MODEL], asked, 0.0), gains.as_tuple()])
     assert shown == pytest.approx(expected.tolist(), abs=1e-6)
 
@@ -114,7 +114,7 @@ CASES = {
     "cost (35)": (MODEL, trial()),
     "limits that act": (MODEL, trial(limit_N=1.5)),
     "ramp": (MODEL, trial(ramp=12)),
-    "friction": (MODEL._replace(friction_N=0.05), trial()),
+    "friction": (MODEL._replace(friction=0.05), trial()),
     "load and ITAE": (MODEL, trial(load_N=-1.0, criterion="itae", rejection=0.5)),
     "price of the effort": (MODEL, trial(criterion="ise", effort_weight=0.1)),
     "four poles": (FOUR_POLES, trial()),
@@ -152,7 +152,7 @@ def test_optimum_in_the_browser_costs_what_that_of_the_loop_model_does(page, res
     for Ms in (1.3, 1.6, 1.9):
         limits = RobustnessLimits(Ms, 0.05)
         search = RegionSearch(
-            *(fit.model, trial, limits, lambda x: Gains(*np.exp(x)), low, high, fit.noise_N)
+            *(fit.model, trial, limits, lambda x: Gains(*np.exp(x)), low, high, fit.noise_std)
         )
         best = search.minimise([np.log(list(start.values()))], scattered=64).prediction
         shown = page.evaluate(OPTIMUM, [data, start, Ms, 0.05])

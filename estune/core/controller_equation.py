@@ -104,33 +104,33 @@ def controller_polynomials(
 def unlimited_effort(
     settings: ControllerSettings,
     gains: Gains,
-    setpoint_N: FloatArray,
-    measurement_N: FloatArray,
+    setpoint: FloatArray,
+    measurement: FloatArray,
     *,
-    first_N: float,
+    first_effort: float,
     form: ControllerForm | None = None,
 ) -> FloatArray:
-    """The efforts over a record in which no limit acts, N, shape (samples,).
+    """The efforts over a record in which no limit acts, shape (samples,).
 
     The controller's filters are at rest at the first sample; only its integral is unknown.
 
     Args:
         settings: The fixed part of the controller.
         gains: The gains.
-        setpoint_N: Setpoint before its filter, N, shape (samples,).
-        measurement_N: Measurement, N, shape (samples,).
-        first_N: Effort of the first sample.
+        setpoint: Setpoint before its filter, shape (samples,).
+        measurement: Measurement, shape (samples,).
+        first_effort: Effort of the first sample.
         form: As of `controller_polynomials`.
     """
     c = controller_polynomials(settings, gains, form)
-    r, y = setpoint_N - setpoint_N[0], measurement_N - measurement_N[0]
+    r, y = setpoint - setpoint[0], measurement - measurement[0]
     r = lfilter(c.filter_numerator, c.filter_denominator, r)
     driven = _filtered(c.setpoint, r) - _filtered(c.measurement, y)
     # The error of the first sample is integrated from then on, as if it had always been there.
-    constant = float(setpoint_N[0] - measurement_N[0]) * gains.I / settings.sampling_Hz
+    constant = float(setpoint[0] - measurement[0]) * gains.I / settings.sampling_Hz
     passed = lfilter([1.0], [1.0, -c.derivative_pole], driven)
-    effort = first_N + np.cumsum(passed) + constant * np.arange(setpoint_N.size)
-    return np.asarray(effort + first_N - effort[0])
+    effort = first_effort + np.cumsum(passed) + constant * np.arange(setpoint.size)
+    return np.asarray(effort + first_effort - effort[0])
 
 
 def _derivative(form: ControllerForm, h: float, lag: float) -> tuple[float, float]:

@@ -40,7 +40,6 @@ from functools import lru_cache
 from typing import Annotated, Any, Final, Literal
 
 import numpy as np
-from numpy.typing import ArrayLike
 from pydantic import Field
 
 from estune.core.quantities import FloatArray, check_positive
@@ -137,18 +136,18 @@ class StepCost:
         self,
         sampling_Hz: float,
         step: StepShape,
-        setpoint_N: ArrayLike,
-        measurement_N: ArrayLike,
-        effort_N: ArrayLike,
+        setpoint: FloatArray,
+        measurement: FloatArray,
+        effort: FloatArray,
     ) -> float | FloatArray:
         """The cost eta of a sampled step response, or of a batch of them.
 
         Args:
             sampling_Hz: Sampling rate.
             step: The step, whose size is dT, and the load.
-            setpoint_N: Setpoint r before its filter, N, shape (samples,) or (..., samples).
-            measurement_N: Measurement y, N, shape (..., samples).
-            effort_N: Control effort u, N, shape (..., samples).
+            setpoint: Setpoint r before its filter, shape (samples,) or (..., samples).
+            measurement: Measurement y, shape (..., samples).
+            effort: Control effort u, shape (..., samples).
 
         Returns:
             A float, or an array of shape (...). NaN in the response gives NaN; a response too
@@ -159,16 +158,16 @@ class StepCost:
                 zero or outside the record, the columns differ in length, or there is no sample
                 before the step from which to count the first move.
         """
-        step_index, step_N, load, ramp = step
-        if not (math.isfinite(step_N) and step_N != 0.0):
-            raise InvalidInput(f"step size is {step_N} N; it must be finite and not zero")
-        measurement = np.asarray(measurement_N)
+        step_index, step_size, load, ramp = step
+        if not (math.isfinite(step_size) and step_size != 0.0):
+            raise InvalidInput(f"step size is {step_size}; it must be finite and not zero")
+        measurement = np.asarray(measurement)
         samples = measurement.shape[-1]
         if not 0 <= step_index < samples:
             raise InvalidInput(
                 f"the step at sample {step_index} is outside the record of {samples} samples"
             )
-        setpoint, effort = np.asarray(setpoint_N), np.asarray(effort_N)
+        setpoint, effort = np.asarray(setpoint), np.asarray(effort)
         if not setpoint.shape[-1] == effort.shape[-1] == samples:
             raise InvalidInput(
                 f"setpoint, measurement and effort have {setpoint.shape[-1]}, {samples} and "
@@ -185,15 +184,15 @@ class StepCost:
         # A diverged response overflows to infinity, which is its cost.
         with np.errstate(over="ignore", invalid="ignore"):
             error = setpoint - measurement
-            eta = self._criterion(error[..., step_index:end] / step_N, sampling_Hz, ramp)
+            eta = self._criterion(error[..., step_index:end] / step_size, sampling_Hz, ramp)
             if load is not None and self.rejection > 0.0:
-                rejected = self._criterion(error[..., load.sample :] / load.size_N, sampling_Hz)
+                rejected = self._criterion(error[..., load.sample :] / load.size, sampling_Hz)
                 eta = (1.0 - self.rejection) * eta + self.rejection * rejected
             if self.effort_weight > 0.0:
-                used = _effort_used(effort[..., step_index:end] / step_N)
+                used = _effort_used(effort[..., step_index:end] / step_size)
                 eta = eta + self.effort_weight / (sampling_Hz * self.settling_time_s) * used
             if self.move_weight > 0.0:
-                eta = eta + self.move_weight * _moves(step_index, step_N, effort)
+                eta = eta + self.move_weight * _moves(step_index, step_size, effort)
         return float(eta) if np.ndim(eta) == 0 else np.asarray(eta)
 
     def _criterion(self, error: FloatArray, sampling_Hz: float, ramp: int = 1) -> FloatArray:
@@ -208,7 +207,7 @@ class StepCost:
         columns: tuple[FloatArray, FloatArray, FloatArray],
     ) -> float | FloatArray:
         """The cost by the user's function, of each response of a batch."""
-        step_index, step_N, load, _ = step
+        step_index, step_size, load, _ = step
         rest = [np.asarray(c)[..., : max(step_index, 1)].mean(-1, keepdims=True) for c in columns]
         rest[1] = rest[0]  # the error stays as it is
         moved = np.broadcast_arrays(*(c - r for c, r in zip(columns, rest, strict=True)))
@@ -217,7 +216,7 @@ class StepCost:
         costs = [
             evaluate_function(
                 self.function,
-                StepResponse(time_s, r, y, u, step_N, step_index, self.settling_time_s, load),
+                StepResponse(time_s, r, y, u, step_size, step_index, self.settling_time_s, load),
             )
             for r, y, u in zip(*(c.reshape(-1, samples) for c in moved), strict=True)
         ]
@@ -283,14 +282,14 @@ def _effort_used(effort: FloatArray) -> FloatArray:
     return np.asarray(np.vecdot(away, away))
 
 
-def _moves(step_index: int, step_N: float, effort: FloatArray) -> FloatArray:
+def _moves(step_index: int, step_size: float, effort: FloatArray) -> FloatArray:
     """sum((du_k/dT)^2) from the move made at the step itself on."""
     if step_index == 0:
         raise InvalidInput(
             "the step at the first sample has no effort before it to count the first move from; "
             "step later, or set the move weight to 0"
         )
-    moves = np.diff(effort[..., step_index - 1 :]) / step_N
+    moves = np.diff(effort[..., step_index - 1 :]) / step_size
     return np.asarray(np.vecdot(moves, moves))
 
 

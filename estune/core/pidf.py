@@ -79,9 +79,9 @@ class Coefficients(NamedTuple):
 class PidfState(NamedTuple):
     """The state of the controller between samples."""
 
-    integral_N: Signal
-    filtered_setpoint_N: Signal
-    filtered_measurement_N: Signal
+    integral: Signal
+    filtered_setpoint: Signal
+    filtered_measurement: Signal
 
 
 def coefficients(settings: ControllerSettings, gains: Gains) -> Coefficients:
@@ -113,72 +113,72 @@ def symbolic_coefficients(
 
 
 def step(
-    c: Coefficients, state: PidfState, setpoint_N: Signal, measurement_N: Signal
+    c: Coefficients, state: PidfState, setpoint: Signal, measurement: Signal
 ) -> tuple[PidfState, Signal, Signal]:
     """One sample of the controller.
 
     Args:
         c: The difference equation.
         state: After the last sample.
-        setpoint_N: Setpoint r before its filter, N.
-        measurement_N: Measurement y, N.
+        setpoint: Setpoint r before its filter.
+        measurement: Measurement y.
 
     Returns:
-        The next state, the effort within its limits, N, and the excess beyond them, N.
+        The next state, the effort within its limits, and the excess beyond them.
     """
-    r, error, derivative = _terms(c, state, setpoint_N, measurement_N)
-    effort, excess = limit_effort(c, c.P * error + state.integral_N - c.D * derivative)
+    r, error, derivative = _terms(c, state, setpoint, measurement)
+    effort, excess = limit_effort(c, c.P * error + state.integral - c.D * derivative)
     following = PidfState(
-        integral_N=state.integral_N + c.I_per_sample * error - c.tracking * excess,
-        filtered_setpoint_N=r,
-        filtered_measurement_N=state.filtered_measurement_N + c.sample_s * derivative,
+        integral=state.integral + c.I_per_sample * error - c.tracking * excess,
+        filtered_setpoint=r,
+        filtered_measurement=state.filtered_measurement + c.sample_s * derivative,
     )
     return following, effort, excess
 
 
-def limit_effort(c: Coefficients, wanted_N: Signal) -> tuple[Signal, Signal]:
-    """An effort within the controller's limits, N, and the excess beyond them, N."""
-    effort = np.minimum(np.maximum(wanted_N, c.output_min_N), c.output_max_N)
-    return effort, wanted_N - effort
+def limit_effort(c: Coefficients, wanted: Signal) -> tuple[Signal, Signal]:
+    """An effort within the controller's limits, and the excess beyond them."""
+    effort = np.minimum(np.maximum(wanted, c.output_min_N), c.output_max_N)
+    return effort, wanted - effort
 
 
-def state_at_rest(tension_N: Signal, effort_N: Signal) -> PidfState:
+def state_at_rest(measurement: Signal, effort: Signal) -> PidfState:
     """The state of a loop settled at a tension with a constant effort."""
-    return PidfState(effort_N, tension_N, tension_N)
+    return PidfState(effort, measurement, measurement)
 
 
 def bumpless(
-    c: Coefficients, state: PidfState, setpoint_N: Signal, measurement_N: Signal, effort_N: Signal
+    c: Coefficients, state: PidfState, setpoint: Signal, measurement: Signal, effort: Signal
 ) -> PidfState:
-    """The state from which the next `step` gives exactly `effort_N`.
+    """The state from which the next `step` gives exactly `effort`.
 
     Only the integral moves, because the filters do not depend on the gains.
     """
-    _, error, derivative = _terms(c, state, setpoint_N, measurement_N)
-    return state._replace(integral_N=effort_N - c.P * error + c.D * derivative)
+    _, error, derivative = _terms(c, state, setpoint, measurement)
+    return state._replace(integral=effort - c.P * error + c.D * derivative)
 
 
 def bumpless_exchange(
     before: Coefficients,
     after: Coefficients,
     state: PidfState,
-    setpoint_N: Signal,
-    measurement_N: Signal,
+    setpoint: Signal,
+    measurement: Signal,
 ) -> PidfState:
     """The state from which the next `step` with new gains gives the effort of the old ones.
 
     For gains that follow a schedule: `bumpless` to the last effort at every sample would freeze
     the effort.
     """
-    _, error, derivative = _terms(before, state, setpoint_N, measurement_N)
-    effort = before.P * error + state.integral_N - before.D * derivative
-    return bumpless(after, state, setpoint_N, measurement_N, effort)
+    _, error, derivative = _terms(before, state, setpoint, measurement)
+    effort = before.P * error + state.integral - before.D * derivative
+    return bumpless(after, state, setpoint, measurement, effort)
 
 
 def _terms(
-    c: Coefficients, state: PidfState, setpoint_N: Signal, measurement_N: Signal
+    c: Coefficients, state: PidfState, setpoint: Signal, measurement: Signal
 ) -> tuple[Signal, Signal, Signal]:
     """Filtered setpoint, error, and filtered derivative of the measurement."""
-    r = c.setpoint_pole * state.filtered_setpoint_N + (1.0 - c.setpoint_pole) * setpoint_N
-    derivative = (measurement_N - state.filtered_measurement_N) / c.derivative_span_s
-    return r, r - measurement_N, derivative
+    r = c.setpoint_pole * state.filtered_setpoint + (1.0 - c.setpoint_pole) * setpoint
+    derivative = (measurement - state.filtered_measurement) / c.derivative_span_s
+    return r, r - measurement, derivative

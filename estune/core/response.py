@@ -16,11 +16,11 @@ class LoadStep(NamedTuple):
 
     Attributes:
         sample: First sample with the load.
-        size_N: Its size, in the unit of the effort; not zero.
+        size: Its size, in the unit of the effort; not zero.
     """
 
     sample: int
-    size_N: float
+    size: float
 
 
 class StepShape(NamedTuple):
@@ -28,26 +28,26 @@ class StepShape(NamedTuple):
 
     Attributes:
         sample: First sample of the step.
-        size_N: Its size; not zero.
+        size: Its size; not zero.
         load: Load step after it, or None.
         ramp: Samples over which the setpoint moves; 1 is a step.
     """
 
     sample: int
-    size_N: float
+    size: float
     load: LoadStep | None = None
     ramp: int = 1
 
     def setpoint(self, samples: int) -> FloatArray:
-        """The setpoint as a deviation from the preload, N, shape (samples,)."""
+        """The setpoint as a deviation from the preload, shape (samples,)."""
         moved = np.arange(1 - self.sample, samples - self.sample + 1) / self.ramp
-        return self.size_N * np.clip(moved, 0.0, 1.0)
+        return self.size * np.clip(moved, 0.0, 1.0)
 
     def loads(self, samples: int) -> FloatArray:
-        """The load at each sample, N, shape (samples,)."""
+        """The load at each sample, shape (samples,)."""
         loads = np.zeros(samples)
         if self.load is not None:
-            loads[self.load.sample :] = self.load.size_N
+            loads[self.load.sample :] = self.load.size
         return loads
 
 
@@ -59,20 +59,20 @@ class StepResponse(NamedTuple):
 
     Attributes:
         time_s: Time from the step; negative before it.
-        setpoint_N: Setpoint before its filter.
-        measurement_N: Measurement.
-        effort_N: Control effort.
-        step_N: Size of the step.
+        setpoint: Setpoint before its filter.
+        measurement: Measurement.
+        effort: Control effort.
+        step_size: Size of the step.
         step_index: First sample of the step.
         settling_time_s: Desired settling time.
         load: Load step, or None.
     """
 
     time_s: FloatArray
-    setpoint_N: FloatArray
-    measurement_N: FloatArray
-    effort_N: FloatArray
-    step_N: float
+    setpoint: FloatArray
+    measurement: FloatArray
+    effort: FloatArray
+    step_size: float
     step_index: int
     settling_time_s: float
     load: LoadStep | None

@@ -15,7 +15,7 @@ from estune.support import c_compiler
 _LIMITS = slice(
     Coefficients._fields.index("output_min_N"), Coefficients._fields.index("output_max_N") + 1
 )
-_FILTERED = pidf.PidfState._fields.index("filtered_setpoint_N")
+_FILTERED = pidf.PidfState._fields.index("filtered_setpoint")
 _EXPORT = '#define ESTUNE_PIDF_EXPORT __attribute__((visibility("default")))\n'
 
 
@@ -145,7 +145,7 @@ class PlainController(_Limits):
     @property
     def filtered_setpoint_N(self) -> float:
         """Setpoint after its filter at the last step, N."""
-        return float(self._state.filtered_setpoint_N)
+        return float(self._state.filtered_setpoint)
 
     def rest(self, tension_N: float, effort_N: float) -> None:
         """Takes the state of a settled loop."""

@@ -178,7 +178,7 @@ def controller_source(settings: ControllerSettings, gains: Gains) -> str:
         coefficient_names=", ".join(pidf.Coefficients._fields),
         states=STATES,
         state_names=", ".join(pidf.PidfState._fields),
-        filtered=pidf.PidfState._fields.index("filtered_setpoint_N"),
+        filtered=pidf.PidfState._fields.index("filtered_setpoint"),
         limits=pidf.Coefficients._fields.index("output_min_N"),
         gains=", ".join(repr(value) for value in gains.as_tuple()),
     )

@@ -189,7 +189,7 @@ class HardwareRig(Closing):
             RigError: the rig is closed, its loop has failed, or it has stopped.
         """
         self._check_alive()
-        self._description.limits.check_tension(setpoint.tension_N)
+        self._description.limits.check_setpoint(setpoint.tension_N)
         if setpoint.angle_rad is not None and self._config.hybrid is None:
             raise InvalidInput(
                 f"rig {self._description.name} has no position controller; "
@@ -316,7 +316,7 @@ class HardwareRig(Closing):
         ):
             shape = step.shape(rate)
             weights[shape.sample :] = self._cost.weights(rate, shape, len(weights))
-            weights /= shape.size_N**2
+            weights /= shape.size**2
         return weights
 
     def _cost_max(self, request: TrialRequest) -> float:

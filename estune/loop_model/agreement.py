@@ -92,12 +92,12 @@ def _without_friction(fit: LoopFit, records: Sequence[LoopRecord]) -> FitSignals
     """The signals of records with the friction of a model taken off their effort."""
     model, settling = fit.model, fit.settling_samples
     signals = signals_of(records, settling, round(settling))
-    if not model.friction_N:
+    if not model.friction:
         return signals
-    taps, most = model.sections[0].taps[np.newaxis], np.array([model.friction_N])
+    taps, most = model.sections[0].taps[np.newaxis], np.array([model.friction])
     forces = []
     for group in signals.groups:
-        efforts = np.array([records[i].effort_N for i in group.members])
-        rest = np.array([[records[i].rest_effort_N for i in group.members]])
+        efforts = np.array([records[i].effort for i in group.members])
+        rest = np.array([[records[i].rest_effort for i in group.members]])
         forces.append(friction_force(efforts, taps, most, rest)[0])
     return less_friction(signals, forces)

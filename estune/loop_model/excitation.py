@@ -76,7 +76,7 @@ class UnknownLoop(NamedTuple):
 
 
 def wanted_setpoint(unknown: UnknownLoop, samples: int) -> float:
-    """Setpoint of white power that makes the loop known, as its root mean square, N.
+    """Setpoint of white power that makes the loop known, as its root mean square.
 
     Infinite where one of the loops is unstable by the model.
 
@@ -94,18 +94,18 @@ def wanted_setpoint(unknown: UnknownLoop, samples: int) -> float:
     later = np.exp(-1j * theta)
     to_effort = np.polyval(at.to_effort[::-1], later) / np.polyval(at.characteristic[::-1], later)
     bins = np.maximum(HALF_WIDTH * theta * samples / math.pi, 1.0)
-    hidden = DEVIATIONS * fit.noise_N * weight / (np.abs(to_effort) * np.sqrt(bins))
+    hidden = DEVIATIONS * fit.noise_std * weight / (np.abs(to_effort) * np.sqrt(bins))
     return float(hidden.max()) / SHARE_WANTED
 
 
-def is_enough(setpoint_N: float, wanted_N: float) -> bool:
+def is_enough(setpoint: float, wanted: float) -> bool:
     """Whether a setpoint smaller than wanted still makes the loop known."""
-    return setpoint_N * UNKNOWN_FROM >= wanted_N * SHARE_WANTED
+    return setpoint * UNKNOWN_FROM >= wanted * SHARE_WANTED
 
 
 def largest_deviations(
-    model: LoopModel, gains: Gains, controller: ControllerSettings, setpoint_N: FloatArray
+    model: LoopModel, gains: Gains, controller: ControllerSettings, setpoint: FloatArray
 ) -> tuple[float, float]:
-    """Largest deviations of measurement and effort for a setpoint, N, shape (samples,)."""
-    output, effort = close_loop(model, gains, controller).setpoint_response(setpoint_N)
+    """Largest deviations of measurement and effort for a setpoint, shape (samples,)."""
+    output, effort = close_loop(model, gains, controller).setpoint_response(setpoint)
     return float(np.abs(output).max()), float(np.abs(effort).max())

@@ -172,7 +172,7 @@ def _foretold_by_others(
     It costs one set of slopes instead of a search. A record that spoils a fit moves it further
     than slopes reach, or the others do not know some direction of it: then nothing is said.
     """
-    if fit.model.friction_N:
+    if fit.model.friction:
         return False
     model, settling = fit.model, fit.settling_samples
     signals = signals_of(records, settling, round(settling))
@@ -223,9 +223,9 @@ def _with_all(
         misfits[number], errors[number] = fit.misfits[i], fit.errors[i]
         unexplained[number] = fit.unexplained[i]
     for number in out:
-        error, span = prediction_error(fit, records[number]), records[number].span_N
+        error, span = prediction_error(fit, records[number]), records[number].span
         unexplained[number] = errors[number] = error
-        beyond = max(_power(error) - fit.residual_N**2, 0.0)
+        beyond = max(_power(error) - fit.residual_std**2, 0.0)
         misfits[number] = math.sqrt(beyond) / max(span, 1e-300)
     return fit._replace(
         misfits=tuple(misfits), unexplained=tuple(unexplained), errors=tuple(errors), left_out=out
@@ -247,7 +247,7 @@ def _fit(
     fit = _explaining(records, signals, first, last, again=again)
     # In records of service a load may take the place of a pole.
     in_motion = any(group.history for group in signals.groups)
-    if fit.order != 2 or fit.model.friction_N or in_motion:
+    if fit.order != 2 or fit.model.friction or in_motion:
         return fit
     two = PoleFit(math.nan, np.array(fit.model.coordinates), fit.model.dead_samples)
     return _summarised(records, signals, without_spare_pole(signals, two))
@@ -263,7 +263,7 @@ def _explaining(
 ) -> LoopFit:
     """The model that explains all records, of two poles or more."""
     low = _summarised(records, signals, first)
-    earlier = last if last is not None and last.model.friction_N else None
+    earlier = last if last is not None and last.model.friction else None
     # What did not help with a record less will hardly help now.
     in_motion = any(group.history for group in signals.groups)
     if (low.is_white and not in_motion) or not (again or earlier or (last and last.is_white)):
@@ -287,7 +287,7 @@ def _explaining(
 
 def _criterion(fit: LoopFit, signals: FitSignals) -> float:
     errors, model = _errors(fit, signals), fit.model
-    further = int(model.friction_N > 0.0)
+    further = int(model.friction > 0.0)
     return criterion(signals, float(errors @ errors), fit.order, fit.noise, further)
 
 
@@ -319,9 +319,9 @@ def _cold_starts(
 def _shortened(record: LoopRecord, samples: int) -> LoopRecord:
     part = slice(0, samples)
     return record._replace(
-        effort_N=record.effort_N[part],
-        measurement_N=record.measurement_N[part],
-        setpoint_N=record.setpoint_N[part],
+        effort=record.effort[part],
+        measurement=record.measurement[part],
+        setpoint=record.setpoint[part],
     )
 
 

@@ -62,7 +62,7 @@ def fit_with_friction(
     if last is not None:
         motion, model = FrictionMotion.of(records, last), last.model
         noises = search_vector(np.zeros(0), last.noise)
-        x = np.array([*model.coordinates, model.friction_N / motion.scale, 0.0, *noises])
+        x = np.array([*model.coordinates, model.friction / motion.scale, 0.0, *noises])
         search = partial(_search, motion)
         start = search(PoleFit(math.inf, x, model.dead_samples), model.dead_samples)
         warm = _summarise(motion, search_dead_time(search, start))
@@ -82,7 +82,7 @@ def fit_with_friction(
     search = partial(_search, motion)
     best = search_dead_time(search, min((search(f, f.dead) for f in few[:STARTS]), key=by_cost))
     cold = _summarise(motion, best)
-    return warm if warm is not None and warm.residual_N <= cold.residual_N else cold
+    return warm if warm is not None and warm.residual_std <= cold.residual_std else cold
 
 
 def _starts(motion: FrictionMotion, linear: LoopFit) -> list[PoleFit]:
@@ -117,9 +117,9 @@ def _search(motion: FrictionMotion, start: PoleFit, dead: int) -> PoleFit:
 
     def residual_of(x: FloatArray, forces: list[FloatArray]) -> FloatArray:
         # Without a reversal only the change of the friction shows: then it holds nothing at rest.
-        _, friction_N, held = motion.split(x)
+        _, friction, held = motion.split(x)
         left = _solution(motion, x, forces, dead).residual
-        return np.append(left, friction_N * math.tanh(held))
+        return np.append(left, friction * math.tanh(held))
 
     def jacobian(x: FloatArray) -> FloatArray:
         about = _about(motion, x)
@@ -166,12 +166,12 @@ def _summarise(motion: FrictionMotion, best: PoleFit) -> LoopFit:
     """The fit with its covariances and its misfit."""
     x = best.coordinates
     at = _solution(motion, x, [f[0] for f in _about(motion, x)], best.dead)
-    poles, friction_N, _ = motion.split(x)
+    poles, friction, _ = motion.split(x)
     model = LoopModel(
         tuple(poles.tolist()),
         tuple(at.numerator.tolist()),
         best.dead,
-        max(friction_N, FRICTION_MIN * motion.scale),
+        max(friction, FRICTION_MIN * motion.scale),
     )
     left = Residuals(
         at.residual,

@@ -23,7 +23,7 @@ from estune.loop_model.noise_model import NoiseModel
 from estune.loop_model.poles import sections_of
 from estune.loop_model.records import LoopRecord
 
-DIVERGED_N = 1e9
+DIVERGED = 1e9
 """Force in place of one that is not a number, of a mass whose poles are unstable."""
 
 
@@ -35,7 +35,7 @@ class FrictionMotion(NamedTuple):
         records: The same.
         rest: Of each group the position before the record less its mean, in N of effort.
         rest_effort: Mean effort before the step.
-        scale: Effort that a step needs, N.
+        scale: Effort that a step needs.
         poles: Number of poles.
         noise: The noises that there are, and the sizes that a search begins from.
         known: Forces at the last coordinates, by their bytes.
@@ -55,8 +55,8 @@ class FrictionMotion(NamedTuple):
         """The motion of records of a plant like an earlier fit."""
         gain, settling = like.model.static_gain, like.settling_samples
         signals = signals_of(records, settling, round(settling))
-        rests = [float(r.measurement_N[: max(r.step_index, 1)].mean()) for r in records]
-        means = [float(r.measurement_N.mean()) for r in records]
+        rests = [float(r.measurement[: max(r.step_index, 1)].mean()) for r in records]
+        means = [float(r.measurement.mean()) for r in records]
         if any(r.at_rest for r in records):
             means = [float(np.mean(rests))] * len(records)
         return cls(
@@ -67,14 +67,14 @@ class FrictionMotion(NamedTuple):
                 for group in signals.groups
             ),
             rest_effort=float(np.mean([_middle(r) for r in records])),
-            scale=abs(records[0].span_N / gain),
+            scale=abs(records[0].span / gain),
             poles=like.order,
             noise=like.noise,
             known={},
         )
 
     def split(self, x: FloatArray) -> tuple[FloatArray, float, float]:
-        """Poles, F in N, and the share of it that holds at rest as an area tangent."""
+        """Poles, F, and the share of it that holds at rest as an area tangent."""
         n = self.poles
         return x[:n], self.scale * abs(float(x[n])), float(x[n + 1])
 
@@ -94,7 +94,7 @@ def two_poles(model: LoopModel) -> LoopModel:
 
 def _middle(record: LoopRecord) -> float:
     """Effort that the record begins with at rest, else that of its mean measurement."""
-    return record.rest_effort_N if record.at_rest else float(record.effort_N.mean())
+    return record.rest_effort if record.at_rest else float(record.effort.mean())
 
 
 def forces_of(motion: FrictionMotion, coordinates: Sequence[FloatArray]) -> list[FloatArray]:
@@ -105,7 +105,7 @@ def forces_of(motion: FrictionMotion, coordinates: Sequence[FloatArray]) -> list
     held = friction * np.tanh([part[2] for part in parts])
     found = []
     for group, rest in zip(motion.signals.groups, motion.rest, strict=True):
-        effort = np.array([motion.records[i].effort_N for i in group.members])
+        effort = np.array([motion.records[i].effort for i in group.members])
         start = motion.rest_effort + held[:, np.newaxis] + rest
         found.append(friction_force(effort, a, friction, start))
     return found
@@ -114,13 +114,13 @@ def forces_of(motion: FrictionMotion, coordinates: Sequence[FloatArray]) -> list
 def friction_force(
     effort: FloatArray, a: FloatArray, most: FloatArray, rest: FloatArray
 ) -> FloatArray:
-    """Friction on masses on springs, N, shape (masses, records, samples).
+    """Friction on masses on springs, shape (masses, records, samples).
 
     Args:
         effort: Shape (records, samples).
         a: Denominators of the two poles, shape (masses, 3).
-        most: Size of the friction, N, shape (masses,).
-        rest: Position before the first sample, N, shape (masses, records).
+        most: Size of the friction, shape (masses,).
+        rest: Position before the first sample, shape (masses, records).
     """
     unit = a.sum(axis=1)[:, np.newaxis]
     # All of one shape and without new arrays, a sample takes a third of the time.
@@ -143,7 +143,7 @@ def friction_force(
             np.subtract(other, off, out=other)
             now, other = other, now
         taken /= unit
-    taken = np.nan_to_num(taken, nan=DIVERGED_N, posinf=DIVERGED_N, neginf=-DIVERGED_N)
+    taken = np.nan_to_num(taken, nan=DIVERGED, posinf=DIVERGED, neginf=-DIVERGED)
     return taken.transpose(1, 2, 0)
 
 
@@ -158,8 +158,8 @@ def less_friction(signals: FitSignals, forces: list[FloatArray]) -> FitSignals:
 
 def friction_of(model: LoopModel, signals: FitSignals, record: LoopRecord) -> list[FloatArray]:
     """The friction of a model on one record, which begins without any."""
-    if not model.friction_N:
+    if not model.friction:
         return [np.zeros((1, record.samples)) for _ in signals.groups]
-    a, most = model.sections[0].taps[np.newaxis], np.array([model.friction_N])
-    rest = np.array([[record.rest_effort_N]])
-    return [friction_force(record.effort_N[np.newaxis], a, most, rest)[0]]
+    a, most = model.sections[0].taps[np.newaxis], np.array([model.friction])
+    rest = np.array([[record.rest_effort]])
+    return [friction_force(record.effort[np.newaxis], a, most, rest)[0]]

@@ -62,7 +62,7 @@ def hides_friction(records: Sequence[LoopRecord], linear: LoopFit) -> bool:
     """
     from scipy.special import ndtri  # noqa: PLC0415  slow to import
 
-    if linear.model.friction_N or not math.isfinite(linear.model.static_gain):
+    if linear.model.friction or not math.isfinite(linear.model.static_gain):
         return False
     two = linear._replace(model=two_poles(linear.model))
     motion = FrictionMotion.of(records[:SCORED], two)

@@ -35,13 +35,13 @@ def hum_of(records: Sequence[LoopRecord]) -> float:
     tail = min(r.samples - r.step_index for r in steps) // 2
     if tail < 4 * BESIDE[1]:
         return 0.0
-    theta = _line(np.array([r.measurement_N[-tail:] for r in steps]))
-    before = np.array([r.measurement_N[r.step_index - rest : r.step_index] for r in steps])
+    theta = _line(np.array([r.measurement[-tail:] for r in steps]))
+    before = np.array([r.measurement[r.step_index - rest : r.step_index] for r in steps])
     return theta if theta * rest > 2.0 * math.pi and _holds(before, theta) else 0.0
 
 
 def _is_step(record: LoopRecord) -> bool:
-    return not np.ptp(record.setpoint_N[record.step_index :])
+    return not np.ptp(record.setpoint[record.step_index :])
 
 
 def _line(tails: FloatArray) -> float:

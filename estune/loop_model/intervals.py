@@ -64,15 +64,15 @@ def predict_with_intervals(fit: LoopFit, trial: StepTrial, gains: Gains) -> Pred
     They are the wider of those by the white and by the between-record covariance, both inflated.
     What the records leave unexplained or do not excite is not in them (`plant_error`).
     """
-    centre = _transformed(predict(fit.model, trial, gains, fit.noise_N))
+    centre = _transformed(predict(fit.model, trial, gains, fit.noise_std))
     low, high = np.full(4, math.inf), np.full(4, -math.inf)
     for factor in (white_factor(fit), clustered_factor(fit)):
         models = drawn_models(fit, factor, DRAWS, seed=0)
-        drawn = predictions(models, trial, [gains], fit.noise_N)
+        drawn = predictions(models, trial, [gains], fit.noise_std)
         ends = _ends(np.array([_transformed(one) for one in drawn]))
         low, high = np.fmin(low, ends[0]), np.fmax(high, ends[1])
     low, high = np.fmin(low, centre), np.fmax(high, centre)
-    error = math.hypot(MODEL_ERROR, FRICTION_ERROR if fit.model.friction_N else 0.0)
+    error = math.hypot(MODEL_ERROR, FRICTION_ERROR if fit.model.friction else 0.0)
     if math.isfinite(centre[2]):  # an unstable loop has no Ms to widen
         low[2] = centre[2] - math.hypot(centre[2] - low[2], error)
         high[2] = centre[2] + math.hypot(high[2] - centre[2], error)
@@ -107,9 +107,9 @@ def setpoint_deviation(
     """
     answers = []
     for record in records:
-        if record.gains is None or not np.ptp(record.setpoint_N):
+        if record.gains is None or not np.ptp(record.setpoint):
             continue
-        moves = record.setpoint_N - record.setpoint_N[0]
+        moves = record.setpoint - record.setpoint[0]
         loop = close_loop(fit.model, record.gains, controller)
         output, effort = loop.setpoint_response(moves)
         answers.append(LoopRecord(effort, output, moves, record.gains, record.at_rest))
@@ -130,7 +130,7 @@ def setpoint_deviation(
     values, vectors = np.linalg.eigh((J / size).T @ (J / size))
     if values[0] <= 1e-13 * values[-1]:
         values = np.maximum(values, 1e-13 * values[-1])
-    columns = fit.residual_N * (vectors / np.sqrt(values)) / size[:, np.newaxis]
+    columns = fit.residual_std * (vectors / np.sqrt(values)) / size[:, np.newaxis]
     theta, slopes = model.parameters, []
     for column in columns.T:
         # A step that changes Ms by little, for one as long as the deviation may be unstable.

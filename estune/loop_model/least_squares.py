@@ -61,13 +61,13 @@ class FitSignals(NamedTuple):
     Attributes:
         groups: Those of equal length together.
         settling_samples: Settling time asked for, in samples.
-        resolution_N: Least standard deviation of the measurement that counts.
+        resolution: Least standard deviation of the measurement that counts.
         hum: Frequency of a hum of the measurement, rad/sample; zero without one.
     """
 
     groups: tuple[RecordGroup, ...]
     settling_samples: float
-    resolution_N: float
+    resolution: float
     hum: float = 0.0
 
     @property
@@ -111,8 +111,8 @@ def signals_of(
     for (samples, at_rest), members in by_kind.items():
         chosen = [records[number] for number in members]
         history = 0 if at_rest else min(longest_dead + REACH, samples // 2)
-        effort = np.array([r.effort_N for r in chosen])
-        measurement = np.array([r.measurement_N for r in chosen])
+        effort = np.array([r.effort for r in chosen])
+        measurement = np.array([r.measurement for r in chosen])
         before = [slice(0, max(r.step_index, 1) if at_rest else None) for r in chosen]
         effort -= np.array([[row[s].mean()] for row, s in zip(effort, before, strict=True)])
         measurement -= np.array(

@@ -77,7 +77,7 @@ def price_of(
 
     def best(within: RobustnessLimits) -> Optimum:
         low, high = np.maximum(bounds[0], at - EXTENT), np.minimum(bounds[1], at + EXTENT)
-        search = RegionSearch(fit.model, trial, within, gains_of, low, high, fit.noise_N)
+        search = RegionSearch(fit.model, trial, within, gains_of, low, high, fit.noise_std)
         return search.minimise([at])
 
     free = best(RobustnessLimits(None, None, None)).prediction.cost

@@ -28,10 +28,10 @@ class LoopFit(NamedTuple):
         noise: Load and drift against the white noise.
         covariance: Of the model's n real parameters, shape (n, n): white residuals.
         clustered: The same from the scatter between records (sandwich estimate).
-        noise_N: Standard deviation of the white noise of the measurement.
-        residual_N: Standard deviation of the prediction error.
+        noise_std: Standard deviation of the white noise of the measurement.
+        residual_std: Standard deviation of the prediction error.
         misfits: rho of each record, the residual beyond the noise as a share of its span.
-        response_N: Largest deviation of the fitted measurement, as the residual through 1/H.
+        response_peak: Largest deviation of the fitted measurement, as the residual through 1/H.
         unexplained: What the model leaves of the measurement of each record, load and drift in
             it, shape (its samples,); zero where it was not fitted.
         errors: Its prediction errors, shape (its samples,).
@@ -44,10 +44,10 @@ class LoopFit(NamedTuple):
     noise: NoiseModel
     covariance: FloatArray
     clustered: FloatArray
-    noise_N: float
-    residual_N: float
+    noise_std: float
+    residual_std: float
     misfits: tuple[float, ...]
-    response_N: float
+    response_peak: float
     unexplained: tuple[FloatArray, ...]
     errors: tuple[FloatArray, ...]
     is_white: bool
@@ -62,8 +62,8 @@ class LoopFit(NamedTuple):
     @property
     def responds(self) -> bool:
         """Whether the measurement follows the effort, beyond the noise."""
-        left_N = self.noise_N if self.noise.is_white else self.residual_N
-        return self.response_N > RESPONSE_MIN * left_N
+        left_std = self.noise_std if self.noise.is_white else self.residual_std
+        return self.response_peak > RESPONSE_MIN * left_std
 
     @property
     def misfit(self) -> float:
@@ -75,7 +75,7 @@ class LoopFit(NamedTuple):
     def is_incomplete(self) -> bool:
         """Whether the model leaves more of the records unexplained than their white noise."""
         powers = [float(np.mean(left**2)) for left in self.unexplained if left.size]
-        return float(np.mean(powers)) > 2.0 * self.noise_N**2
+        return float(np.mean(powers)) > 2.0 * self.noise_std**2
 
     @property
     def quantile(self) -> float:
@@ -93,14 +93,14 @@ class Residuals(NamedTuple):
         errors: Prediction errors, shape (residuals of all,).
         slopes: Of them along the model's real parameters and further ones that all records share,
             shape (residuals of all, parameters).
-        response_N: Largest deviation of the model's output, without start states and offsets, as
+        response_peak: Largest deviation of the output, without start states and offsets, as
             the residual through 1/H.
         nuisance: Parameters of each record.
     """
 
     errors: FloatArray
     slopes: FloatArray
-    response_N: float
+    response_peak: float
     nuisance: int
 
 
@@ -131,15 +131,15 @@ def summarise(
             unexplained[number][group.history :] = left.errors[own]
             at += size
     meat = np.array(scores)
-    outputs, white_N = unexplained, _noise_of(unexplained)
+    outputs, white_std = unexplained, _noise_of(unexplained)
     if not noise.is_white:
         H = shaping(model.coordinates, noise, signals.settling_samples)
         outputs = [whiten(e[np.newaxis], H.poles, H.zeros)[0] for e in unexplained]
-        white_N = math.sqrt(variance / H.gain)
-    spans = [record.span_N for record in records]
+        white_std = math.sqrt(variance / H.gain)
+    spans = [record.span for record in records]
     beyond = [
         float(np.mean(left[left.size - _used(left) :] ** 2))
-        - _noise_ceiling(white_N**2, _used(left))
+        - _noise_ceiling(white_std**2, _used(left))
         for left in outputs
     ]
     return LoopFit(
@@ -147,9 +147,9 @@ def summarise(
         noise=noise,
         covariance=(variance * inverse)[:n, :n],
         clustered=(inverse @ (meat.T @ meat) @ inverse)[:n, :n],
-        noise_N=white_N,
-        residual_N=math.sqrt(variance),
-        response_N=left.response_N,
+        noise_std=white_std,
+        residual_std=math.sqrt(variance),
+        response_peak=left.response_peak,
         misfits=tuple(
             math.sqrt(max(power, 0.0)) / max(abs(span), 1e-300)
             for power, span in zip(beyond, spans, strict=True)

@@ -31,14 +31,14 @@ class LoopModel(NamedTuple):
         coordinates: Of the poles, as in `poles`.
         numerator: B in powers of 1 - q^-1, N of measurement per N of effort.
         dead_samples: Whole samples d of dead time beyond the one of sampling.
-        friction_N: Size of the dry friction that the effort works against, N; zero is none. It
+        friction: Size of the dry friction that the effort works against; zero is none. It
             acts on the first pair of poles. Margins are those of the linear part.
     """
 
     coordinates: tuple[float, ...]
     numerator: tuple[float, ...]
     dead_samples: int
-    friction_N: float = 0.0
+    friction: float = 0.0
 
     @classmethod
     def of_taps(
@@ -62,7 +62,7 @@ class LoopModel(NamedTuple):
     @property
     def parameters(self) -> FloatArray:
         """The real parameters: coordinates, numerator, and the friction where there is any."""
-        friction = [self.friction_N] * bool(self.friction_N)
+        friction = [self.friction] * bool(self.friction)
         return np.array([*self.coordinates, *self.numerator, *friction])
 
     def with_parameters(self, values: FloatArray) -> "LoopModel":
@@ -72,7 +72,7 @@ class LoopModel(NamedTuple):
         return self._replace(
             coordinates=tuple(numbers[:n]),
             numerator=tuple(numbers[n:end]),
-            friction_N=max(sum(numbers[end:]), 0.0),
+            friction=max(sum(numbers[end:]), 0.0),
         )
 
     @property
@@ -144,26 +144,26 @@ class ClosedLoop(NamedTuple):
     filter_numerator: FloatArray
     filter_denominator: FloatArray
 
-    def setpoint_response(self, setpoint_N: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def setpoint_response(self, setpoint: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Output and effort for a setpoint, as deviations, without limits, shape (samples,)."""
-        n = setpoint_N.size
+        n = setpoint.size
         poles = np.convolve(self.filter_denominator, self.characteristic)
-        common = lfilter(self.filter_numerator, poles, setpoint_N)
+        common = lfilter(self.filter_numerator, poles, setpoint)
         output, effort = (np.convolve(common, b)[:n] for b in (self.to_output, self.to_effort))
         return output, effort
 
-    def load_response(self, load_N: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def load_response(self, load: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Output and effort for a load at the plant's input, without limits, shape (samples,)."""
         return (
-            lfilter(self.load_to_output, self.characteristic, load_N),
-            lfilter(self.load_to_effort, self.characteristic, load_N),
+            lfilter(self.load_to_output, self.characteristic, load),
+            lfilter(self.load_to_effort, self.characteristic, load),
         )
 
-    def noise_response(self, noise_N: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def noise_response(self, noise: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Measurement and effort for measurement noise, without limits, shape (samples,)."""
         return (
-            lfilter(self.forward, self.characteristic, noise_N),
-            lfilter(self.noise_to_effort, self.characteristic, noise_N),
+            lfilter(self.forward, self.characteristic, noise),
+            lfilter(self.noise_to_effort, self.characteristic, noise),
         )
 
     def noise_gains(self, samples: int) -> tuple[float, float]:

@@ -65,11 +65,11 @@ def changes_with_motion(
         for number, record in enumerate(records)
         if number not in fit.left_out and (speed := _speed(fit, record, controller)) is not None
     ]
-    if fit.model.friction_N or _motions(fit, [speed for _, speed in moved]) < MOTIONS:
+    if fit.model.friction or _motions(fit, [speed for _, speed in moved]) < MOTIONS:
         return False
     kept = [records[number] for number, _ in moved]
     signals = signals_of(kept, fit.settling_samples, round(fit.settling_samples))
-    power = max(_power_score(fit, moved, signals.resolution_N), 0.0)
+    power = max(_power_score(fit, moved, signals.resolution), 0.0)
     squares, freedom = _plant_score(fit, signals, moved)
     return bool(chdtrc(freedom + 1, squares + power**2) < CHANCE)
 
@@ -87,10 +87,10 @@ def _window(fit: LoopFit) -> int:
 
 def _speed(fit: LoopFit, record: LoopRecord, controller: ControllerSettings) -> FloatArray | None:
     """Mean speed of the model's answer in the windows before each sample, shape (samples,)."""
-    if record.at_rest or record.gains is None or not np.ptp(record.setpoint_N):
+    if record.at_rest or record.gains is None or not np.ptp(record.setpoint):
         return None
     loop = close_loop(fit.model, record.gains, controller)
-    output = loop.setpoint_response(record.setpoint_N - record.setpoint_N[0])[0]
+    output = loop.setpoint_response(record.setpoint - record.setpoint[0])[0]
     if not np.isfinite(output).all():
         return None
     way = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(output, prepend=output[0])))])
@@ -99,7 +99,7 @@ def _speed(fit: LoopFit, record: LoopRecord, controller: ControllerSettings) -> 
 
 
 def _power_score(
-    fit: LoopFit, moved: Sequence[tuple[int, FloatArray]], resolution_N: float
+    fit: LoopFit, moved: Sequence[tuple[int, FloatArray]], resolution: float
 ) -> float:
     """Correlation of errors' power and motion, in standard deviations without any.
 
@@ -114,7 +114,7 @@ def _power_score(
             continue
         used = slice(begun, begun + count * window)
         power = fit.errors[number][used].reshape(count, -1).mean(axis=1) ** 2
-        power = np.maximum(power, resolution_N**2)
+        power = np.maximum(power, resolution**2)
         power = power / max(float(power.mean()), 1e-300) - 1.0
         rank = np.argsort(np.argsort(speed[used][window - 1 :: window])) - 0.5 * (count - 1)
         products += float(power @ rank)
@@ -143,5 +143,5 @@ def _plant_score(
     basis, sizes, _ = np.linalg.svd(own, full_matrices=False)
     basis = basis[:, sizes > APART * sizes[0]]
     gained = basis.T @ errors
-    variance = float(errors @ errors) / errors.size + signals.resolution_N**2
+    variance = float(errors @ errors) / errors.size + signals.resolution**2
     return float(gained @ gained) / variance, basis.shape[1]

@@ -169,7 +169,7 @@ class RegionSearch:
         gains_of: From coordinates to gains.
         low: Least coordinates, shape (n,).
         high: Greatest coordinates.
-        noise_N: Standard deviation of the measurement noise.
+        noise_std: Standard deviation of the measurement noise.
         corrected: From coordinates and what the model predicts there to what is expected.
     """
 
@@ -179,7 +179,7 @@ class RegionSearch:
     gains_of: Callable[[FloatArray], Gains]
     low: FloatArray
     high: FloatArray
-    noise_N: float = 0.0
+    noise_std: float = 0.0
     corrected: Callable[[FloatArray, Prediction], Prediction] | None = None
     _known: dict[bytes, Prediction] = field(default_factory=dict, repr=False, compare=False)
 
@@ -228,7 +228,7 @@ class RegionSearch:
         new = {key: x for x in points if (key := x.tobytes()) not in self._known}
         if new:
             gains = [self.gains_of(x) for x in new.values()]
-            found = predictions([self.model], self.trial, gains, self.noise_N)
+            found = predictions([self.model], self.trial, gains, self.noise_std)
             for (key, x), one in zip(new.items(), found, strict=True):
                 self._known[key] = self.corrected(x, one) if self.corrected else one
         return [self._known[x.tobytes()] for x in points]

@@ -213,7 +213,7 @@ def criterion(
     """The criterion of a sum of squares, for a number of poles and of further parameters."""
     n = signals.samples
     # Below the resolution of the measurement nothing is left to explain.
-    variance = squares / n + signals.resolution_N**2
+    variance = squares / n + signals.resolution**2
     free = sum(free_parameters(group, poles, noise) for group in signals.groups)
     noises = sum(k > 0.0 for k in noise.sizes) + len(noise.colour)
     count = 2 * poles + 1 + noises + free + further

@@ -111,11 +111,11 @@ def _spectra(
     In a trial from rest a load or drift is no noise: what looks like one may be the answer of a
     plant that is not linear, which is the same in every trial and does not average out.
     """
-    left, effort, noise_N = fit.unexplained[number], record.effort_N, fit.noise_N
+    left, effort, noise_std = fit.unexplained[number], record.effort, fit.noise_std
     if not (record.at_rest or fit.noise.is_white):
         H = shaping(fit.model.coordinates, fit.noise, fit.settling_samples)
         effort = whiten((effort - effort[0])[np.newaxis], H.zeros, H.poles)[0]
-        left, noise_N = fit.errors[number], fit.residual_N
+        left, noise_std = fit.errors[number], fit.residual_std
     start = int(np.argmax(left != 0.0))
     power = _step_power if record.at_rest else _service_power
     powers = [power(signal[start:]) for signal in (left, effort)]
@@ -125,7 +125,7 @@ def _spectra(
     low, high = np.searchsorted(theta, centres - half), np.searchsorted(theta, centres + half)
     sums = [np.concatenate([[0.0], np.cumsum(power)]) for power in powers]
     bins = (high - low).astype(float)
-    return sums[0][high] - sums[0][low], sums[1][high] - sums[1][low], noise_N**2 * bins, bins
+    return sums[0][high] - sums[0][low], sums[1][high] - sums[1][low], noise_std**2 * bins, bins
 
 
 def _step_power(signal: FloatArray) -> FloatArray:

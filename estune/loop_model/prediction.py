@@ -25,18 +25,18 @@ class StepTrial:
     Attributes:
         controller: The fixed part of the controller.
         cost: The settings of (35).
-        preload_N: Setpoint before the step.
+        preload: Setpoint before the step.
         step: The step and the load.
         samples: Samples of the trial.
-        effort_N: Effort at rest before the step, by which the controller's limits are judged.
+        rest_effort: Effort at rest before the step, by which the controller's limits are judged.
     """
 
     controller: ControllerSettings
     cost: StepCost
-    preload_N: float
+    preload: float
     step: StepShape
     samples: int
-    effort_N: float = 0.0
+    rest_effort: float = 0.0
 
     @property
     def end(self) -> int:
@@ -44,12 +44,12 @@ class StepTrial:
         return self.samples if self.step.load is None else self.step.load.sample
 
     @cached_property
-    def loads_N(self) -> FloatArray:
+    def loads(self) -> FloatArray:
         """The load at each sample, shape (samples,)."""
         return self.step.loads(self.samples)
 
     @cached_property
-    def setpoint_N(self) -> FloatArray:
+    def setpoint(self) -> FloatArray:
         """The setpoint as a deviation from the preload, shape (samples,)."""
         return self.step.setpoint(self.samples)
 
@@ -81,16 +81,18 @@ class Prediction(NamedTuple):
 UNSTABLE = Prediction(math.inf, math.inf, *margins.UNSTABLE)
 
 
-def predict(model: LoopModel, trial: StepTrial, gains: Gains, noise_N: float = 0.0) -> Prediction:
+def predict(
+    model: LoopModel, trial: StepTrial, gains: Gains, noise_std: float = 0.0
+) -> Prediction:
     """The predictions by a model of a step trial with these gains."""
-    return predictions([model], trial, [gains], noise_N)[0]
+    return predictions([model], trial, [gains], noise_std)[0]
 
 
 def predictions(
     models: Sequence[LoopModel],
     trial: StepTrial,
     gains: Sequence[Gains],
-    noise_N: float = 0.0,
+    noise_std: float = 0.0,
 ) -> list[Prediction]:
     """The predictions of a step trial by several models, or with several gains.
 
@@ -98,7 +100,7 @@ def predictions(
         models: Of one order and dead time; one for all gains, or one for each.
         trial: The step trial.
         gains: One for all models, or one for each.
-        noise_N: Standard deviation of the measurement noise.
+        noise_std: Standard deviation of the measurement noise.
     """
     robust = margins.robustness_of(models, gains, trial.controller)
     found = [UNSTABLE] * len(robust)
@@ -111,8 +113,8 @@ def predictions(
         _response(model, loop, trial, at) for (model, at), loop in zip(pairs, loops, strict=True)
     ]
     output, effort = (np.array(signals) for signals in zip(*responses, strict=True))
-    costs = _expected_costs(loops, trial, output, effort, noise_N)
-    tops = np.max(output[:, trial.step.sample : trial.end] / trial.step.size_N, axis=1) - 1.0
+    costs = _expected_costs(loops, trial, output, effort, noise_std)
+    tops = np.max(output[:, trial.step.sample : trial.end] / trial.step.size, axis=1) - 1.0
     for i, cost, top in zip(stable, costs.tolist(), tops.tolist(), strict=True):
         found[i] = Prediction(cost, max(top, 0.0), *robust[i])
     return found
@@ -128,16 +130,16 @@ def _response(
 ) -> tuple[FloatArray, FloatArray]:
     """Output and effort as deviations; by samples only with friction, or where limits act."""
     settings = trial.controller
-    if not model.friction_N:
-        output, effort = loop.setpoint_response(trial.setpoint_N)
+    if not model.friction:
+        output, effort = loop.setpoint_response(trial.setpoint)
         if trial.step.load:
-            loaded = loop.load_response(trial.loads_N)
+            loaded = loop.load_response(trial.loads)
             output, effort = output + loaded[0], effort + loaded[1]
-        total = effort + trial.effort_N
+        total = effort + trial.rest_effort
         if settings.output_min_N <= total.min() and total.max() <= settings.output_max_N:
             return output, effort
     return sampled_response(
-        model, settings, gains, trial.setpoint_N, trial.loads_N, rest_effort_N=trial.effort_N
+        model, settings, gains, trial.setpoint, trial.loads, rest_effort=trial.rest_effort
     )
 
 
@@ -146,7 +148,7 @@ def _expected_costs(
     trial: StepTrial,
     output: FloatArray,
     effort: FloatArray,
-    noise_N: float,
+    noise_std: float,
 ) -> FloatArray:
     """Costs of responses with the measurement noise in them, shape (loops,).
 
@@ -158,20 +160,20 @@ def _expected_costs(
         trial: The step trial.
         output: Shape (loops, samples).
         effort: Shape (loops, samples).
-        noise_N: Standard deviation of the measurement noise.
+        noise_std: Standard deviation of the measurement noise.
     """
 
     def cost(measurement: FloatArray, command: FloatArray) -> FloatArray:
-        columns = trial.setpoint_N, measurement, command
+        columns = trial.setpoint, measurement, command
         rate = trial.controller.sampling_Hz
         return np.asarray(trial.cost.evaluate(rate, trial.step, *columns))
 
-    if noise_N == 0.0:
+    if noise_std == 0.0:
         return cost(output, effort)
     if trial.cost.is_quadratic and trial.step.load is None:
-        shares = np.array([_noise_cost(loop, trial, noise_N) for loop in loops])
+        shares = np.array([_noise_cost(loop, trial, noise_std) for loop in loops])
         return np.asarray(cost(output, effort) + shares)
-    noise = noise_N * fixed_noise(trial.samples)
+    noise = noise_std * fixed_noise(trial.samples)
     both = [loop.noise_response(noise) for loop in loops]
     y, u = (np.array(signals) for signals in zip(*both, strict=True))
     return np.asarray(0.5 * (cost(output + y, effort + u) + cost(output - y, effort - u)))
@@ -183,10 +185,10 @@ def fixed_noise(samples: int) -> FloatArray:
     return np.random.default_rng(0).standard_normal(samples)
 
 
-def _noise_cost(loop: ClosedLoop, trial: StepTrial, noise_N: float) -> float:
+def _noise_cost(loop: ClosedLoop, trial: StepTrial, noise_std: float) -> float:
     """Expected share of the measurement noise in a quadratic cost."""
     after = trial.samples - trial.step.sample
     error, move = loop.noise_gains(after)
-    return (noise_N / trial.step.size_N) ** 2 * (
+    return (noise_std / trial.step.size) ** 2 * (
         trial.error_weight * error + trial.cost.move_weight * after * move
     )

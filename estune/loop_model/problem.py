@@ -18,13 +18,13 @@ DIGITS = 10
 """Digits of the numbers that enter a recursion."""
 
 
-def problem(models: Sequence[LoopModel], trial: StepTrial, noise_N: float) -> dict[str, Any]:
+def problem(models: Sequence[LoopModel], trial: StepTrial, noise_std: float) -> dict[str, Any]:
     """What `predict` of `browser/loop.js` takes.
 
     Args:
         models: The loop as it is estimated, then models that are as likely.
         trial: The step trial.
-        noise_N: Standard deviation of the measurement noise.
+        noise_std: Standard deviation of the measurement noise.
     """
     cost, step, rate = trial.cost, trial.step, trial.controller.sampling_Hz
     weights: dict[str, Any] = {"unknown": bool(cost.function)}
@@ -37,24 +37,24 @@ def problem(models: Sequence[LoopModel], trial: StepTrial, noise_N: float) -> di
             "rejection": cost.rejection,
         }
     if step.load and cost.rejection and not cost.function:
-        alone = StepShape(step.load.sample, step.load.size_N)
+        alone = StepShape(step.load.sample, step.load.size)
         weights["load_error"] = _rounded(cost.weights(rate, alone, trial.samples))
     by_variance = cost.is_quadratic and step.load is None
     return {
         "models": [_model(model) for model in models],
         "controller": _controller(trial.controller),
-        "rest": trial.effort_N,
+        "rest": trial.rest_effort,
         "trial": {
             "samples": trial.samples,
             "step_index": step.sample,
-            "step_N": step.size_N,
+            "step_size": step.size,
             "ramp": step.ramp,
-            "load_N": step.load.size_N if step.load else 0.0,
+            "load_size": step.load.size if step.load else 0.0,
             "load_index": step.load.sample if step.load else trial.samples,
         },
         "cost": weights,
-        "noise_N": noise_N,
-        "noise": None if by_variance or not noise_N else _rounded(fixed_noise(trial.samples)),
+        "noise_std": noise_std,
+        "noise": None if by_variance or not noise_std else _rounded(fixed_noise(trial.samples)),
     }
 
 
@@ -63,7 +63,7 @@ def _model(model: LoopModel) -> dict[str, Any]:
         "sections": [np.resize([*s.powers, 0.0], 3).tolist() for s in model.sections],
         "numerator": list(model.numerator),
         "dead_samples": model.dead_samples,
-        "friction": model.friction_N,
+        "friction": model.friction,
     }
 
 

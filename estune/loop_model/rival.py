@@ -36,7 +36,7 @@ def rival_model(fit: LoopFit, records: Sequence[LoopRecord]) -> LoopModel | None
     """
     from scipy.special import chdtrc  # noqa: PLC0415  slow to import
 
-    if fit.model.friction_N or fit.order % 2 or fit.order + 2 > POLES_MAX:
+    if fit.model.friction or fit.order % 2 or fit.order + 2 > POLES_MAX:
         return None
     kept = [record for i, record in enumerate(records) if i not in fit.left_out]
     signals = signals_of(kept, fit.settling_samples, round(fit.settling_samples))
@@ -46,7 +46,7 @@ def rival_model(fit: LoopFit, records: Sequence[LoopRecord]) -> LoopModel | None
         Solution.at(signals, one.coordinates, one.dead, one.noise) for one in (own, more)
     )
     # Below the resolution of the measurement nothing is left to explain.
-    least = signals.samples * signals.resolution_N**2
+    least = signals.samples * signals.resolution**2
     gain = signals.samples * np.log((before.squares + least) / (after.squares + least))
     lines = 0.5 * signals.longest
     if not lines * chdtrc(PARAMETERS, max(float(gain), 0.0)) < CHANCE:

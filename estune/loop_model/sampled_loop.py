@@ -16,10 +16,10 @@ def sampled_response(
     model: LoopModel,
     settings: ControllerSettings,
     gains: Gains,
-    setpoint_N: FloatArray,
-    load_N: FloatArray,
+    setpoint: FloatArray,
+    load: FloatArray,
     *,
-    rest_effort_N: float,
+    rest_effort: float,
 ) -> tuple[FloatArray, FloatArray]:
     """Output and effort as deviations, by the controller's own steps, shape (samples,) each.
 
@@ -27,9 +27,9 @@ def sampled_response(
         model: The loop; friction holds nothing at rest.
         settings: The fixed part of the controller.
         gains: The gains.
-        setpoint_N: As a deviation, shape (samples,).
-        load_N: Added to the effort on its way to the plant, shape (samples,).
-        rest_effort_N: Effort at rest, by which the controller's limits are judged.
+        setpoint: As a deviation, shape (samples,).
+        load: Added to the effort on its way to the plant, shape (samples,).
+        rest_effort: Effort at rest, by which the controller's limits are judged.
     """
     sections = model.sections
     taps = np.concatenate([np.resize(s.taps, 3)[1:] * [1.0, s.taps.size > 2] for s in sections])
@@ -38,16 +38,16 @@ def sampled_response(
             pidf.coefficients(settings, gains),
             taps,
             exchanged(np.array(model.numerator)),
-            [rest_effort_N, model.friction_N],
+            [rest_effort, model.friction],
         ]
     )
-    run = _loop(len(sections), len(model.numerator), model.dead_samples, setpoint_N.size)
+    run = _loop(len(sections), len(model.numerator), model.dead_samples, setpoint.size)
     first = np.zeros(run.size1_in(0))
-    first[0] = rest_effort_N
-    columns = np.vstack([setpoint_N, load_N, np.tile(fixed[:, np.newaxis], setpoint_N.size)])
+    first[0] = rest_effort
+    columns = np.vstack([setpoint, load, np.tile(fixed[:, np.newaxis], setpoint.size)])
     _, signals = run(first, columns)
     output, effort = np.asarray(signals.full())
-    return output, effort - rest_effort_N
+    return output, effort - rest_effort
 
 
 @lru_cache(maxsize=8)

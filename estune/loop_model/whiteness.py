@@ -22,7 +22,7 @@ def is_white(signals: FitSignals, errors: FloatArray) -> bool:
 
     rows = list(rows_of(signals, errors))
     power = float(errors @ errors) / errors.size
-    if power <= signals.resolution_N**2:
+    if power <= signals.resolution**2:
         return True
     moments, lines = np.zeros(LAGS), []
     for row in rows:

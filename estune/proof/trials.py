@@ -204,7 +204,7 @@ def measured(
     about: RigDescription,
     place: tuple[str, int],
     patch: Patch | None = None,
-    calm_N: float | None = None,
+    calm: float | None = None,
 ) -> FloatArray:
     """`MEASURES` of one turn: a step with rest, and a triangle; both trials at the live gains.
 
@@ -213,7 +213,7 @@ def measured(
         about: Its description.
         place: Run and number of the first trial.
         patch: The remedy; None leaves the rig's compensations as they are.
-        calm_N: Deviation at rest without the remedy, N; None runs the turn without it.
+        calm: Deviation at rest without the remedy; None runs the turn without it.
 
     Raises:
         Stop: with the remedy on the rig was restless, or a trial did not end well.
@@ -221,7 +221,7 @@ def measured(
         RigError: the rig cannot be reached, or ignores the remedy.
         InvalidInput: the rig's limits do not allow a trial.
     """
-    settling, on = about.settling_time_s, calm_N is not None
+    settling, on = about.settling_time_s, calm is not None
     text = patch.compensation(about.compensation, on=on) if patch else ""
     wide = about.limits if patch and WIDE & set(patch.tables) else None
     triangle = tracking_profile(about.step, settling, wide)
@@ -231,8 +231,9 @@ def measured(
     )
     record = _trial(rig, about, resting, on=on)
     rest = rest_in(record, about)
-    if calm_N is not None and not rest <= RESTLESS * calm_N:
-        raise Stop(f"at rest the tension deviates by {rest:.3g} N, without it by {calm_N:.3g} N")
+    if calm is not None and not rest <= RESTLESS * calm:
+        now, before = about.measured(rest, 3), about.measured(calm, 3)
+        raise Stop(f"at rest the measurement deviates by {now}, without it by {before}")
     slow = replace(resting, number=number + 1, profile=triangle)
     followed = _trial(rig, about, slow, on=on)
     if patch and "eyelet" in patch.tables:

@@ -121,7 +121,7 @@ def hand_over(
     With I the integral gain, as everywhere else in the paper, the printed quotients have the
     inverse unit of an integral.
 
-    The state holds the product I int e dt (`integral_N`), so that a controller without integral
+    The state holds the product I int e dt (`integral`), so that a controller without integral
     action takes over as well; it then keeps the offset.
 
     Args:

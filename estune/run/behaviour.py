@@ -27,14 +27,14 @@ class LoopBehaviour(NamedTuple):
     """Tracking and rest of a loop at some gains; see `estune.trial.tracking`.
 
     Attributes:
-        tracking_N: Root mean square of the error on a slow triangle.
-        reversal_N: Mean of the greatest errors shortly after its reversals.
-        rest_N: Standard deviation of the tension at rest.
+        tracking: Root mean square of the error on a slow triangle.
+        reversal: Mean of the greatest errors shortly after its reversals.
+        rest: Standard deviation of the tension at rest.
     """
 
-    tracking_N: float
-    reversal_N: float
-    rest_N: float
+    tracking: float
+    reversal: float
+    rest: float
 
 
 def measure_behaviour(rig: Rig, about: RigDescription, gains: Gains, run: str) -> LoopBehaviour:
@@ -92,18 +92,18 @@ def stored_behaviour(journal: Journal) -> Measured:
 
 
 def rest_in(record: TrialRecord, about: RigDescription) -> float:
-    """Standard deviation of the tension at rest, of a record of a `resting_profile`, N."""
+    """Standard deviation of the tension at rest, of a record of a `resting_profile`."""
     rate = about.controller.sampling_Hz
-    return rest_of(about.settling_time_s, rate, record.unfiltered_N)
+    return rest_of(about.settling_time_s, rate, record.unfiltered)
 
 
 def step_cost_in(record: TrialRecord, about: RigDescription) -> float:
     """Cost of the step in such a record; of the whole current, with what is fed forward."""
     rate = about.controller.sampling_Hz
     used = slice(about.step.samples(rate))
-    effort_N = record.current_A[used] * about.newtons_per_ampere
+    effort = record.current_A[used] * about.newtons_per_ampere
     cost = default_cost(about.settling_time_s).scaled(about.effort_scale or 1.0)
-    columns = record.setpoint_N[used], record.unfiltered_N[used], effort_N
+    columns = record.setpoint_N[used], record.unfiltered[used], effort
     return float(cost.evaluate(rate, about.step.shape(rate), *columns))
 
 
@@ -111,8 +111,8 @@ def tracking_in(
     record: TrialRecord, about: RigDescription, triangle: TriangleProfile
 ) -> TriangleTracking:
     """Tracking in a record of a slow triangle."""
-    error_N = record.setpoint_N - record.unfiltered_N
-    return tracking_of(triangle, about.settling_time_s, about.controller.sampling_Hz, error_N)
+    error = record.setpoint_N - record.unfiltered
+    return tracking_of(triangle, about.settling_time_s, about.controller.sampling_Hz, error)
 
 
 def behaviour_rows(

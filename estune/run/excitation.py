@@ -52,20 +52,20 @@ def excitation_trial(
         return None
     samples = unit.samples(rig.controller.sampling_Hz)
     power = 0.5 * samples / unit.excited.size  # of each line, over that of white noise
-    wanted_N = wanted_setpoint(unknown, samples) / math.sqrt(power)
-    if not math.isfinite(wanted_N):
+    wanted = wanted_setpoint(unknown, samples) / math.sqrt(power)
+    if not math.isfinite(wanted):
         return None
     wave = unit.setpoint(rig.controller.sampling_Hz) - unit.preload_N
-    largest = max(_allowed(unknown, plan, rig, wave), key=lambda at: at.rms_N, default=None)
-    if largest is None or not is_enough(largest.rms_N, wanted_N):
+    largest = max(_allowed(unknown, plan, rig, wave), key=lambda at: at.rms, default=None)
+    if largest is None or not is_enough(largest.rms, wanted):
         return None
-    rms_N = min(wanted_N, largest.rms_N)
-    profile = replace(unit, preload_N=largest.preload_N, rms_N=rms_N)
+    rms = min(wanted, largest.rms)
+    profile = replace(unit, preload_N=largest.preload, rms_N=rms)
     return ExcitationTrial(unknown.excited_at, profile)
 
 
 def _unit(plan: Plan, rig: RigDescription) -> MultisineProfile | None:
-    """A multisine of one newton, as long as the step trial; None where that is too short."""
+    """A multisine of rms one, as long as the step trial; None where that is too short."""
     rate, step = rig.controller.sampling_Hz, plan.step
     start = step.step_index(rate)
     load = step.shape(rate).load
@@ -85,32 +85,32 @@ def _unit(plan: Plan, rig: RigDescription) -> MultisineProfile | None:
 
 
 class _Allowed(NamedTuple):
-    """The largest multisine about a level, N."""
+    """The largest multisine about a level, in the unit of the measurement."""
 
-    rms_N: float
-    preload_N: float
+    rms: float
+    preload: float
 
 
 def _allowed(
     unknown: UnknownLoop, plan: Plan, rig: RigDescription, wave: np.ndarray
 ) -> Iterator[_Allowed]:
     """The largest multisine about the preload, and about the middle of the step."""
-    limits, settings, half_N = rig.limits, rig.controller, 0.5 * abs(plan.step.step_N)
+    limits, settings, half = rig.limits, rig.controller, 0.5 * abs(plan.step.step_N)
     model, gains = unknown.fit.model, unknown.excited_at
-    moved_N, driven_N = largest_deviations(model, gains, settings, wave)
-    moved_N = max(moved_N, float(np.abs(wave).max()))
+    moved, driven = largest_deviations(model, gains, settings, wave)
+    moved = max(moved, float(np.abs(wave).max()))
     for share in (0.0, 0.5):
-        level_N = plan.step.preload_N + share * plan.step.step_N
-        room_N = min(half_N, level_N - limits.tension_min_N, limits.tension_max_N - level_N)
-        effort_N = _effort_at(unknown, share)
-        effort_room_N = min(effort_N - settings.output_min_N, settings.output_max_N - effort_N)
-        rms_N = min(room_N / moved_N, EFFORT_SHARE * effort_room_N / driven_N)
-        if rms_N > 0.0:
-            yield _Allowed(rms_N, level_N)
+        level = plan.step.preload_N + share * plan.step.step_N
+        room = min(half, level - limits.tension_min_N, limits.tension_max_N - level)
+        effort = _effort_at(unknown, share)
+        effort_room = min(effort - settings.output_min_N, settings.output_max_N - effort)
+        rms = min(room / moved, EFFORT_SHARE * effort_room / driven)
+        if rms > 0.0:
+            yield _Allowed(rms, level)
 
 
 def _effort_at(unknown: UnknownLoop, share: float) -> float:
     """Effort at rest at a share of the step, by the first of the step trials."""
     step = unknown.records[0]
-    last_N = float(step.effort_N[-max(step.samples // 10, 1) :].mean())
-    return (1.0 - share) * step.rest_effort_N + share * last_N
+    last = float(step.effort[-max(step.samples // 10, 1) :].mean())
+    return (1.0 - share) * step.rest_effort + share * last

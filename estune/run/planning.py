@@ -115,13 +115,13 @@ def with_load(step: StepProfile, description: RigDescription) -> LoadStepProfile
     Raises:
         InvalidInput: the rig makes no load steps.
     """
-    most_N = description.limits.load_max_N
-    if not most_N:
+    most = description.limits.load_max_N
+    if not most:
         raise InvalidInput(
             f"rig {description.name} makes no load steps, and the cost weighs their rejection; "
             "choose another cost"
         )
-    size_N = math.copysign(min(most_N, 0.5 * abs(step.step_N)), -step.step_N)
+    size = math.copysign(min(most, 0.5 * abs(step.step_N)), -step.step_N)
     after_s = step.duration_s - step.step_at_s
     same = {f.name: getattr(step, f.name) for f in dataclasses.fields(StepProfile)}
     return LoadStepProfile(
@@ -129,7 +129,7 @@ def with_load(step: StepProfile, description: RigDescription) -> LoadStepProfile
         | {
             "kind": "load_step",
             "duration_s": step.duration_s + after_s,
-            "load_N": size_N,
+            "load_N": size,
             "load_at_s": step.duration_s,
         }
     )
@@ -160,7 +160,7 @@ def step_trial(description: RigDescription, step: StepProfile, cost: StepCost) -
     return StepTrial(
         controller=description.controller,
         cost=cost,
-        preload_N=step.preload_N,
+        preload=step.preload_N,
         step=step.shape(rate),
         samples=step.samples(rate),
     )

@@ -80,7 +80,7 @@ class IdentifiedLoop(NamedTuple):
     def expected_response(
         self, plan: Plan, rig: RigDescription, gains: Gains
     ) -> FloatArray | None:
-        """Response with some gains, N, shape (samples,); None where their loop is not robust.
+        """Response with some gains, shape (samples,); None where their loop is not robust.
 
         Without friction: what that makes a loop do at the end of a trial it may do for ever.
         """
@@ -89,8 +89,8 @@ class IdentifiedLoop(NamedTuple):
         if not robustness(self.fit.model, gains, rig.controller).sensitivity <= SENSITIVITY_ROBUST:
             return None
         trial = step_trial(rig, plan.step, plan.cost)
-        trial = replace(trial, effort_N=self.signals[0].rest_effort_N)
-        return expected_response(self.fit.model._replace(friction_N=0.0), trial, gains)
+        trial = replace(trial, rest_effort=self.signals[0].rest_effort)
+        return expected_response(self.fit.model._replace(friction=0.0), trial, gains)
 
     def undisturbed(self, records: Iterable[TrialRecord]) -> list[TrialRecord]:
         """The records that the loop rests on, and all records of gains of which it has none.
@@ -210,8 +210,8 @@ def verdict_on(run: TuningRun, change: Change | None) -> Verdict:
     if not (change.is_decrease or broken):
         return Verdict(loop=loop, claim=claimed)
     records = loop.undisturbed(run.recent_records)
-    expected_N = loop.expected_response(plan, rig, gains)
-    fault = not_robust(records, plan, claimed, gains, rig, expected_N=expected_N)
+    expected = loop.expected_response(plan, rig, gains)
+    fault = not_robust(records, plan, claimed, gains, rig, expected=expected)
     return Verdict(fault, broken, loop, claimed, limit_verdict(plan, claimed, gains, records))
 
 
@@ -222,7 +222,7 @@ def not_robust(
     gains: Gains,
     rig: RigDescription,
     *,
-    expected_N: FloatArray | None = None,
+    expected: FloatArray | None = None,
 ) -> str:
     """Why tuned gains are not robust; empty where they are, or in a plan without limits.
 
@@ -237,7 +237,7 @@ def not_robust(
         claimed: What is claimed of the gains.
         gains: The gains.
         rig: The rig.
-        expected_N: Their response by the identified loop, shape (samples,); None where that is
+        expected: Their response by the identified loop, shape (samples,); None where that is
             not known.
     """
     if plan.limits is None:
@@ -252,17 +252,17 @@ def not_robust(
     if not repeats:
         return ""
     step, first = plan.step, repeats[0]
-    index, final_N = step.step_index(first.sampling_Hz), step.preload_N + step.step_N
+    index, final = step.step_index(first.sampling_Hz), step.preload_N + step.step_N
     responses = np.array([record.tension_N for record in repeats])
-    error_N, allowed_N = _end_error(responses[:, index:], final_N)
-    allowed_N = max(allowed_N, END_ERROR * abs(step.step_N))
+    error, allowed = _end_error(responses[:, index:], final)
+    allowed = max(allowed, END_ERROR * abs(step.step_N))
     if before := [r.tension_N[index:] for r in done if r.gains == plan.start]:
-        left_N, explained_N = _end_error(np.array(before), final_N)
-        allowed_N += abs(left_N) + explained_N
-    if abs(error_N) > allowed_N:
-        ends = f"{error_N:+.2g} {rig.measurement_unit}".rstrip()
-        return f"the response ends {ends} off its setpoint (allowed {rig.measured(allowed_N, 2)})"
-    if _swing(responses, expected_N) > BAND * abs(step.step_N):
+        left, explained = _end_error(np.array(before), final)
+        allowed += abs(left) + explained
+    if abs(error) > allowed:
+        ends = f"{error:+.2g} {rig.measurement_unit}".rstrip()
+        return f"the response ends {ends} off its setpoint (allowed {rig.measured(allowed, 2)})"
+    if _swing(responses, expected) > BAND * abs(step.step_N):
         return "the response has not settled at the end of the trial"
     return ""
 
@@ -283,7 +283,7 @@ def _swing(responses: FloatArray, expected: FloatArray | None) -> float:
     return math.sqrt(2.0 * max(float(np.mean(moves**2)) - noise, 0.0))
 
 
-def _end_error(responses: FloatArray, final_N: float) -> tuple[float, float]:
+def _end_error(responses: FloatArray, final: float) -> tuple[float, float]:
     """Mean error over the last tenth of the responses, and what their noise explains of it."""
     tail = responses[:, -steady_samples(responses.shape[1]) :]
     count = tail.shape[0]
@@ -293,7 +293,7 @@ def _end_error(responses: FloatArray, final_N: float) -> tuple[float, float]:
 
         spread = float(np.std(tail.mean(axis=1), ddof=1)) / math.sqrt(count)
         explained = max(explained, float(stdtrit(count - 1, 0.975)) * spread)
-    return float(tail.mean()) - final_N, explained
+    return float(tail.mean()) - final, explained
 
 
 def _white_noise(responses: FloatArray) -> float:

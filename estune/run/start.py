@@ -142,7 +142,7 @@ def _optimum(fit: LoopFit, trial: StepTrial, limits: RobustnessLimits, at: Gains
         gains_of=lambda x: Gains(*np.exp(x).tolist()),
         low=centre - EXTENT,
         high=centre + EXTENT,
-        noise_N=NOISE_ASSUMED * abs(trial.step.size_N),
+        noise_std=NOISE_ASSUMED * abs(trial.step.size),
     )
     found = search.minimise([centre], scattered=64)
     if not math.isfinite(found.prediction.cost):
@@ -160,13 +160,13 @@ def _simulated_step(plant: SampledPlant, trial: StepTrial, gains: Gains) -> Loop
     x = np.zeros(plant.C.size)
     past = [0.0] * (plant.delay + 2)  # the latest effort first
     efforts, outputs = np.zeros(trial.samples), np.zeros(trial.samples)
-    for k, r in enumerate(trial.setpoint_N.tolist()):
+    for k, r in enumerate(trial.setpoint.tolist()):
         y = float(plant.C @ x + plant.E * past[plant.delay])
         state, effort, _ = pidf.step(c, state, r, y)
         past = [float(effort), *past[:-1]]
         x = _moved(plant, x, past)
         efforts[k], outputs[k] = effort, y
-    return LoopRecord(efforts, outputs, trial.setpoint_N, gains, at_rest=True)
+    return LoopRecord(efforts, outputs, trial.setpoint, gains, at_rest=True)
 
 
 def _moved(plant: SampledPlant, x: FloatArray, past: list[float]) -> FloatArray:

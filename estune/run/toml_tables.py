@@ -103,11 +103,11 @@ class StepTable(TomlTable):
     def of(self, rig: RigDescription) -> StepProfile:
         """The step for a rig."""
         given = self.given
-        load_N, load_at_s = given.pop("load_N", None), given.pop("load_at_s", None)
+        load, load_at_s = given.pop("load_N", None), given.pop("load_at_s", None)
         step = replace(rig.step, **given)
-        if load_N is None:
+        if load is None:
             return step
-        loaded = replace(with_load(step, rig), load_N=load_N)
+        loaded = replace(with_load(step, rig), load_N=load)
         if load_at_s is None:
             return loaded
         longest_s = max(step.duration_s, load_at_s + step.duration_s - step.step_at_s)

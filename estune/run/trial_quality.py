@@ -60,8 +60,8 @@ def noise_share(record: TrialRecord, plan: Plan, rig: RigDescription, cost: floa
 def _step_over_noise(record: TrialRecord, plan: Plan) -> float:
     """The step over the noise before it; infinite without noise or samples."""
     before = record.tension_N[: plan.step.step_index(record.sampling_Hz)]
-    noise_N = float(np.std(np.diff(before))) / math.sqrt(2.0) if before.size > 1 else 0.0
-    return abs(plan.step.step_N) / noise_N if noise_N else math.inf
+    noise = float(np.std(np.diff(before))) / math.sqrt(2.0) if before.size > 1 else 0.0
+    return abs(plan.step.step_N) / noise if noise else math.inf
 
 
 def check_noise(record: TrialRecord, plan: Plan, rig: RigDescription, cost: float) -> None:

@@ -74,9 +74,9 @@ def advise(
 ) -> AdvisedExperiment | None:
     """The gentlest multisine that would show ln Ms to a half width; None where none would."""
     fit, settling_s, rate = loop.fit, trial.cost.settling_time_s, trial.controller.sampling_Hz
-    middle = float(np.mean(np.concatenate([record.setpoint_N for record in loop.records])))
+    middle = float(np.mean(np.concatenate([record.setpoint for record in loop.records])))
     for share in SHARES:
-        profile = multisine(middle, share * abs(trial.step.size_N), settling_s, rate)
+        profile = multisine(middle, share * abs(trial.step.size), settling_s, rate)
         setpoint = profile.setpoint(rate)
         still = np.zeros(setpoint.size)
         record = LoopRecord(still, still, setpoint, gains)

@@ -86,7 +86,7 @@ def loop_record(part: ServicePart, settings: ControllerSettings) -> LoopRecord:
     effort = stretch.effort
     if effort is None:
         effort = unlimited_effort(
-            settings, gains, stretch.setpoint, stretch.measurement, first_N=0.0
+            settings, gains, stretch.setpoint, stretch.measurement, first_effort=0.0
         )
         begun = _forgotten(settings, gains)
         if stretch.samples > 2 * begun:
@@ -126,7 +126,7 @@ def effort_span(loop: ServiceLoop, record: LoopRecord) -> float:
     """Range of the effort that the setpoint of a record alone causes, in its unit."""
     if record.gains is None:
         return 0.0
-    moves: FloatArray = record.setpoint_N - record.setpoint_N[0]
+    moves: FloatArray = record.setpoint - record.setpoint[0]
     closed = close_loop(loop.fit.model, record.gains, loop.settings)
     effort = closed.setpoint_response(moves)[1]
     return float(np.ptp(effort)) if np.isfinite(effort).all() else 0.0

@@ -136,9 +136,9 @@ class JudgedRecords:
                 "resonance there would not be seen."
             )
         moved = self._setpoint_range()
-        if self.judgement.can_tell and self.trial.step.size_N > moved:
+        if self.judgement.can_tell and self.trial.step.size > moved:
             remarks.append(
-                f"The step, {self.trial.step.size_N:.3g}, is larger than the setpoint's range in "
+                f"The step, {self.trial.step.size:.3g}, is larger than the setpoint's range in "
                 f"the records, {moved:.3g}: what shows in large motion alone, as a cable that "
                 "begins to slide in an eyelet, would not be seen."
             )
@@ -179,7 +179,7 @@ class JudgedRecords:
                 "sentence": self.replay.sentence(),
             },
             "settling_time_s": self.trial.cost.settling_time_s,
-            "step": self.trial.step.size_N,
+            "step": self.trial.step.size,
             "poles": self.fit.order,
             "used": [
                 {"log": s.log, "start_s": s.start_s, "samples": s.samples} for s in self.stretches

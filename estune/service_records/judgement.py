@@ -99,7 +99,7 @@ def judge(
             unexplained(loop.fit.misfit) if margin.excited else "they are too few for their noise"
         )
         reason = f"the records allow loops that are unstable with the gains that ran: {why}"
-    friction = bool(loop.fit.model.friction_N)
+    friction = bool(loop.fit.model.friction)
     widest = FRICTION_HALF_WIDTH_MAX if friction else HALF_WIDTH_MAX
     if not reason and not Ms.high <= Ms.low * math.exp(2.0 * widest):
         known = f"all that is known of Ms is that it lies from {Ms.low:.2f} to {Ms.high:.2f}"
@@ -111,9 +111,9 @@ def judge(
 
 def _too_still(loop: ServiceLoop, half_width: float) -> str:
     """Why the records move too little; empty where they move enough."""
-    if not any(np.ptp(record.setpoint_N) for record in loop.records):
+    if not any(np.ptp(record.setpoint) for record in loop.records):
         return "the setpoint does not move"
-    friction = loop.fit.model.friction_N
+    friction = loop.fit.model.friction
     span = max(effort_span(loop, record) for record in loop.records)
     if friction and span < FRICTION_SPANS * friction:
         return (

@@ -69,7 +69,7 @@ def recommend(
     for _ in range(ROUNDS):
         search = RegionSearch(
             *(loop.fit.model, trial, within, gains_of, start - span, start + span),
-            loop.fit.noise_N,
+            loop.fit.noise_std,
         )
         best = search.minimise([x, start], scattered=SCATTERED)
         if not (best.feasible and math.isfinite(best.prediction.cost)):

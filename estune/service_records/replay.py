@@ -262,7 +262,7 @@ def _left(stretch: Stretch, settings: ControllerSettings, gains: Gains) -> Float
 
 def _unlimited(stretch: Stretch, settings: ControllerSettings, gains: Gains) -> FloatArray:
     signals = stretch.setpoint, stretch.measurement
-    return unlimited_effort(settings, gains, *signals, first_N=0.0)
+    return unlimited_effort(settings, gains, *signals, first_effort=0.0)
 
 
 def _freed(

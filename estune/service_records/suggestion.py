@@ -224,8 +224,8 @@ def _trial(
         settling_time_s = settling_time(loop, in_use)
     if not math.isfinite(settling_time_s):
         settling_time_s = model.natural_period / rate
-    setpoint = np.concatenate([record.setpoint_N for record in loop.records])
-    measured = np.concatenate([record.measurement_N for record in loop.records])
+    setpoint = np.concatenate([record.setpoint for record in loop.records])
+    measured = np.concatenate([record.measurement for record in loop.records])
     size = step or float(np.ptp(setpoint)) or float(np.ptp(measured)) or 1.0
     own = isinstance(cost, StepCost)
     cost = cost if isinstance(cost, StepCost) else cost_from(cost, settling_time_s)
@@ -235,8 +235,8 @@ def _trial(
     if cost.rejection:
         # A load that takes as much effort as the step, once the step has settled.
         gain = model.static_gain
-        load_N = size / gain if math.isfinite(gain) and gain else size
-        shape, samples = shape._replace(load=LoadStep(samples, load_N)), 2 * samples
+        load = size / gain if math.isfinite(gain) and gain else size
+        shape, samples = shape._replace(load=LoadStep(samples, load)), 2 * samples
     return StepTrial(settings, cost, 0.0, shape, samples)
 
 

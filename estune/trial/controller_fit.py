@@ -67,7 +67,7 @@ def _residual(
             record.gains,
             record.setpoint_N,
             record.tension_N,
-            first_N=0.0,
+            first_effort=0.0,
             form=form,
         )
     except InvalidInput:

@@ -101,15 +101,15 @@ class RigLimits:
                 f"{self.duration_max_s:g} s: give them in order, and a duration above zero"
             )
 
-    def check_tension(self, tension_N: float) -> None:
+    def check_setpoint(self, setpoint: float) -> None:
         """Refuses a setpoint outside the limits.
 
         Raises:
             InvalidInput: it is.
         """
-        if not self.tension_min_N <= tension_N <= self.tension_max_N:
+        if not self.tension_min_N <= setpoint <= self.tension_max_N:
             raise InvalidInput(
-                f"setpoint {tension_N:g} is outside the rig's range {self.tension_min_N:g} to "
+                f"setpoint {setpoint:g} is outside the rig's range {self.tension_min_N:g} to "
                 f"{self.tension_max_N:g}; choose another preload or a smaller change"
             )
 
@@ -117,15 +117,15 @@ class RigLimits:
         """Refuses a profile outside the limits.
 
         Raises:
-            InvalidInput: a tension or the duration is outside the limits.
+            InvalidInput: a setpoint or the duration is outside the limits.
         """
-        for tension in profile.extremes_N:
-            self.check_tension(tension)
-        load_N = abs(profile.load_N) if isinstance(profile, LoadStepProfile) else 0.0
-        if load_N > self.load_max_N:
+        for setpoint in profile.extremes:
+            self.check_setpoint(setpoint)
+        load = abs(profile.load_N) if isinstance(profile, LoadStepProfile) else 0.0
+        if load > self.load_max_N:
             can = f"at most {self.load_max_N:g}" if self.load_max_N else "none at all"
             raise InvalidInput(
-                f"the trial has a load step of {load_N:g}, and the rig can make {can}; choose "
+                f"the trial has a load step of {load:g}, and the rig can make {can}; choose "
                 "another load, or a cost without load rejection"
             )
         if profile.duration_s > self.duration_max_s:

@@ -37,7 +37,7 @@ def measured_effort_scale(
     if held and answered[-1] / moved[-1] > 0.0:
         return float(answered[-1] / moved[-1])
     signals = LoopRecord.of_step(
-        effort[:end], measurement[:end], shape.size_N, shape.sample, record.gains
+        effort[:end], measurement[:end], shape.size, shape.sample, record.gains
     )
     fit = fit_loop([signals], record.sampling_Hz, settling_time_s)
     theta = np.array([2.0 * math.pi / (settling_time_s * record.sampling_Hz)])

@@ -61,16 +61,20 @@ def loop_signals(record: TrialRecord, step: StepProfile, rig: RigDescription) ->
     return LoopSignals(LoopRecord(*columns, record.gains, at_rest=True))
 
 
-def recomputed_effort(record: TrialRecord, rig: RigDescription, first_N: float) -> FloatArray:
-    """The controller's effort for the record's setpoint and measurement, N, shape (samples,).
+def recomputed_effort(record: TrialRecord, rig: RigDescription, first_effort: float) -> FloatArray:
+    """The controller's effort for the record's setpoint and measurement, shape (samples,).
 
     Args:
         record: A trial in which no limit acted.
         rig: Gives the fixed part of the controller.
-        first_N: Effort of the first sample.
+        first_effort: Effort of the first sample.
     """
     return unlimited_effort(
-        rig.controller, record.gains, record.setpoint_N, record.tension_N, first_N=first_N
+        rig.controller,
+        record.gains,
+        record.setpoint_N,
+        record.tension_N,
+        first_effort=first_effort,
     )
 
 

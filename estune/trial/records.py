@@ -66,7 +66,7 @@ class TrialRecord:
         rig: Name of the rig.
         sampling_Hz: Sampling rate.
         cable_length_m: Deployed cable length, or None where there is no cable.
-        preload_N: Tension held before the profile begins, N.
+        preload_N: Tension held before the profile begins.
         gains: The applied gains.
         outcome: How the trial ended.
         reason: The outcome in words, unless it is `done`.
@@ -134,7 +134,7 @@ class TrialRecord:
         return self.current_A - sum(forward) if forward else self.current_A
 
     @property
-    def unfiltered_N(self) -> FloatArray:
+    def unfiltered(self) -> FloatArray:
         """The tension with what the rig's notches took off: by which a loop is judged."""
         return self.tension_N if self.notch_N is None else self.tension_N + self.notch_N
 

@@ -39,12 +39,12 @@ class TriangleTracking(NamedTuple):
     """How a loop follows a slow triangle.
 
     Attributes:
-        rms_N: Root mean square of the error after the first cycle.
-        reversal_N: Mean over the reversals of the greatest error shortly after each.
+        rms: Root mean square of the error after the first cycle.
+        reversal: Mean over the reversals of the greatest error shortly after each.
     """
 
-    rms_N: float
-    reversal_N: float
+    rms: float
+    reversal: float
 
 
 def tracking_profile(
@@ -81,7 +81,7 @@ def resting_profile(step: StepProfile, settling_time_s: float) -> StepProfile:
 
 
 def tracking_of(
-    profile: TriangleProfile, settling_time_s: float, sampling_Hz: float, error_N: FloatArray
+    profile: TriangleProfile, settling_time_s: float, sampling_Hz: float, error: FloatArray
 ) -> TriangleTracking:
     """Tracking of a triangle.
 
@@ -89,24 +89,24 @@ def tracking_of(
         profile: The triangle.
         settling_time_s: Desired settling time, s.
         sampling_Hz: Sampling rate.
-        error_N: Setpoint less tension, N, shape (samples,); NaN is returned for one cut short.
+        error: Setpoint less tension, shape (samples,); NaN is returned for one cut short.
     """
-    if error_N.size < profile.samples(sampling_Hz) or not np.isfinite(error_N).all():
+    if error.size < profile.samples(sampling_Hz) or not np.isfinite(error).all():
         return TriangleTracking(math.nan, math.nan)
     first = round((profile.start_s + profile.period_s) * sampling_Hz)
     span = round(REVERSAL_SETTLINGS * settling_time_s * sampling_Hz)
     turns_s = profile.start_s + profile.period_s * (np.arange(2 * CYCLES) / 2.0 + 0.25)
     places = [round(float(turn) * sampling_Hz) for turn in turns_s]
     found = [
-        float(np.abs(error_N[at : at + span]).max())
+        float(np.abs(error[at : at + span]).max())
         for at in places
-        if first <= at and at + span <= error_N.size
+        if first <= at and at + span <= error.size
     ]
-    return TriangleTracking(float(np.sqrt(np.mean(error_N[first:] ** 2))), float(np.mean(found)))
+    return TriangleTracking(float(np.sqrt(np.mean(error[first:] ** 2))), float(np.mean(found)))
 
 
-def rest_of(settling_time_s: float, sampling_Hz: float, tension_N: FloatArray) -> float:
-    """Standard deviation of the tension at rest, at the end of a `resting_profile`, N."""
+def rest_of(settling_time_s: float, sampling_Hz: float, measurement: FloatArray) -> float:
+    """Standard deviation of the tension at rest, at the end of a `resting_profile`."""
     part = round(REST_SETTLINGS * settling_time_s * sampling_Hz) // REST_WINDOWS
-    parts = tension_N[-part * REST_WINDOWS :].reshape(REST_WINDOWS, part)
+    parts = measurement[-part * REST_WINDOWS :].reshape(REST_WINDOWS, part)
     return float(np.median(parts.std(axis=1)))

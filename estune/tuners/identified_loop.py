@@ -353,7 +353,7 @@ class IdentifiedLoopTuner:
             gains_of=lambda x: self.space.gains(self.space.point(tuple(x.tolist()))),
             low=np.maximum(low, best - radius),
             high=np.minimum(high, best + radius),
-            noise_N=state.fit.noise_N if state.fit else 0.0,
+            noise_std=state.fit.noise_std if state.fit else 0.0,
             corrected=state.surface.corrected if state.surface else None,
         )
 
@@ -387,9 +387,9 @@ class IdentifiedLoopTuner:
     def _trial(self, state: IdentifiedLoopState) -> StepTrial:
         """The step trial with the effort at rest of the last record."""
         assert self.trial is not None  # noqa: S101  there is a record, so there was a trial
-        return replace(self.trial, effort_N=state.records[-1].rest_effort_N)
+        return replace(self.trial, rest_effort=state.records[-1].rest_effort)
 
     def _at(self, state: IdentifiedLoopState, fit: LoopFit, x: Coordinates) -> Prediction:
         gains = self.space.gains(self.space.point(x))
-        found = predict(fit.model, self._trial(state), gains, fit.noise_N)
+        found = predict(fit.model, self._trial(state), gains, fit.noise_std)
         return state.surface.corrected(np.array(x), found) if state.surface else found

@@ -34,9 +34,9 @@ def log_of_cost(prediction: Prediction) -> float:
 
 def measured_overshoot(record: LoopRecord, trial: StepTrial) -> float:
     """Overshoot of a record, as a share of the step, by means of `SMOOTHED` samples."""
-    after = record.measurement_N[record.step_index : trial.end] - trial.preload_N
+    after = record.measurement[record.step_index : trial.end] - trial.preload
     smooth = np.convolve(after, np.full(SMOOTHED, 1.0 / SMOOTHED), mode="valid")
-    return max(float(np.max(smooth / trial.step.size_N)) - 1.0, 0.0)
+    return max(float(np.max(smooth / trial.step.size)) - 1.0, 0.0)
 
 
 def cost_noise(errors: Sequence[float]) -> float:

@@ -149,11 +149,11 @@ def serve(
         seed: Of setpoint, load and noise.
     """
     random = np.random.default_rng([seed, *service.kind.encode()])
-    rate, step = trial.controller.sampling_Hz, trial.step.size_N
+    rate, step = trial.controller.sampling_Hz, trial.step.size
     T = trial.cost.settling_time_s * rate
     begun = int(10.0 * T)
     samples = begun + int(service.settling_times * T)
-    middle = trial.preload_N + 0.5 * step
+    middle = trial.preload + 0.5 * step
     setpoint = middle + step * SETPOINTS[service.kind](random, samples, T)
     load = service.load * step * _coloured(random, samples, service.correlation * T)
     noise = service.noise * abs(step) * random.standard_normal(samples)

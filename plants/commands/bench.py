@@ -78,8 +78,8 @@ def bench(
             limits, preload = reel.about.limits, reel.about.step.preload_N
             forces = force or (limits.tension_min_N, preload)
             for command in forces:
-                limits.check_tension(command)
-                limits.check_tension(command + test.oscillation_N)
+                limits.check_setpoint(command)
+                limits.check_setpoint(command + test.oscillation_N)
             reels.append(_measure(reel, gains, forces, test, outside, quiet=json))
     source = f"that of {outside}" if outside else "that of the sensor outside, or the other reel"
     write(page(reels, source), report)

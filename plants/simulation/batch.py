@@ -168,7 +168,7 @@ def batch_costs(
 
 def divergence_limit_N(profile: AnyProfile) -> float:
     """Magnitude of the measurement beyond which a response has diverged, N."""
-    low, high = profile.extremes_N
+    low, high = profile.extremes
     return DIVERGED_AT * max(abs(low), abs(high), high - low)
 
 

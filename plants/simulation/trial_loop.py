@@ -25,8 +25,8 @@ from plants.simulation.plant import Columns
 
 COEFFICIENTS = len(pidf.Coefficients._fields)
 PIDF_STATES = len(pidf.PidfState._fields)
-INTEGRAL = pidf.PidfState._fields.index("integral_N")
-FILTERED_SETPOINT = pidf.PidfState._fields.index("filtered_setpoint_N")
+INTEGRAL = pidf.PidfState._fields.index("integral")
+FILTERED_SETPOINT = pidf.PidfState._fields.index("filtered_setpoint")
 TERMS = len(CompensationTerms._fields)
 
 

@@ -55,7 +55,7 @@ def _faults(rig: RigDescription) -> Iterator[str]:
         limits.check(step)
     except InvalidInput as error:
         yield f"the rig refuses the step it suggests itself ({error})"
-    highest = max(step.extremes_N)
+    highest = max(step.extremes)
     holds = not controller.output_max_N < min(limits.tension_max_N, highest)
     if rig.have_one_unit and not holds:
         yield (

@@ -102,31 +102,31 @@ def check_gauge(
     records: Sequence[TrialRecord], step: StepProfile, rig: RigDescription
 ) -> CheckResult:
     """Noise, drift and calibration of the gauge."""
-    height_N = abs(step.step_N)
+    height = abs(step.step_N)
     quiet = [r.tension_N[: step.step_index(r.sampling_Hz)] for r in records]
     if min(map(len, quiet)) < 3:
         return unknown("gauge", "there are too few samples before the step to estimate the noise")
     # Differences of neighbouring samples exclude slow changes.
-    noise_N = math.sqrt(statistics.fmean(float(np.mean(np.diff(q) ** 2)) / 2.0 for q in quiet))
+    noise = math.sqrt(statistics.fmean(float(np.mean(np.diff(q) ** 2)) / 2.0 for q in quiet))
     levels = [float(np.mean(q)) for q in quiet]
-    spread_N = max(levels) - min(levels)
-    off_N = max(abs(level - step.preload_N) for level in levels)
-    figures = {"noise_rms_N": noise_N, "level_spread_N": spread_N, "level_error_N": off_N}
+    spread = max(levels) - min(levels)
+    off = max(abs(level - step.preload_N) for level in levels)
+    figures = {"noise_rms_N": noise, "level_spread_N": spread, "level_error_N": off}
     sentence = (
-        f"noise {rig.measured(noise_N, 2)} rms, levels {rig.measured(spread_N, 2)} apart, "
-        f"at most {rig.measured(off_N, 2)} from the setpoint"
+        f"noise {rig.measured(noise, 2)} rms, levels {rig.measured(spread, 2)} apart, "
+        f"at most {rig.measured(off, 2)} from the setpoint"
     )
-    if noise_N == 0.0 and not rig.simulated:
+    if noise == 0.0 and not rig.simulated:
         return fix("gauge", "its reading never changes", "check its wiring", **figures)
-    if noise_N > NOISE_MAX * height_N:
+    if noise > NOISE_MAX * height:
         remedy = "shield the gauge's cable and filter it, or ask for a larger step"
         return fix("gauge", sentence, remedy, **figures)
-    if spread_N > DRIFT_MAX * height_N:
+    if spread > DRIFT_MAX * height:
         remedy = (
             "let the gauge and its amplifier warm up, and check creep and backlash of its mount"
         )
         return fix("gauge", sentence, remedy, **figures)
-    if off_N > DRIFT_MAX * height_N:
+    if off > DRIFT_MAX * height:
         remedy = "calibrate the gauge, or leave more time before the step for the reel to settle"
         return fix("gauge", sentence, remedy, **figures)
     return fine("gauge", sentence, **figures)

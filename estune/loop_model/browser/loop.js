@@ -216,9 +216,9 @@ function refined(values, n) {
 // The columns of the trial; they depend on the problem alone.
 export function columns(problem) {
   if (problem.columns) return problem.columns;
-  const { samples, step_index, step_N, ramp, load_N, load_index } = problem.trial;
-  const setpoint = Float64Array.from({ length: samples }, (_, k) => step_N * Math.min(1, Math.max(0, (k - step_index + 1) / ramp)));
-  const load = new Float64Array(samples).fill(load_N, load_N ? load_index : samples);
+  const { samples, step_index, step_size, ramp, load_size, load_index } = problem.trial;
+  const setpoint = Float64Array.from({ length: samples }, (_, k) => step_size * Math.min(1, Math.max(0, (k - step_index + 1) / ramp)));
+  const load = new Float64Array(samples).fill(load_size, load_size ? load_index : samples);
   return (problem.columns = { setpoint, load });
 }
 
@@ -230,15 +230,15 @@ export function predict(problem, model, gains, weights = problem.cost, name = ""
   const { setpoint, load } = columns(problem), { trial } = problem;
   const { y, u } = simulate(problem, model, gains, { setpoint, load }, true, name);
   let peak = -Infinity;
-  const end = trial.load_N ? trial.load_index : trial.samples;
-  for (let k = trial.step_index; k < end; k++) peak = Math.max(peak, y[k] / trial.step_N);
+  const end = trial.load_size ? trial.load_index : trial.samples;
+  for (let k = trial.step_index; k < end; k++) peak = Math.max(peak, y[k] / trial.step_size);
   return { ...margins, y, u, overshoot: Math.max(peak - 1, 0), cost: cost(problem, model, gains, y, u, weights) };
 }
 
 // The cost with the share that noise has in it: by its variance where the cost is quadratic, else
 // as the mean over one sequence of noise and its negative.
 function cost(problem, model, gains, y, u, weights) {
-  const { setpoint } = columns(problem), { noise_N: sd, noise } = problem;
+  const { setpoint } = columns(problem), { noise_std: sd, noise } = problem;
   if (weights.unknown) return NaN;
   const plain = () => ofColumns(problem, weights, y, u);
   if (!sd) return plain();
@@ -257,25 +257,25 @@ function cost(problem, model, gains, y, u, weights) {
     if (k) move += (answer.u[k] - answer.u[k - 1]) ** 2;
   }
   const total = weights.error.reduce((sum, w) => sum + w, 0);
-  return plain() + (sd / problem.trial.step_N) ** 2 * (total * error + weights.move * after * move);
+  return plain() + (sd / problem.trial.step_size) ** 2 * (total * error + weights.move * after * move);
 }
 
 function ofColumns(problem, weights, y, u) {
-  const { setpoint } = columns(problem), { trial } = problem, { step_index: from, step_N } = trial;
-  const end = trial.load_N ? trial.load_index : trial.samples;
+  const { setpoint } = columns(problem), { trial } = problem, { step_index: from, step_size } = trial;
+  const end = trial.load_size ? trial.load_index : trial.samples;
   const size = weights.absolute ? Math.abs : (x) => x * x;
   let eta = 0, rejected = 0, moves = 0, used = 0;
-  for (let k = from; k < end; k++) eta += weights.error[k - from] * size((setpoint[k] - y[k]) / step_N);
+  for (let k = from; k < end; k++) eta += weights.error[k - from] * size((setpoint[k] - y[k]) / step_size);
   if (weights.rejection) {
-    for (let k = trial.load_index; k < trial.samples; k++) rejected += weights.load_error[k - trial.load_index] * size((setpoint[k] - y[k]) / trial.load_N);
+    for (let k = trial.load_index; k < trial.samples; k++) rejected += weights.load_error[k - trial.load_index] * size((setpoint[k] - y[k]) / trial.load_size);
     eta = (1 - weights.rejection) * eta + weights.rejection * rejected;
   }
   if (weights.effort) {
     const last = Math.max(1, Math.floor((end - from) / 10));
     let rest = 0;
     for (let k = end - last; k < end; k++) rest += u[k] / last;
-    for (let k = from; k < end; k++) used += ((u[k] - rest) / step_N) ** 2;
+    for (let k = from; k < end; k++) used += ((u[k] - rest) / step_size) ** 2;
   }
-  for (let k = from; k < trial.samples; k++) moves += ((u[k] - (u[k - 1] ?? 0)) / step_N) ** 2;
+  for (let k = from; k < trial.samples; k++) moves += ((u[k] - (u[k - 1] ?? 0)) / step_size) ** 2;
   return eta + weights.effort * used + weights.move * moves;
 }

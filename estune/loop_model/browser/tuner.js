@@ -203,15 +203,15 @@ export class Tuner {
   drawn(model, { load, loop }) {
     const d = this.data, margins = robustness(d, model, this.gains), { setpoint } = columns(d);
     const answer = simulate(d, model, this.gains, { setpoint });
-    const peak = Number.isFinite(margins.Ms) ? Math.max(0, Math.max(...answer.y.map((v) => v / d.trial.step_N)) - 1) : Infinity;
+    const peak = Number.isFinite(margins.Ms) ? Math.max(0, Math.max(...answer.y.map((v) => v / d.trial.step_size)) - 1) : Infinity;
     return { ...margins, overshoot: peak, ...answer, load: load && this.afterLoad(model, this.gains), L: loop && loopGain(d, model, this.gains, this.angles) };
   }
 
   // Response to a load of half the step at the plant's input, in a trial of its own.
   afterLoad(model, gains) {
-    const { samples, step_index, step_N } = this.data.trial;
+    const { samples, step_index, step_size } = this.data.trial;
     this.rest ??= new Float64Array(samples);
-    this.load ??= new Float64Array(samples).fill(-0.5 * step_N / (this.data.static_gain || 1), step_index);
+    this.load ??= new Float64Array(samples).fill(-0.5 * step_size / (this.data.static_gain || 1), step_index);
     return simulate(this.data, model, gains, { setpoint: this.rest, load: this.load }).y;
   }
 
@@ -257,7 +257,7 @@ export class Tuner {
     const { y, u } = base.prediction, model = d.models[0];
     if (shown(c.step))
       c.step.show([time, ...band(others.map((o) => o.y), level), curve(own.y, level), only(curve(y, level)), seen("y"), curve(columns(d).setpoint, level)],
-        [...bound(d.measurement_limits), { at: level + trial.step_N * (1 + this.limits.overshoot), colour: "amber", label: "largest overshoot" }]);
+        [...bound(d.measurement_limits), { at: level + trial.step_size * (1 + this.limits.overshoot), colour: "amber", label: "largest overshoot" }]);
     if (shown(c.effort))
       c.effort.show([time, ...band(others.map((o) => o.u), d.rest), curve(own.u, d.rest), only(curve(u, d.rest)), seen("u")], bound(d.controller.limits));
     if (load)
@@ -359,12 +359,12 @@ function phase({ re, im }) {
 const turned = (one, other, n) => degrees(Math.atan2(one.im[n] * other.re[n] - one.re[n] * other.im[n], one.re[n] * other.re[n] + one.im[n] * other.im[n]));
 
 // Time from 10 % to 90 % of the step, s.
-function riseTime(y, { step_index, step_N }, sampling_Hz) {
+function riseTime(y, { step_index, step_size }, sampling_Hz) {
   const first = (share) => {
     for (let k = step_index; k < y.length; k++)
-      if (y[k] / step_N >= share) {
-        const before = k > step_index ? y[k - 1] / step_N : 0;
-        return k - (y[k] / step_N - share) / (y[k] / step_N - before || 1);
+      if (y[k] / step_size >= share) {
+        const before = k > step_index ? y[k - 1] / step_size : 0;
+        return k - (y[k] / step_size - share) / (y[k] / step_size - before || 1);
       }
     return NaN;
   };

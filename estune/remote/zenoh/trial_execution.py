@@ -233,7 +233,7 @@ class TrialExecutor:
         if not isinstance(self._rig, SetpointFollower):
             return RigError("this rig runs trials only: it follows no setpoints")
         try:
-            self.description.limits.check_tension(setpoint.tension_N)
+            self.description.limits.check_setpoint(setpoint.tension_N)
         except InvalidInput as error:
             return error
         return None

@@ -36,14 +36,14 @@ def tuning_data(result: RunResult) -> dict[str, Any] | None:
     loop, plan, rig = result.identified, result.plan, result.rig
     if loop.fit is None:
         return None
-    rest_N = float(np.mean([step.signals.rest_effort_N for step in loop.steps]))
-    trial = replace(step_trial(rig, plan.step, plan.cost), effort_N=rest_N)
+    rest = float(np.mean([step.signals.rest_effort for step in loop.steps]))
+    trial = replace(step_trial(rig, plan.step, plan.cost), rest_effort=rest)
     models = [loop.fit.model, *_draws(loop.fit, trial.samples)]
     limits = plan.limits or RobustnessLimits()
     space = plan.tuner.space
     gain = loop.fit.model.static_gain
     records = {step.record.gains: step.record for step in loop.steps}
-    return problem(models, trial, loop.fit.noise_N) | {
+    return problem(models, trial, loop.fit.noise_std) | {
         "known": _known(result),
         "settling_s": plan.cost.settling_time_s,
         "static_gain": gain if math.isfinite(gain) else 0.0,

@@ -25,6 +25,9 @@ if TYPE_CHECKING:
 COMPARED = ("model_based", "safe_bayesian", "least_squares_gradient", "otis")
 """Tuners that are compared where none are named."""
 
+BEHAVIOUR = ("tracking_N", "reversal_N", "rest_N")
+"""Columns of a comparison with the three numbers of a `LoopBehaviour`."""
+
 COMPARISONS = "comparisons"
 """Default folder of comparisons, in the working directory."""
 
@@ -156,6 +159,6 @@ def _row(name: str, result: TuneResult) -> dict[str, Any]:
         "cost": result.fun,
         "overshoot": math.nan if at.metrics is None else at.metrics.overshoot,
         "sensitivity": math.nan if margins is None else margins.sensitivity.value,
-        **behaviour_of(result)._asdict(),
+        **dict(zip(BEHAVIOUR, behaviour_of(result), strict=True)),
         **dict(zip(GAIN_NAMES, result.gains.as_tuple(), strict=True)),
     }

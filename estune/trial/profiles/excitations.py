@@ -29,8 +29,8 @@ class TriangleProfile(SymmetricExcitation):
     a shrink below one gives nested loops.
 
     Attributes:
-        preload_N: Mean setpoint, N.
-        amplitude_N: Amplitude of the first cycle, N; may be negative, not zero.
+        preload_N: Mean setpoint.
+        amplitude_N: Amplitude of the first cycle; may be negative, not zero.
         period_s: Length of a cycle, s; above zero.
         duration_s: Length of the whole trial, s; after the start.
         start_s: Time for which the preload is held first, s; zero or above.
@@ -59,7 +59,7 @@ class TriangleProfile(SymmetricExcitation):
             )
 
     def setpoint(self, sampling_Hz: float) -> FloatArray:
-        """The setpoint at each sample, N, shape (samples,)."""
+        """The setpoint at each sample, shape (samples,)."""
         s = self._since_start(sampling_Hz)
         p = np.maximum(s, 0.0) / self.period_s
         triangle = 1.0 - np.abs(4.0 * np.mod(p + 0.25, 1.0) - 2.0)
@@ -76,8 +76,8 @@ class ChirpProfile(SymmetricExcitation):
         setpoint = preload_N + amplitude_N sin(2 pi (first_Hz s + (last_Hz - first_Hz) s^2/(2 S))).
 
     Attributes:
-        preload_N: Mean setpoint, N.
-        amplitude_N: Amplitude, N; may be negative, not zero.
+        preload_N: Mean setpoint.
+        amplitude_N: Amplitude; may be negative, not zero.
         first_Hz: Frequency at the start; zero or above.
         last_Hz: Frequency at the end; zero or above, below half the sampling rate.
         duration_s: Length of the whole trial, s; after the start.
@@ -107,7 +107,7 @@ class ChirpProfile(SymmetricExcitation):
             )
 
     def setpoint(self, sampling_Hz: float) -> FloatArray:
-        """The setpoint at each sample, N, shape (samples,).
+        """The setpoint at each sample, shape (samples,).
 
         Raises:
             InvalidInput: a frequency is half the sampling rate or above.
@@ -135,8 +135,8 @@ class StaircaseProfile(Excitation):
     One stair is a repeated step and return; a long hold shows creep and drift.
 
     Attributes:
-        preload_N: The lowest level, N; the highest where the step is negative.
-        step_N: Height of a stair, N; may be negative, not zero.
+        preload_N: The lowest level; the highest where the step is negative.
+        step_N: Height of a stair; may be negative, not zero.
         stairs: Stairs from the preload to the farthest level, from 1.
         hold_s: Time on each level, s; above zero.
         duration_s: Length of the whole trial, s; after the start.
@@ -163,12 +163,12 @@ class StaircaseProfile(Excitation):
             raise InvalidInput(f"staircase profile: {self.stairs} stairs; give 1 or more")
 
     @property
-    def extremes_N(self) -> tuple[float, float]:
-        """Lowest and highest setpoint of a whole staircase, N."""
+    def extremes(self) -> tuple[float, float]:
+        """Lowest and highest setpoint of a whole staircase."""
         return ordered(self.preload_N, self.preload_N + self.stairs * self.step_N)
 
     def setpoint(self, sampling_Hz: float) -> FloatArray:
-        """The setpoint at each sample, N, shape (samples,)."""
+        """The setpoint at each sample, shape (samples,)."""
         s = self._since_start(sampling_Hz)
         c = np.mod(np.floor(s / self.hold_s + ROUNDING) + 1.0, 2.0 * self.stairs)
         level = np.minimum(c, 2.0 * self.stairs - c)

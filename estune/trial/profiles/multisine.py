@@ -42,8 +42,8 @@ class MultisineProfile(Excitation):
     number of samples, and whose duration is the start and whole periods, has no leakage.
 
     Attributes:
-        preload_N: Mean setpoint, N.
-        rms_N: Root mean square of the signal about the mean, N; above zero.
+        preload_N: Mean setpoint.
+        rms_N: Root mean square of the signal about the mean; above zero.
         period_s: Length of a period, s; above zero.
         first_line: Lowest line, from 1.
         last_line: Highest line; below half the sampling rate.
@@ -101,7 +101,7 @@ class MultisineProfile(Excitation):
         return self.last_line / self.period_s
 
     @property
-    def extremes_N(self) -> tuple[float, float]:
+    def extremes(self) -> tuple[float, float]:
         """Bounds of the setpoint, N: held between any samples, and at most 2 % too wide."""
         size = self.rms_N * _multisine_peak(
             *(self.first_line, self.last_line, self.lines, self.slope),
@@ -110,7 +110,7 @@ class MultisineProfile(Excitation):
         return self.preload_N - size, self.preload_N + size
 
     def setpoint(self, sampling_Hz: float) -> FloatArray:
-        """The setpoint at each sample, N, shape (samples,).
+        """The setpoint at each sample, shape (samples,).
 
         Raises:
             InvalidInput: the highest line is at half the sampling rate or above.

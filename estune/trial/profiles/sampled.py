@@ -47,8 +47,8 @@ class SymmetricExcitation(Excitation):
     amplitude_N: float
 
     @property
-    def extremes_N(self) -> tuple[float, float]:
-        """Lowest and highest setpoint, N."""
+    def extremes(self) -> tuple[float, float]:
+        """Lowest and highest setpoint."""
         size = abs(self.amplitude_N)
         return self.preload_N - size, self.preload_N + size
 

@@ -70,8 +70,8 @@ class StepProfile(Sampled):
         return self.step_at_s + self.ramp_s
 
     @property
-    def extremes_N(self) -> tuple[float, float]:
-        """Lowest and highest setpoint, N."""
+    def extremes(self) -> tuple[float, float]:
+        """Lowest and highest setpoint."""
         return ordered(self.preload_N, self.preload_N + self.step_N)
 
     def step_index(self, sampling_Hz: float) -> int:
@@ -84,5 +84,5 @@ class StepProfile(Sampled):
         return StepShape(self.step_index(sampling_Hz), self.step_N, ramp=ramp)
 
     def setpoint(self, sampling_Hz: float) -> FloatArray:
-        """The setpoint at each sample, N, shape (samples,)."""
+        """The setpoint at each sample, shape (samples,)."""
         return self.preload_N + self.shape(sampling_Hz).setpoint(self.samples(sampling_Hz))

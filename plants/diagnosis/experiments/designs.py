@@ -85,7 +85,7 @@ class RigScale:
     @cached_property
     def range_N(self) -> tuple[float, float]:
         """Setpoints to be used: within the limits, margins kept, about the suggested step."""
-        limits, (low, high) = self.rig.limits, self.rig.step.extremes_N
+        limits, (low, high) = self.rig.limits, self.rig.step.extremes
         size = WIDEST / 2.0 * (high - low)
         low, high = max(limits.tension_min_N, low - size), min(limits.tension_max_N, high + size)
         # A tenth of the range stays free at either end.
@@ -108,7 +108,7 @@ class RigScale:
 
     def allows(self, profile: AnyProfile) -> bool:
         """Whether the rig's limits allow a profile."""
-        low, high = profile.extremes_N
+        low, high = profile.extremes
         limits = self.rig.limits
         within = limits.tension_min_N <= low and high <= limits.tension_max_N
         return within and profile.duration_s <= limits.duration_max_s
@@ -138,7 +138,7 @@ class RigScale:
 
     def _extremes_N(self, profile: AnyProfile) -> tuple[float, float]:
         """Extremes of the setpoint and of the predicted tension."""
-        model, (low, high) = self.rig.linear_model, profile.extremes_N
+        model, (low, high) = self.rig.linear_model, profile.extremes
         if model is None or self.open_only:
             return low, high
         effort_N = drive_of(profile, self.sampling_Hz).setpoint_N - profile.preload_N
