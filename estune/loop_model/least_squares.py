@@ -168,16 +168,16 @@ class Solution(NamedTuple):
         numerator: FloatArray | None = None,
     ) -> "Iterator[Solution]":
         """The solutions at several dead times, for which all is filtered once."""
+        filters = _filters(coordinates, noise, signals.settling_samples)
         nuisance = tuple(_nuisance(group, coordinates, noise, signals) for group in signals.groups)
-        filtered = [
-            _whitened(group, coordinates, noise, signals.settling_samples)
-            for group in signals.groups
-        ]
-        of_groups = [*zip(signals.groups, filtered, nuisance, strict=True)]
-        targets = [without(one[1][:, g.history :], Q).ravel() for g, one, Q in of_groups]
+        targets, undelayed = [], []
+        for group, Q in zip(signals.groups, nuisance, strict=True):
+            target = whiten(group.measurement, filters.zeros, filters.poles)
+            targets.append(without(target[:, group.history :], Q).ravel())
+            undelayed.append((_regressors(group, filters, coordinates.size), group.history, Q))
         y = targets[0] if len(targets) == 1 else np.concatenate(targets)
         for dead in delays:
-            late = [(delayed(one[0], dead + 1)[..., g.history :], Q) for g, one, Q in of_groups]
+            late = [(delayed(terms, dead + 1)[..., h:], Q) for terms, h, Q in undelayed]
             rows = [without(terms, Q).reshape(len(terms), -1) for terms, Q in late]
             X = (rows[0] if len(rows) == 1 else np.concatenate(rows, axis=1)).T
             size = np.maximum(np.linalg.norm(X, axis=0), 1e-300)
@@ -236,24 +236,23 @@ class Solution(NamedTuple):
         self, signals: FitSignals, coordinates: FloatArray, noise: NoiseModel
     ) -> FloatArray:
         """Residual at other poles and noise with the numerator held, shape (residuals of all,)."""
-        H, parts = shaping(coordinates, noise, signals.settling_samples), []
+        filters, parts = _filters(coordinates, noise, signals.settling_samples), []
         for group in signals.groups:
             late = delayed(group.effort, self.dead + 1)
             driven = self.numerator[-1] * late
             for term in self.numerator[-2::-1]:
                 driven = _moving(driven, 1.0) + term * late
-            driven = lfilter(H.effort, [1.0], driven)
-            left = whiten(group.measurement, H.zeros, H.poles) - whiten(driven, H.zeros, ())
+            driven = lfilter(filters.effort, [1.0], driven)
+            target = whiten(group.measurement, filters.zeros, filters.poles)
+            left = target - whiten(driven, filters.free, ())
             Q = _nuisance(group, coordinates, noise, signals)
             parts.append(without(left[:, group.history :], Q).ravel())
         return np.concatenate(parts)
 
     def slopes(self, signals: FitSignals) -> FloatArray:
         """Slopes of the residual along coordinates, numerator and noise, (residuals, all)."""
-        if self.noise.is_white:
-            return np.concatenate([self._output_slopes(signals), -self.regressors], axis=1)
-        numerical, n = self._numerical_slopes(signals), self.coordinates.size
-        return np.concatenate([numerical[:, :n], -self.regressors, numerical[:, n:]], axis=1)
+        searched, n = self.search_slopes(signals), self.coordinates.size
+        return np.concatenate([searched[:, :n], -self.regressors, searched[:, n:]], axis=1)
 
 
 def search_vector(coordinates: FloatArray, noise: NoiseModel) -> FloatArray:
@@ -288,28 +287,50 @@ def free_parameters(group: RecordGroup, poles: int, noise: NoiseModel) -> int:
 
     Those of a hum are the same for all models of the records.
     """
-    swinging = 2 if noise.is_white and not group.history else poles
-    return len(group.members) * (swinging + 2)
+    return len(group.members) * (_swinging(group, poles, noise) + 2)
 
 
-def _whitened(
-    group: RecordGroup, coordinates: FloatArray, noise: NoiseModel, settling: float
-) -> tuple[FloatArray, FloatArray]:
-    """Regressors of the numerator, undelayed, (terms, records, samples), and what they explain."""
-    driven, target = group.effort, group.measurement
+def _swinging(group: RecordGroup, poles: int, noise: NoiseModel) -> int:
+    """Number of start states that are free, with this number of poles.
+
+    Of a loop at rest no mode swings: free states of each would only take up noise, most of all
+    where a mode is hardly damped.
+    """
+    return 2 if noise.is_white and not group.history else poles
+
+
+class _Filters(NamedTuple):
+    """Filters of the prediction error: e = (1/H) y - (numerator of the effort / free) B u.
+
+    Attributes:
+        effort: Numerator of the effort's filter: P N, one with white noise.
+        free: Its denominator in sections, whose free responses the error has: C, or A.
+        zeros: Of H, in sections; none with white noise.
+        poles: Of H, in sections; none with white noise.
+    """
+
+    effort: FloatArray
+    free: tuple[FloatArray, ...]
+    zeros: tuple[FloatArray, ...]
+    poles: tuple[FloatArray, ...]
+
+
+def _filters(
+    coordinates: Sequence[float] | FloatArray, noise: NoiseModel, settling: float
+) -> _Filters:
     if noise.is_white:
-        for section in sections_of(coordinates):
-            driven = lfilter([1.0], section.taps, driven)
-    else:
-        H = shaping(coordinates, noise, settling)
-        driven = lfilter(H.effort, [1.0], driven)
-        for zeros in H.zeros:
-            driven = lfilter([1.0], zeros, driven)
-        target = whiten(target, H.zeros, H.poles)
-    terms = [driven]
-    for _ in coordinates:
+        return _Filters(np.ones(1), tuple(s.taps for s in sections_of(coordinates)), (), ())
+    H = shaping(coordinates, noise, settling)
+    return _Filters(H.effort, H.zeros, H.zeros, H.poles)
+
+
+def _regressors(group: RecordGroup, filters: _Filters, poles: int) -> FloatArray:
+    """Regressors of the numerator, undelayed, shape (poles + 1, records, samples)."""
+    driven = lfilter(filters.effort, [1.0], group.effort)
+    terms = [whiten(driven, filters.free, ())]
+    for _ in range(poles):
         terms.append(_moving(terms[-1], 1.0))
-    return np.stack(terms), target
+    return np.stack(terms)
 
 
 def _moving(signals: FloatArray, share: float) -> FloatArray:
@@ -334,11 +355,7 @@ def _nuisance(
     group: RecordGroup, coordinates: FloatArray, noise: NoiseModel, signals: FitSignals
 ) -> FloatArray:
     samples = group.effort.shape[1] - group.history
-    if noise.is_white and not group.history:
-        # Of a loop at rest no mode swings: free states of each would only take up noise, most
-        # of all where a mode is hardly damped.
-        coordinates = coordinates[:2]
-    poles = tuple(coordinates.tolist())
+    poles = tuple(coordinates[: _swinging(group, coordinates.size, noise)].tolist())
     columns = _nuisance_columns(
         poles, noise, signals.settling_samples, signals.longest, signals.hum
     )
@@ -359,19 +376,15 @@ def _nuisance_columns(
         # With an amplitude that changes along the record: its frequency is not exact.
         at, place = hum * np.arange(samples), np.linspace(-1.0, 1.0, samples)
         levels += [np.cos(at), np.sin(at), place * np.cos(at), place * np.sin(at)]
-    if noise.is_white:
-        poles = [section.taps for section in sections_of(coordinates)]
-        offsets = levels
-    else:
-        H = shaping(coordinates, noise, settling)
-        poles = list(H.zeros)
-        offsets = list(whiten(np.array(levels), H.zeros, H.poles))
+    filters = _filters(coordinates, noise, settling)
+    offsets = list(whiten(np.array(levels), filters.zeros, filters.poles))
     columns, free = [], pulse
-    for taps in poles:
+    for taps in filters.free:
         free = lfilter([1.0], taps, free)
         columns += [delayed(free, i)[0] for i in range(taps.size - 1)]
-    if noise.is_white:
-        offsets.append(np.cumsum(columns[-1] if poles[-1].size == 2 else columns[-2]))
+    if noise.is_white:  # with a noise model its forgetting has an offset of the effort die out
+        last = columns[-1] if filters.free[-1].size == 2 else columns[-2]
+        offsets.append(np.cumsum(last))
     return np.array([*columns, *offsets])
 
 
