@@ -1,5 +1,7 @@
 """Faults of a supervised rig: codes that do not change between versions, each with its remedy."""
 
+from typing import TypedDict
+
 from estune.core.sentence_enum import SentenceEnum
 
 
@@ -25,3 +27,17 @@ class FaultCode(SentenceEnum):
 
 FAULT = "fault"
 """Name under which the facts of an event hold the code of its fault."""
+
+
+class EventFacts(TypedDict, total=False):
+    """Numbers and names that belong to an event.
+
+    Attributes:
+        fault: Code of what has failed, under the name `FAULT`.
+        gains: The gains that the event is about, as text.
+        cost: Cost of the trial; None where it has none.
+    """
+
+    fault: FaultCode
+    gains: str
+    cost: float | None

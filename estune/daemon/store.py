@@ -15,6 +15,7 @@ from typing import Any, NamedTuple, Self
 from estune.core.control_chart import ChartSignal
 from estune.core.gains import Gains
 from estune.daemon.events import EventKind
+from estune.daemon.faults import EventFacts
 from estune.daemon.supervisor_state import GainSet, Goal, RigLink, Shutdown, SupervisorState
 from estune.errors import JournalError, RigError
 from estune.remote.messages.daemon import DaemonEvent
@@ -212,7 +213,7 @@ class DaemonStore:
         names = ("at", "name", "P", "I", "D", "setpoint_filter_s", "why")
         return self._newest("gain_set", names, limit)
 
-    def add_event(self, kind: EventKind, sentence: str, facts: dict[str, object]) -> DaemonEvent:
+    def add_event(self, kind: EventKind, sentence: str, facts: EventFacts) -> DaemonEvent:
         """Stores an event."""
         at = now()
         number = self._file.write(
@@ -220,7 +221,7 @@ class DaemonStore:
             *(at, kind.value, sentence, json.dumps(facts)),
         )
         self._file.write("DELETE FROM event WHERE number <= ?", number - ROWS_KEPT)
-        return DaemonEvent(self.rig, number, at, kind, sentence, facts)
+        return DaemonEvent(self.rig, number, at, kind, sentence, dict(facts))
 
     def events(self, after: int, limit: int) -> list[DaemonEvent]:
         """Events after a number, oldest first; the newest ones if the number is negative."""

@@ -9,7 +9,7 @@ import math
 import threading
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
+from typing import Any, Unpack
 
 from estune.core.control_chart import ChartSignal
 from estune.core.gains import Gains
@@ -17,7 +17,7 @@ from estune.daemon.behaviour_checks import BehaviourChecks
 from estune.daemon.check_trials import CheckTrials
 from estune.daemon.config import RigTable
 from estune.daemon.events import EventKind
-from estune.daemon.faults import FAULT, FaultCode
+from estune.daemon.faults import FAULT, EventFacts, FaultCode
 from estune.daemon.margin_watch import MarginReport, MarginWatch
 from estune.daemon.rig_counts import RigCounts
 from estune.daemon.store import CommandResult, DaemonStore, now
@@ -45,11 +45,29 @@ from estune.run.session import Session
 EventListener = Callable[[DaemonEvent], None]
 """Callback after each committed event; must return at once."""
 
-_EVENT_OF_COMMAND = {
+_KINDS = {
+    SupervisorEvent.FOUND: EventKind.FOUND,
+    SupervisorEvent.INHERITED: EventKind.GAINS,
+    SupervisorEvent.CHANGED: EventKind.GAINS,
+    SupervisorEvent.LOST: EventKind.LOST,
+    SupervisorEvent.FAILED: EventKind.FAILED,
+    SupervisorEvent.TROUBLE: EventKind.TROUBLE,
+    SupervisorEvent.UNSAFE: EventKind.UNSAFE,
+    SupervisorEvent.SEARCHED: EventKind.CONFIRMING,
+    SupervisorEvent.PROPOSED: EventKind.BETTER,
+    SupervisorEvent.ADOPTED: EventKind.BETTER,
+    SupervisorEvent.KEPT: EventKind.KEPT,
+    SupervisorEvent.DRIFTED: EventKind.DRIFTED,
+    SupervisorEvent.ENDED: EventKind.STOPPED,
+    SupervisorEvent.ACCEPT: EventKind.COMMAND,
+    SupervisorEvent.REJECT: EventKind.COMMAND,
+    SupervisorEvent.REVERT: EventKind.COMMAND,
     SupervisorEvent.PAUSE: EventKind.PAUSED,
     SupervisorEvent.RESUME: EventKind.RESUMED,
     SupervisorEvent.STOP: EventKind.STOPPING,
 }
+"""Kinds of the events that change the state, as others see them; those not here are not logged."""
+
 _REPEATED = (SupervisorEvent.LOST, SupervisorEvent.FAILED, SupervisorEvent.TROUBLE)
 """Events that are logged once while their message stays the same."""
 
@@ -214,18 +232,17 @@ class SupervisedRig:
         """Ends the supervision with the nominal gains restored, as the verb does."""
         with self._lock:
             if self.mode not in (SupervisorMode.STOPPING, SupervisorMode.STOPPED):
-                self._change(SupervisorEvent.STOP, why, EventKind.STOPPING)
+                self._change(SupervisorEvent.STOP, why, why)
         self.abort_trial()
 
     def apply_event(
         self,
         event: SupervisorEvent,
         reason: str,
-        kind: EventKind,
         write: Callable[[], None] | None = None,
         *,
         sentence: str = "",
-        **facts: object,
+        **facts: Unpack[EventFacts],
     ) -> None:
         """Commits an event with what `write` stores along.
 
@@ -240,17 +257,18 @@ class SupervisedRig:
                 _log.debug("%s", error)
                 raise Preempted from None
             is_repeated = event in _REPEATED and reason in (state.trouble, state.paused)
-            self._change(event, reason, None if is_repeated else kind, sentence, write, **facts)
+            told = "" if is_repeated else sentence or reason
+            self._change(event, reason, told, write, **facts)
 
     def note_cost(self, cost: float) -> None:
         """Takes the cost of the last trial, if it had one."""
         self.cost = cost if math.isfinite(cost) else None
 
-    def log_event(self, kind: EventKind, sentence: str, **facts: object) -> None:
+    def log_event(self, kind: EventKind, sentence: str, **facts: Unpack[EventFacts]) -> None:
         """Stores and publishes an event that does not change the state."""
         with self._lock:
             try:
-                event = self.store.add_event(kind, sentence, dict(facts))
+                event = self.store.add_event(kind, sentence, facts)
             except JournalError as error:
                 event = self._unwritten(error, kind, sentence, facts)
         self._tell(event)
@@ -277,10 +295,10 @@ class SupervisedRig:
                     self._store_accepted(sentence)
 
         if better is None:
-            self.apply_event(SupervisorEvent.KEPT, sentence, EventKind.KEPT, write)
+            self.apply_event(SupervisorEvent.KEPT, sentence, write)
         else:
             event = SupervisorEvent.ADOPTED if accept else SupervisorEvent.PROPOSED
-            self.apply_event(event, sentence, EventKind.BETTER, write, gains=str(better))
+            self.apply_event(event, sentence, write, gains=str(better))
 
     def inherit(self, gains: Gains, reason: str) -> None:
         """Takes over the gains that another daemon left, as accepted ones without a baseline."""
@@ -291,14 +309,12 @@ class SupervisedRig:
             self.tuning_runs.end()
             self.checks.set_charts({})
 
-        event, facts = SupervisorEvent.INHERITED, {"gains": str(gains)}
-        self.apply_event(event, reason, EventKind.GAINS, write, **facts)
+        self.apply_event(SupervisorEvent.INHERITED, reason, write, gains=str(gains))
 
     def revert_to_original(self, reason: str) -> None:
         """Replaces unsafe nominal gains by the original ones, and pauses."""
         write = self._drop_all_but_original
-        event, fault = SupervisorEvent.UNSAFE, FaultCode.UNSAFE_GAINS
-        self.apply_event(event, reason, EventKind.UNSAFE, write, fault=fault)
+        self.apply_event(SupervisorEvent.UNSAFE, reason, write, fault=FaultCode.UNSAFE_GAINS)
 
     def handle_drift(self, cost: float, signal: ChartSignal) -> None:
         """Tunes again after a drift of the cost, unless the last tuning ended only recently."""
@@ -307,18 +323,17 @@ class SupervisedRig:
             self.revert_to_original(reason)
         elif self.checks.is_cooldown_over:
             sentence = f"{signal.sentence}; tuning again"
-            event, fault = SupervisorEvent.DRIFTED, FaultCode.DRIFT
-            self.apply_event(event, sentence, EventKind.DRIFTED, fault=fault)
+            self.apply_event(SupervisorEvent.DRIFTED, sentence, fault=FaultCode.DRIFT)
 
     def handle_margins(self, reports: list[MarginReport]) -> None:
         """Logs what the margins show, and tunes again as after a drift of the cost."""
         for kind, sentence, gains in reports:
-            facts = {"gains": str(gains)} if gains is not None else {}
+            facts: EventFacts = {"gains": str(gains)} if gains is not None else {}
             self.log_event(kind, sentence, **facts)
         worse = [report for report in reports if report.kind is not EventKind.DITHER]
         if worse and self.checks.is_cooldown_over:
-            event, sentence = SupervisorEvent.DRIFTED, f"{worse[0].sentence}; tuning again"
-            self.apply_event(event, sentence, EventKind.DRIFTED, fault=FaultCode.DRIFT)
+            sentence = f"{worse[0].sentence}; tuning again"
+            self.apply_event(SupervisorEvent.DRIFTED, sentence, fault=FaultCode.DRIFT)
 
     def _take(self, event: SupervisorEvent, command: Command, reason: str) -> CommandResult:
         verb = event.value
@@ -345,8 +360,7 @@ class SupervisedRig:
                     self.store.set_fact("overrule", now())
             self.store.add_command(command.command_id, verb, command.who, result)
 
-        kind = _EVENT_OF_COMMAND.get(event, EventKind.COMMAND)
-        self._change(event, reason, kind, reason, write)
+        self._change(event, reason, reason, write)
         return result
 
     def _store_accepted(self, why: str) -> None:
@@ -364,25 +378,24 @@ class SupervisedRig:
         self,
         event: SupervisorEvent,
         reason: str = "",
-        kind: EventKind | None = None,
         sentence: str = "",
         write: Callable[[], None] | None = None,
-        **facts: object,
+        **facts: Unpack[EventFacts],
     ) -> None:
-        """Commits the next state with its event and what `write` stores; the lock is held.
+        """Commits the next state and what `write` stores, and logs the sentence; the lock is held.
 
         A full disk must not keep a rig from being made safe: such an event takes effect all the
         same, and the state is written with the next.
         """
-        before, logged = self._state, None
+        before, logged, kind = self._state, None, _KINDS.get(event)
         after = next_state(before, event, reason)
         try:
             with self.store.transaction():
                 if write is not None:
                     write()
                 self.store.state = after
-                if kind is not None:
-                    logged = self.store.add_event(kind, sentence or reason, dict(facts))
+                if kind is not None and sentence:
+                    logged = self.store.add_event(kind, sentence, facts)
         except JournalError as error:
             if event not in _WITHOUT_DISK:
                 raise
@@ -394,7 +407,7 @@ class SupervisedRig:
             self._tell(logged)
 
     def _unwritten(
-        self, error: JournalError, kind: EventKind, sentence: str, facts: dict[str, object]
+        self, error: JournalError, kind: EventKind, sentence: str, facts: EventFacts
     ) -> DaemonEvent:
         _log.error("not written: %s", error, extra={"rig": self.name})
         return DaemonEvent(self.name, 0, now(), kind, sentence, dict(facts))

@@ -5,14 +5,13 @@ import random
 import threading
 import time
 from contextlib import suppress
-from typing import Any
 
 from estune.core.control_chart import ChartSignal
 from estune.core.gains import Gains
 from estune.daemon import rig_access
 from estune.daemon.config import RigTable
 from estune.daemon.events import EventKind
-from estune.daemon.faults import FAULT, FaultCode
+from estune.daemon.faults import EventFacts, FaultCode
 from estune.daemon.progress_watch import ProgressWatch
 from estune.daemon.rig_access import HeldByOtherDaemon, RigAccess, TooManyVoidTrials
 from estune.daemon.shared_resources import SharedResources
@@ -142,7 +141,7 @@ class RigSupervisor:
             self._rig.store.set_fact("fellow", holder)
             self._disconnect()
             sentence = f"held by {holder}; taken over when that daemon leaves it"
-            self._rig.apply_event(SupervisorEvent.LOST, sentence, EventKind.LOST)
+            self._rig.apply_event(SupervisorEvent.LOST, sentence)
         else:
             self._rig.refused = f"held by {holder}; stop one of the two daemons"
             sentence = f"rig {self.name} is not supervised: it is {self._rig.refused}"
@@ -151,7 +150,7 @@ class RigSupervisor:
     def _fail(self, why: str, fault: FaultCode) -> None:
         self._disconnect()
         self._consecutive_failures += 1
-        self._rig.apply_event(SupervisorEvent.FAILED, why, EventKind.FAILED, fault=fault)
+        self._rig.apply_event(SupervisorEvent.FAILED, why, fault=fault)
 
     def _handle_rig_error(self, error: RigError) -> None:
         """The rig is lost or held by others; after an emergency stop an operator is needed."""
@@ -167,11 +166,11 @@ class RigSupervisor:
         else:
             self._disconnect()
             self._consecutive_failures += 1
-            lost, fault = SupervisorEvent.LOST, FaultCode.RIG_LOST
-            self._rig.apply_event(lost, str(error), EventKind.LOST, fault=fault)
+            fault = FaultCode.RIG_LOST
+            self._rig.apply_event(SupervisorEvent.LOST, str(error), fault=fault)
 
     def _pause_for_operator(self, why: str, fault: FaultCode) -> None:
-        self._rig.apply_event(SupervisorEvent.TROUBLE, why, EventKind.TROUBLE, fault=fault)
+        self._rig.apply_event(SupervisorEvent.TROUBLE, why, fault=fault)
         self._rig.mark_ready(None)
 
     def _wait_for_rig(self) -> None:
@@ -196,7 +195,7 @@ class RigSupervisor:
             if holder := access.other_daemon() or (others and f"daemon {others[0]}"):
                 raise HeldByOtherDaemon(holder)
         sentence = f"rig {self.name} answers"
-        self._rig.apply_event(SupervisorEvent.FOUND, sentence, EventKind.FOUND)
+        self._rig.apply_event(SupervisorEvent.FOUND, sentence)
 
     def _apply_nominal_gains(self) -> None:
         access, home = self._connection.access or self._connection.open(), self._rig.state.home
@@ -246,7 +245,7 @@ class RigSupervisor:
         is_past_search = run.session.phase not in (Phase.BASELINE, Phase.SEARCH)
         if is_past_search and self._rig.mode is SupervisorMode.TUNING:
             sentence = f"confirming {run.plan.run}"
-            self._rig.apply_event(SupervisorEvent.SEARCHED, sentence, EventKind.CONFIRMING)
+            self._rig.apply_event(SupervisorEvent.SEARCHED, sentence)
 
     def _on_trial(self, progress: Progress) -> None:
         """After each trial, which is committed by now."""
@@ -259,7 +258,7 @@ class RigSupervisor:
         is_past_search = progress.session.phase in (Phase.CHOOSE, Phase.CONFIRM)
         if is_past_search and mode is SupervisorMode.TUNING:
             sentence = f"confirming {progress.session.plan.run}; {progress.session.search_end}"
-            self._rig.apply_event(SupervisorEvent.SEARCHED, sentence, EventKind.CONFIRMING)
+            self._rig.apply_event(SupervisorEvent.SEARCHED, sentence)
         if self._rig.mode not in (SupervisorMode.TUNING, SupervisorMode.CONFIRMING):
             raise Preempted
 
@@ -274,7 +273,7 @@ class RigSupervisor:
         rig, access, home = self._rig, self._connection.required(), self._rig.state.home
         if rig.checks.chart(home) is None:
             reason = "there is no baseline for the check trials"
-            rig.apply_event(SupervisorEvent.DRIFTED, reason, EventKind.DRIFTED)
+            rig.apply_event(SupervisorEvent.DRIFTED, reason)
             return
         wait_s, gains = rig.checks.wait_s(home), rig.store.gains()[home]
         check_s = min(wait_s, rig.margins.wait_s)
@@ -324,7 +323,7 @@ class RigSupervisor:
         self._consecutive_failures = 0
         if live != self._rig.store.gains()[home]:
             reason = f"the rig runs {live} instead of the {home} gains"
-            self._rig.apply_event(SupervisorEvent.CHANGED, reason, EventKind.GAINS)
+            self._rig.apply_event(SupervisorEvent.CHANGED, reason)
 
     def _stay_paused(self) -> None:
         """Leaves the rig to other clients; only checks that it answers."""
@@ -355,9 +354,8 @@ class RigSupervisor:
                 )
         self.confirmed = not fault
         ended = f"ended; the rig has confirmed its gains: {home}" if home else "ended"
-        facts: dict[str, Any] = {FAULT: FaultCode.NOT_RESTORED} if fault else {}
-        event, kind = SupervisorEvent.ENDED, EventKind.STOPPED
-        rig.apply_event(event, fault, kind, sentence=fault or ended, **facts)
+        facts: EventFacts = {"fault": FaultCode.NOT_RESTORED} if fault else {}
+        rig.apply_event(SupervisorEvent.ENDED, fault, sentence=fault or ended, **facts)
 
     def _disconnect(self) -> None:
         if not self.confirmed:  # gains that were confirmed at the end are no longer changed
