@@ -124,6 +124,19 @@ class TuneOptions(Search):
             otherwise="1.6, 5 % and none",
         ),
     ] = None
+    dead_time_s: Annotated[
+        float | None,
+        Setting("Dead time of a linear system or a function", "s", otherwise="none", least=0.0),
+    ] = None
+    sampling_Hz: Annotated[
+        float | None,
+        Setting(
+            "Rate of the controller of a linear system or a function",
+            "Hz",
+            otherwise="200 samples in its settling time",
+            above=0.0,
+        ),
+    ] = None
     force: Annotated[
         bool,
         Setting(
@@ -149,7 +162,8 @@ def tune(target: Any, options: TuneOptions) -> "TuneResult":  # noqa: D417  from
 
     Args:
         target: An endpoint ("tcp/127.0.0.1:7447"), a plant ("reel.toml", "plants:reference_reel"
-            or an object), or a rig.
+            or an object), a linear system of python-control or SciPy, a function `step(state,
+            effort, dt_s) -> (state, measurement)`, or a rig.
 
     Raises:
         InvalidInput: a value is not usable, or the rig gives no model to start from.
@@ -165,7 +179,9 @@ def tune(target: Any, options: TuneOptions) -> "TuneResult":  # noqa: D417  from
         True
     """
     where = options.rig, options.security, options.patience_s
-    with open_target(target, *where) as the_rig:
+    own: dict[str, Any] = {"dead_time_s": options.dead_time_s, "sampling_Hz": options.sampling_Hz}
+    start = options.start if isinstance(options.start, Gains) else None
+    with open_target(target, *where, **own, gains=start) as the_rig:
         description = the_rig.describe()
         name = options.run or _free_name(Path(options.folder))
         if not name.replace("-", "").replace("_", "").isalnum():
@@ -190,6 +206,7 @@ def tune(target: Any, options: TuneOptions) -> "TuneResult":  # noqa: D417  from
                 "rig": description_to_json(description),
                 "target": target if isinstance(target, str) else None,
                 "rig_name": options.rig,
+                "system": own,
                 "created_at": datetime.now().astimezone().isoformat(timespec="seconds"),
                 "status": "running",
                 "records_max": options.records,
@@ -238,7 +255,11 @@ def resume(
             raise InvalidInput(
                 f"{run_folder} was made on an object; pass it: estune.resume(folder, rig)"
             )
-        with open_target(target, journal.fact("rig_name"), security, patience_s) as rig:
+        has_own = hasattr(target, "rig") or hasattr(target, "describe")
+        own = {} if has_own else journal.fact("system") or {}
+        with open_target(
+            target, journal.fact("rig_name"), security, patience_s, **own, gains=tuning_.plan.start
+        ) as rig:
             check_same_rig(tuning_.description, rig.describe())
             wanted = bool(journal.fact("tracking"))
             return _run(tuning_, rig, watch, ask, tracking=wanted)

@@ -22,6 +22,7 @@ if TYPE_CHECKING:  # python-control takes more than a second to import
 
 __all__ = [
     "Margins",
+    "as_control",
     "closed_loop",
     "from_control",
     "linear_model",
@@ -289,7 +290,7 @@ def from_control(C_y: "TransferFunction", setpoint_filter_s: float = 0.0) -> Gai
 
 
 def linear_model(system: "TransferFunction | StateSpace", dead_time_s: float = 0.0) -> LinearModel:
-    """The plant given as a python-control transfer function or state space.
+    """The plant given as a transfer function or state space of python-control or SciPy.
 
     Args:
         system: Continuous, proper, single input (effort) and single output (measurement).
@@ -303,6 +304,7 @@ def linear_model(system: "TransferFunction | StateSpace", dead_time_s: float = 0
 
     if not (math.isfinite(dead_time_s) and dead_time_s >= 0.0):
         raise InvalidInput(f"dead time is {dead_time_s} s; it must be finite, and zero or above")
+    system = as_control(system)
     if not isinstance(system, (TransferFunction, StateSpace)):
         raise InvalidInput(
             f"the plant is a {type(system).__name__}; give a TransferFunction or StateSpace: "
@@ -328,6 +330,19 @@ def linear_model(system: "TransferFunction | StateSpace", dead_time_s: float = 0
         E=float(E[0, 0]),
         dead_time_s=float(dead_time_s),
     )
+
+
+def as_control(system: Any) -> Any:
+    """A linear system of SciPy as one of python-control; anything else as it is."""
+    if not type(system).__module__.startswith("scipy.signal"):
+        return system
+    from control import ss, tf  # noqa: PLC0415  slow to import
+
+    interval = () if system.dt is None else (system.dt,)
+    if hasattr(system, "A"):
+        return ss(system.A, system.B, system.C, system.D, *interval)
+    ratio = system.to_tf()  # of a TransferFunction itself, or of zeros, poles and gain
+    return tf(ratio.num, ratio.den, *interval)
 
 
 def _check_siso_continuous(system: "TransferFunction | StateSpace", what: str) -> None:

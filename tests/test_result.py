@@ -184,7 +184,7 @@ def test_html_is_well_formed_and_escaped(tuned):
 def test_plots_return_given_axes_with_units_without_pyplot(tuned):
     ax = plot_style.new_axes()
     assert tuned.plot_cost(ax) is ax
-    labels = [tuned.plot_response().get_xlabel(), tuned.plot_response().get_ylabel()]
+    labels = [tuned.plot_step().get_xlabel(), tuned.plot_step().get_ylabel()]
     assert labels == ["time from the step, s", "tension, N"]
     assert tuned.plot_gains().get_yscale() == "log"
     assert tuned.plot_cost()._repr_png_().startswith(b"\x89PNG")

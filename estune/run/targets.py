@@ -10,6 +10,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from estune.core.gains import Gains
 from estune.errors import InvalidInput
 from estune.remote.state_machine.client import PATIENCE_S
 from estune.support.plugins import hidden_hint, hiding_hint, load_plugin, plugins
@@ -20,6 +21,9 @@ if TYPE_CHECKING:
 
 MODEL_FILE = ".toml"
 """Ending of a model file; the entry point group `estune.model_files` offers its reader."""
+
+OBJECT = "object"
+"""Name in that group of what makes a plant of an object: a linear system or a function."""
 
 _ENDPOINT = re.compile(r"(tcp|udp|tls|quic|ws|serial|unixsock-stream)/.+")
 
@@ -38,22 +42,33 @@ def open_target(
     rig: str | None = None,
     security: "Security | None" = None,
     patience_s: float | None = None,
+    *,
+    dead_time_s: float | None = None,
+    sampling_Hz: float | None = None,
+    gains: Gains | None = None,
 ) -> Iterator[Rig]:
     """The rig that a target names, for the duration of the block.
 
     Args:
         target: An endpoint ("tcp/127.0.0.1:7447"), a model file ("reel.toml"), "module:attribute"
-            naming a plant or a rig, a plant (anything with a `.rig()` method), or a rig.
+            naming a plant or a rig, a plant (anything with a `.rig()` method), a linear system, a
+            function, or a rig.
         rig: Name of the rig, if several answer at the endpoint.
         security: Credentials, if the rig at the endpoint requires authentication.
         patience_s: How long to wait for the rig at the endpoint to appear, and where it stops
             replying, s; 3 s and 30 s by default.
+        dead_time_s: Dead time of a linear system or a function, s.
+        sampling_Hz: Rate of the controller of a linear system or a function.
+        gains: Live gains of a linear system or a function.
 
     Raises:
-        InvalidInput: the target is none of these.
+        InvalidInput: the target is none of these, or has a dead time or rate of its own.
         RigError: no rig, or none of that name, answers at the endpoint.
     """
+    own = {"dead_time_s": dead_time_s, "sampling_Hz": sampling_Hz}
+    given = {name: value for name, value in own.items() if value is not None}
     if isinstance(target, str) and is_endpoint(target):
+        _check_no_settings(given, target)
         from estune.remote import zenoh  # noqa: PLC0415  slow to import
         from estune.remote.security import OPEN  # noqa: PLC0415  as above
 
@@ -71,19 +86,26 @@ def open_target(
         return
     if isinstance(target, str):
         target = load(target)
+    is_rig = hasattr(target, "describe") and hasattr(target, "run")
+    if is_rig or hasattr(target, "rig"):
+        _check_no_settings(given, type(target).__name__)
+    else:
+        target = _reader(OBJECT)(target, gains=gains, **given)
     if hasattr(target, "rig"):
         simulated: Rig = target.rig()
         try:
             yield simulated
         finally:
             simulated.close()
-    elif hasattr(target, "describe") and hasattr(target, "run"):
-        yield target
     else:
+        yield target
+
+
+def _check_no_settings(given: Mapping[str, float], target: str) -> None:
+    if given:
         raise InvalidInput(
-            f"the target is of type {type(target).__name__}; give an endpoint "
-            "(tcp/127.0.0.1:7447), a plant (plants.reference_reel()) or a rig; wrap a "
-            "python-control system in plants.linear_plant and a function in plants.python_plant"
+            f"{' and '.join(given)} are given for {target}, which has its own; they belong to a "
+            "linear system or a function: change them in the plant or the rig's file"
         )
 
 
@@ -97,7 +119,7 @@ def load(reference: str, settings: Mapping[str, Any] | None = None) -> Any:
     """
     settings = settings or {}
     if reference.endswith(MODEL_FILE):
-        return _model_reader()(reference, **settings)
+        return _reader(MODEL_FILE)(reference, **settings)
     target = _attribute(reference)
     if not (isinstance(target, type | functools.partial) or inspect.isroutine(target)):
         if settings:
@@ -152,9 +174,9 @@ def _attribute(reference: str) -> Any:
         ) from error
 
 
-def _model_reader() -> Callable[..., Any]:
+def _reader(of: str) -> Callable[..., Any]:
     readers = plugins("estune.model_files")
-    if MODEL_FILE not in readers:
-        raise InvalidInput("no installed package reads model files; reinstall estune")
-    reader: Callable[..., Any] = load_plugin(readers[MODEL_FILE])
+    if of not in readers:
+        raise InvalidInput("no installed package reads models; reinstall estune")
+    reader: Callable[..., Any] = load_plugin(readers[of])
     return reader

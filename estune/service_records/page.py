@@ -26,7 +26,16 @@ from estune.support.html_page import (
     Table,
     Warnings,
 )
-from estune.support.plot_style import BLUE, GREY, ORANGE, finish, legend, new_figure, stacked
+from estune.support.plot_style import (
+    BLUE,
+    GREY,
+    ORANGE,
+    figure_of,
+    finish,
+    legend,
+    new_figure,
+    stacked,
+)
 from estune.support.quantity_text import time_text
 
 _DRAWS = 60
@@ -129,14 +138,14 @@ def _loop(suggestion: JudgedRecords) -> Iterator[Block]:
         f"time of {suggestion.fit.model.dead_samples} samples."
     )
     yield Drawing(
-        draw_bode(response, settings, loops),
+        figure_of(draw_bode(response, settings, loops)),
         "bode",
         "Magnitude and phase of the loop gain over frequency",
         "Bode diagram. The phase margin is read where |L| = 1, the gain margin at -180 degrees.",
     )
     limit = suggestion.limits.max_sensitivity or SENSITIVITY_MAX
     yield Drawing(
-        draw_nyquist(response, settings, loops, limit),
+        figure_of(draw_nyquist(response, settings, loops, limit)),
         "nyquist",
         "Loop gain in the complex plane",
         "Nyquist diagram with the unit circle. A curve that stays outside the grey disc about -1 "

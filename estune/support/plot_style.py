@@ -43,7 +43,12 @@ class ShownAxes(Axes):
     """Axes that a notebook displays as their whole figure."""
 
     def _repr_png_(self) -> bytes:
-        return to_png(self.get_figure(root=True) or ShownFigure())
+        return to_png(figure_of(self))
+
+
+def figure_of(ax: Axes) -> Figure:
+    """The whole figure that axes are part of."""
+    return ax.get_figure(root=True) or ShownFigure()
 
 
 def new_axes() -> Axes:

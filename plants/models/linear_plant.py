@@ -12,7 +12,7 @@ from estune.core.margins import SampledPlant, loop_margins, sample_plant
 from estune.core.pidf import ControllerSettings
 from estune.core.quantities import FloatArray, check_not_negative, check_positive
 from estune.errors import InvalidInput, PlantError
-from estune.interop import linear_model
+from estune.interop import as_control, linear_model
 from estune.trial import LinearModel, RigDescription, RigLimits
 from estune.trial.profiles import StepProfile
 from plants.models.effect_applicability import unavailable
@@ -186,7 +186,7 @@ def linear_plant(
     measurement: str = "measurement",
     command: str = "control effort",
 ) -> LinearPlant:
-    """A plant from a python-control model, sampled exactly under zero-order hold.
+    """A plant from a model of python-control or SciPy, sampled exactly under zero-order hold.
 
     The measurement is taken just before the effort changes, so a direct feed-through responds to
     the previous effort. An unstable model is allowed.
@@ -219,16 +219,17 @@ def linear_plant(
     check_not_negative("dead time", dead_time_s, "s")
     if sampling_Hz is not None:
         check_positive("sampling rate", sampling_Hz, "Hz")
+    system = as_control(system)
     if getattr(system, "dt", None):  # 0 and None are continuous time
         sampling_Hz = _rate(system, sampling_Hz)
         model, sampled = None, _as_sampled(system, dead_time_s, sampling_Hz)
-        settling_time_s = settling_time_s or _settling_time(
+        settling_time_s = settling_time_s or settling_time(
             sampled.modes * sampling_Hz, dead_time_s
         )
     else:
         model = linear_model(system, dead_time_s)
         A = np.reshape(np.array(model.A), (len(model.B), len(model.B)))
-        settling_time_s = settling_time_s or _settling_time(np.linalg.eigvals(A), dead_time_s)
+        settling_time_s = settling_time_s or settling_time(np.linalg.eigvals(A), dead_time_s)
         check_positive("settling time", settling_time_s, "s")
         sampling_Hz = sampling_Hz or SAMPLES_PER_SETTLING_TIME / settling_time_s
         sampled = sample_plant(
@@ -255,8 +256,11 @@ def linear_plant(
     return LinearPlant(mounting, sampled, model)
 
 
-def _settling_time(poles: Any, dead_time_s: float) -> float:
-    """2 pi over the slowest pole that is not zero, plus the dead time, s."""
+def settling_time(poles: Any, dead_time_s: float) -> float:
+    """2 pi over the slowest pole that is not zero, plus the dead time, s.
+
+    A good tuning can reach it.
+    """
     rates = np.abs(poles)
     slow = rates[rates > 1e-9 * rates.max(initial=0.0)]
     return float(2.0 * math.pi / slow.min() + dead_time_s) if slow.size else 1.0 + dead_time_s

@@ -16,7 +16,7 @@ from plants.simulation.plant import SOFTWARE
 HOW_TO_GIVE_GAINS = (
     "in the file of a linear plant or an FMU as "
     "gains = { P = ..., I = ..., D = ..., setpoint_filter_s = ... }, "
-    "in Python as gains=Gains(...) of the plant or its .rig"
+    "in Python as start=Gains(...) of estune.tune, or gains=Gains(...) of the plant or its .rig"
 )
 """Remedy in messages on a plant without safe gains."""
 

@@ -6,17 +6,26 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 
 from estune.core.gains import Gains
 from estune.core.margins import controller_response
 from estune.core.pidf import ControllerSettings
 from estune.core.quantities import ComplexArray, FloatArray
 from estune.interop import sampled_model
+from estune.loop_model.claim import Claim
 from estune.loop_model.drawn_models import drawn_models, white_factor
 from estune.loop_model.loop_fit import LoopFit
 from estune.loop_model.margins import frequency_response
-from estune.support.plot_style import BLUE, GREY, LIGHT, ORANGE, finish, legend, new_figure
+from estune.support.plot_style import (
+    BLUE,
+    GREY,
+    LIGHT,
+    ORANGE,
+    ShownAxes,
+    finish,
+    legend,
+    new_figure,
+)
 from estune.trial import RigDescription
 
 DRAWS = 200
@@ -58,6 +67,15 @@ class PlantResponse:
         return cls(frequency, frequency_response(fit.model, theta), np.array(drawn))
 
     @classmethod
+    def of_loop(
+        cls, claim: Claim, fit: LoopFit | None, rig: RigDescription
+    ) -> "PlantResponse | None":
+        """The identified loop where its margins are claimed, else the rig's model; or None."""
+        if claim.margins is not None and fit is not None:
+            return cls.of_fit(fit, rig.controller, rig.settling_time_s)
+        return cls.of_rig(rig)
+
+    @classmethod
     def of_rig(cls, rig: RigDescription) -> "PlantResponse | None":
         """The rig's own linear model; None without one."""
         if rig.linear_model is None:
@@ -76,12 +94,25 @@ _LOOKS: tuple[dict[str, Any], ...] = (
 )
 
 
+_THIN = {"linewidth": 0.7}
+"""Phases on the axes of the gains."""
+
+
 def draw_bode(
-    response: PlantResponse, settings: ControllerSettings, loops: Sequence[Loop]
-) -> Figure:
-    """Magnitude and phase of the loop gain L for each gains; the band is of the last."""
-    figure = new_figure(7.2, 4.2)
-    upper, lower = figure.subplots(2, 1, sharex=True)
+    response: PlantResponse,
+    settings: ControllerSettings,
+    loops: Sequence[Loop],
+    ax: Axes | None = None,
+) -> Axes:
+    """Magnitude and phase of the loop gain L for each gains; the band is of the last.
+
+    On one axes the phase has its scale at the right.
+    """
+    if ax is None:
+        kind = {"axes_class": ShownAxes}
+        upper, lower = new_figure(7.2, 4.2).subplots(2, 1, sharex=True, subplot_kw=kind)
+    else:
+        upper, lower = ax, ax.twinx()
     for (label, gains), look in zip(loops, _looks(loops), strict=True):
         controller = _controller(response, settings, gains)
         loop = controller * response.plant
@@ -92,25 +123,31 @@ def draw_bode(
             turned = np.unwrap(np.angle(loop)) + np.angle(drawn / loop)
             _band(lower, response, np.degrees(turned), look["color"])
         upper.plot(response.frequency_Hz, np.abs(loop), label=label, **look)
-        lower.plot(response.frequency_Hz, np.degrees(np.unwrap(np.angle(loop))), **look)
+        phase = np.degrees(np.unwrap(np.angle(loop)))
+        lower.plot(response.frequency_Hz, phase, **look | ({} if ax is None else _THIN))
     upper.axhline(1.0, color=GREY, linewidth=0.8)
     lower.axhline(-180.0, color=GREY, linewidth=0.8)
     upper.set_xscale("log")
     upper.set_yscale("log")
     upper.set_ylim(max(upper.get_ylim()[0], 1e-3), upper.get_ylim()[1])
     lower.set_ylim(max(lower.get_ylim()[0], -540.0), lower.get_ylim()[1])
-    finish(upper, "loop gain |L|")
-    finish(lower, "phase of L, degrees", "frequency, Hz")
+    finish(upper, "loop gain |L|", "" if ax is None else "frequency, Hz")
+    thin = "" if ax is None else " (thin)"
+    finish(lower, f"phase of L{thin}, degrees", "frequency, Hz")
     legend(upper)
-    return figure
+    shown: Axes = upper
+    return shown
 
 
 def draw_nyquist(
-    response: PlantResponse, settings: ControllerSettings, loops: Sequence[Loop], limit: float
-) -> Figure:
+    response: PlantResponse,
+    settings: ControllerSettings,
+    loops: Sequence[Loop],
+    limit: float,
+    ax: Axes | None = None,
+) -> Axes:
     """The loop gain in the complex plane, the unit circle, and the circle of a sensitivity."""
-    figure = new_figure(7.2, 4.2)
-    ax = figure.add_subplot()
+    ax = ax or new_figure(7.2, 4.2).add_subplot(axes_class=ShownAxes)
     angle = np.linspace(0.0, 2.0 * np.pi, 181)
     ax.plot(np.cos(angle), np.sin(angle), color=GREY, linewidth=0.7)
     circle = -1.0 + np.exp(1j * angle) / limit
@@ -129,7 +166,7 @@ def draw_nyquist(
     ax.set_ylim(-1.6, 1.1)
     finish(ax, "imaginary part of L", "real part of L")
     legend(ax)
-    return figure
+    return ax
 
 
 def response_columns(

@@ -9,10 +9,9 @@ import numpy as np
 
 from estune.core.cost import StepCost
 from estune.core.gains import GAIN_NAMES
-from estune.loop_model.optimum import SENSITIVITY_MAX, RobustnessLimits
+from estune.loop_model.optimum import RobustnessLimits
 from estune.run.results import figures
 from estune.run.results.frequency_figures import (
-    Loop,
     PlantResponse,
     draw_bode,
     draw_nyquist,
@@ -32,7 +31,7 @@ from estune.support.html_page import (
     Table,
     Warnings,
 )
-from estune.support.plot_style import new_figure
+from estune.support.plot_style import figure_of, new_figure
 from estune.support.quantity_text import time_text
 from estune.trial import TrialRecord
 from estune.trial.profiles import LoadStepProfile
@@ -165,18 +164,15 @@ def _samples(records: Mapping[str, TrialRecord], per_ampere: float) -> dict[str,
 
 def _loop(result: RunResult) -> Iterator[Block]:
     """Bode and Nyquist figures of the loop, or why there are none."""
-    rig, claim, fit = result.rig, result.claim, result.identified.fit
-    if claim.margins is not None and fit is not None:
-        response: PlantResponse | None = PlantResponse.of_fit(
-            fit, rig.controller, rig.settling_time_s
-        )
+    rig, claim = result.rig, result.claim
+    response = PlantResponse.of_loop(claim, result.identified.fit, rig)
+    if claim.margins is not None:
         known = (
             "The loop is identified from the run's own records; its linear model leaves "
             f"{claim.misfit:.2%} of the step unexplained. The band and the pale curves are models "
             "that the records allow with 95 %."
         )
     else:
-        response = PlantResponse.of_rig(rig)
         known = (
             "The loop is the rig's own linear model of its plant, whose accuracy is not known; "
             f"the records allow no statement: {claim.reason}."
@@ -184,20 +180,18 @@ def _loop(result: RunResult) -> Iterator[Block]:
     if response is None:
         yield Paragraph(f"There is no model of the loop: {claim.reason}.")
         return
-    loops: list[Loop] = [("initial gains", result.start_gains)]
-    if result.success:
-        loops.append(("tuned gains", result.gains))
+    loops = result.loops
     yield Paragraph(known)
     yield Drawing(
-        draw_bode(response, rig.controller, loops),
+        figure_of(draw_bode(response, rig.controller, loops)),
         "bode",
         "Magnitude and phase of the loop gain over frequency",
         "Bode diagram. The phase margin is read where |L| = 1, the gain margin at -180 degrees.",
         csv=_csv(response_columns(response, rig.controller, loops)),
     )
-    limit = _sensitivity_limit(result)
+    limit = result.sensitivity_limit
     yield Drawing(
-        draw_nyquist(response, rig.controller, loops, limit),
+        figure_of(draw_nyquist(response, rig.controller, loops, limit)),
         "nyquist",
         "Loop gain in the complex plane",
         "Nyquist diagram with the unit circle. A curve that stays outside the grey disc about -1 "
@@ -219,12 +213,6 @@ def _tuning(result: RunResult) -> Iterator[Block]:
             ),
             "new Tuner(element, data);",
         )
-
-
-def _sensitivity_limit(result: RunResult) -> float:
-    """Limit of Ms by which the result was judged; the usual one where there was none."""
-    limits = result.plan.limits
-    return (limits and limits.max_sensitivity) or SENSITIVITY_MAX
 
 
 def _search(result: RunResult) -> Iterator[Block]:

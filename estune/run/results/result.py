@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from estune.core.gain_forms import GainForm, gain_forms
+from estune.errors import InvalidInput
 from estune.run.ending import RunEnding
 from estune.run.loop import TuningRun
 from estune.run.results.run_result import RunResult
@@ -17,6 +18,7 @@ from estune.support.notebook_card import card
 
 if TYPE_CHECKING:
     from control import StateSpace
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 
@@ -39,11 +41,29 @@ class TuneResult(RunResult):
 
         return sampled_controller(self.gains, self.rig.controller)
 
-    def loop(self, plant: Any, dead_time_s: float = 0.0) -> "StateSpace":
-        """The loop of a plant with the gains to use; see `estune.interop.closed_loop`."""
+    def loop(self, plant: Any = None, dead_time_s: float = 0.0) -> "StateSpace":
+        """The loop of a plant with the gains to use; see `estune.interop.closed_loop`.
+
+        Args:
+            plant: A linear system of python-control or SciPy; the rig's own model by default.
+            dead_time_s: Dead time of the system, s.
+
+        Raises:
+            InvalidInput: no plant is given and the rig has no model, or the plant is no such.
+        """
         from estune.interop import closed_loop  # noqa: PLC0415  slow to import
 
+        plant = self.rig.linear_model if plant is None else plant
+        if plant is None:
+            raise InvalidInput(
+                f"rig {self.rig.name} gives no linear model of itself; give the plant, as in "
+                "result.loop(control.tf([1], [1, 1]))"
+            )
         return closed_loop(plant, self.gains, self.rig.controller, dead_time_s)
+
+    def plot(self, ax: "Axes | None" = None) -> "Axes":
+        """Draws the step response on `ax`; without one, all three figures on one page."""
+        return self.figure().axes[0] if ax is None else self.plot_step(ax)
 
     def figure(self) -> "Figure":
         """All three figures on one page; pyplot is not touched."""
@@ -51,7 +71,7 @@ class TuneResult(RunResult):
 
         page = plot_style.new_figure(7.2, 6.6)
         grid = page.add_gridspec(2, 2)
-        self.plot_response(page.add_subplot(grid[0, :]))
+        self.plot_step(page.add_subplot(grid[0, :], axes_class=plot_style.ShownAxes))
         self.plot_cost(page.add_subplot(grid[1, 0]))
         self.plot_gains(page.add_subplot(grid[1, 1]))
         page.suptitle(fill(self.heading(), _TITLE_WIDTH), fontsize=10)
