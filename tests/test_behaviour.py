@@ -3,6 +3,7 @@
 import json
 import math
 
+import numpy as np
 import pytest
 
 import estune
@@ -10,6 +11,7 @@ import plants
 from estune.cli import run
 from estune.run.behaviour import LoopBehaviour, measure_behaviour
 from estune.trial import Outcome
+from estune.trial.tracking import REST_SETTLINGS, rest_of, tracking_of, tracking_profile
 from plants.effects import CoulombFriction
 from plants.remedies.behaviour import MEASURES, behaviour
 
@@ -52,6 +54,32 @@ def test_a_rig_measures_what_a_model_predicts():
     assert measured.tracking == pytest.approx(predicted["tracking"], rel=0.02)
     assert measured.reversal == pytest.approx(predicted["reversal"], rel=0.05)
     assert measured.rest == pytest.approx(predicted["rest"], rel=0.1)
+
+
+def test_tracking_is_judged_after_the_first_cycle_which_begins_from_rest():
+    profile, rate = tracking_profile(PLAIN.profile, 0.1), 1000.0
+    error = np.full(profile.samples(rate), 0.2)
+    second = round((profile.start_s + profile.period_s) * rate)
+    error[:second] = 5.0
+    assert tracking_of(profile, 0.1, rate, error) == pytest.approx((0.2, 0.2))
+    for turn in (1.25, 1.75, 2.25, 2.75):
+        at = round((profile.start_s + turn * profile.period_s) * rate)
+        error[at + 50] = -0.2 * turn
+    rms, reversal = tracking_of(profile, 0.1, rate, error)
+    assert rms == pytest.approx(0.2, rel=0.01)
+    assert reversal == pytest.approx(0.2 * 2.0)
+
+
+@pytest.mark.parametrize(("restless", "rest"), [(0, 0.1), (1, 0.1), (3, 2.0), (4, 2.0)])
+def test_rest_passes_over_a_single_slip_and_counts_hunting(restless, rest):
+    rate, settling = 1000.0, 0.1
+    part = round(REST_SETTLINGS * settling * rate) // 4
+    sway = np.where(np.arange(part) % 2, 1.0, -1.0)
+    tension = [sway * (2.0 if k < restless else 0.1) + 10.0 for k in range(4)]
+    settling_part = np.linspace(0.0, 10.0, 4 * part)
+    assert rest_of(settling, rate, np.concatenate([settling_part, *tension])) == pytest.approx(
+        rest
+    )
 
 
 def test_what_a_rig_cannot_measure_is_told_and_the_result_stays(monkeypatch):

@@ -70,6 +70,18 @@ def test_itae_and_ise_agree_with_their_integrals():
     assert priced - got == pytest.approx(0.3 / 0.5 * np.sum(away**2) / 200.0)
 
 
+def test_rejection_is_the_cost_of_the_error_over_the_load_and_is_weighed_by_its_share():
+    """The error is the step's first-order reference, and then half of that of the load."""
+    t = np.arange(1000) / 1000.0
+    reference = np.exp(-4.0 * t / 0.3)
+    step = StepShape(0, 2.0, LoadStep(1000, -0.4))
+    error = np.concatenate([2.0 * reference, -0.2 * reference])
+    for share in (0.25, 1.0):
+        cost = StepCost(0.3, criterion="ise", rejection=share)
+        eta = cost.evaluate(1000.0, step, error, np.zeros(2000), np.zeros(2000))
+        assert eta == pytest.approx(1.0 - share + 0.25 * share)
+
+
 def test_load_moves_the_plant_but_not_the_recorded_effort_of_an_open_loop():
     reel = plants.reference_reel()
     step = with_load(reel.profile, reel.rig().describe())

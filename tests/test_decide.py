@@ -36,6 +36,11 @@ def test_effect_that_leaves_much_is_incomplete():
     assert decide(base(2000.0), [model("a", 100.0)]).verdict == "incomplete"
 
 
+@pytest.mark.parametrize(("noises", "verdict"), [(2.5, "named"), (3.5, "incomplete")])
+def test_effect_is_incomplete_where_it_leaves_three_times_the_noise(noises, verdict):
+    assert decide(base(2000.0), [model("a", noises**2)]).verdict == verdict
+
+
 def test_effect_that_explains_half_is_not_named():
     decision = decide(base(20.0), [model("a", 10.0)])
     assert (decision.verdict, decision.leading) == ("unknown", {"a"})
@@ -103,7 +108,8 @@ def test_law_with_fewer_values_that_does_about_as_well_is_likelier():
 def test_effect_whose_size_a_scale_tells_is_less_likely_than_another():
     weighed = model("weight", 0.95, 1, known_apart=True)
     for J in (0.9, 1.0):
-        assert decide(base(3.0), [weighed, model("stiff", J, 2)]).best == {"stiff"}
+        decision = decide(base(3.0), [weighed, model("stiff", J, 2)])
+        assert (decision.verdict, decision.best, decision.tied) == ("named", {"stiff"}, ())
 
 
 def test_nameless_law_with_as_few_values_refutes_a_name():

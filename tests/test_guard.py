@@ -1,12 +1,17 @@
 """The guard: which limit acts at which sample; a good reel triggers none."""
 
 import math
+from types import SimpleNamespace
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from estune.errors import InvalidInput
+from estune.hardware.guard_watch import GuardWatch
+from estune.hardware.loop_messages import BeginTrial
+from estune.hardware.shared_memory import MotionPhase
 from estune.reel import guard
 from estune.reel.guard import Limits, Reason, Sample
 
@@ -104,6 +109,35 @@ def test_limits_trip_at_the_first_sample_above_them(case):
 )
 def test_samples_within_the_limits_do_not_trip(limits, changes):
     assert stopped_at(limits, faulty(50, **changes)) is None
+
+
+@pytest.mark.parametrize(
+    ("limits", "reason"),
+    [
+        ({"guard": Limits(travel_max_rad=1.0)}, Reason.TRAVEL),
+        ({"duration_s": 10.0}, Reason.DEADLINE),
+        ({"cost_max": 10.0}, Reason.COST),
+    ],
+    ids=["travel", "time", "cost"],
+)
+def test_limits_of_a_trial_count_from_its_start(limits, reason):
+    """The drum has turned, and time has passed, while it was held; so has a trial before."""
+    usual = limits.pop("guard", Limits())
+    plan = SimpleNamespace(guard=usual, motion=SimpleNamespace(take_up_s=1.0, taut_N=1.0))
+    memory = SimpleNamespace(setpoint_N=np.full(30, 15.0), weights=np.ones(30))
+    watch = GuardWatch(plan, memory)
+    trial = {"open_loop": False, "cost_max": 1e9, "duration_s": 1e9} | limits
+    for start in (0.0, 40.0):
+        sample = Sample(start, 15.0, 0.0, 1.0, 0.0)
+        assert watch.check(MotionPhase.HOLD, sample, 0) is None
+        watch.begin_trial(BeginTrial(1, None, 30, **trial))
+        for k in range(30):  # an error of 1 N, and a tenth of a radian and a second each
+            sample = Sample(start + 20.0 + k, 16.0, float(k), 1.0, 0.1 * (9 + k))
+            if stop := watch.check(MotionPhase.TRIAL, sample, k):
+                break
+        assert stop.reason is reason
+        assert k == (10 if reason is Reason.COST else 11)
+        watch.end_trial()
 
 
 def test_trip_sentence_has_value_and_limit():

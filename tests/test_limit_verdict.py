@@ -1,6 +1,7 @@
 """The limits of a run judge its result, whichever tuner found it."""
 
 import math
+from dataclasses import replace
 
 import pytest
 
@@ -14,8 +15,9 @@ from estune.loop_model.claim import Claim
 from estune.loop_model.intervals import Interval, PredictedMargins
 from estune.loop_model.optimum import RobustnessLimits
 from estune.run.ending import RunEnding
-from estune.run.limit_verdict import LimitState, limit_verdict
+from estune.run.limit_verdict import LimitState, limit_verdict, measured_overshoot
 from estune.run.toml_tables import SearchTable
+from estune.trial import TrialRequest
 from tests.support_runs import ArithmeticRig
 
 
@@ -84,6 +86,23 @@ def claimed(Ms):
 def test_whole_interval_decides(Ms, state):
     limits = RobustnessLimits(max_sensitivity=1.6, max_overshoot=None)
     assert limit_verdict(plan(limits), claimed(Ms), ArithmeticRig.best, ()).state is state
+
+
+def test_overshoot_is_that_of_the_trials_with_the_very_gains():
+    limits = RobustnessLimits(max_sensitivity=None, max_overshoot=0.05)
+    rig, other = ArithmeticRig(), ArithmeticRig.best._replace(P=2.0)
+    records = []
+    for number, peak in enumerate((0.04, 0.6, 0.04, 0.5)):
+        request = TrialRequest("run", number, (rig.best, other)[number % 2], rig.describe().step)
+        record = rig.run(request)
+        tension = record.setpoint_N.copy()
+        tension[30] += peak * request.profile.step_N
+        records.append(replace(record, tension_N=tension))
+    made = plan(limits)
+    assert measured_overshoot(made, rig.best, records).value == pytest.approx(0.04)
+    unknown = Claim(None, "", math.nan)
+    states = [limit_verdict(made, unknown, g, records).state for g in (rig.best, other)]
+    assert states == [LimitState.KEPT, LimitState.BROKEN]
 
 
 def test_nothing_claimed_is_not_shown_and_says_why():

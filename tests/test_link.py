@@ -181,6 +181,27 @@ def test_estop_is_obeyed_in_every_state_and_holds_until_clear(moves):
             assert not {RigAction.TAKE_IN, RigAction.APPLY, RigAction.CLEAR} & set(move.orders)
 
 
+def test_lease_ends_a_fixed_time_after_the_last_renewal_however_many_there_were():
+    state = rig.step(RigState(), events.Acquire("a", "holder a"), 0.0).state
+    for last_s in (0.1, 0.2, 0.3):
+        state = rig.step(state, events.Renew("a"), last_s).state
+    assert rig.step(state, events.Expire(), last_s + 0.99 * LEASE_S).state.lease is not None
+    assert rig.step(state, events.Expire(), last_s + LEASE_S).state.lease is None
+
+
+@pytest.mark.parametrize("busy", [False, True], ids=["idle", "in a trial"])
+def test_first_reason_of_an_emergency_stop_stands(busy):
+    state = RigState()
+    if busy:
+        state = rig.step(state, events.Acquire("a", "holder a"), 0.0).state
+        state = rig.step(state, events.SubmitEvent("a", "t0", TrialState.UNKNOWN, ""), 0.0).state
+    for reason in ("smoke", "a second button"):
+        state = rig.step(state, events.EstopEvent(reason), 0.1).state
+    told = rig.step(state, events.SubmitEvent("a", "t1", TrialState.UNKNOWN, ""), 0.2)
+    assert (state.latched, state.trial is not None) == ("smoke", busy)
+    assert busy or "smoke" in told.sentence
+
+
 def test_begin_is_accepted_once_and_never_while_stopping(moves):
     for state, now_s, event, move in moves:
         if not isinstance(event, events.Begin) or move is None:

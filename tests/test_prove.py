@@ -8,11 +8,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.stats import ttest_ind
 
 import plants
 from estune.cli import run
 from estune.errors import InvalidInput, RigError
 from estune.hardware.config import read_config
+from estune.proof import trials
 from estune.proof.patch import Patch, patch_of, read_patch
 from estune.proof.trials import MeasuredRatio, Proof, prove
 from estune.remote import zenoh
@@ -69,6 +71,56 @@ def test_restless_rig_stops_the_proof_and_switches_it_off():
     assert "stopped and switched off" in proof.sentence
     assert not record.optional_columns
     assert record.outcome is Outcome.DONE
+
+
+class Repeating:
+    """Rig whose n-th trial is that of the reel with its tension changed as told."""
+
+    def __init__(self, change):
+        self._rig, self._change = REEL.rig(gains=GAINS), change
+
+    def describe(self):
+        return self._rig.describe()
+
+    def run(self, request):
+        record = self._rig.run(request)
+        return replace(record, tension_N=self._change(record.tension_N, request), notch_N=None)
+
+    def close(self):
+        self._rig.close()
+
+
+@pytest.mark.parametrize(("times", "stops"), [(1.3, False), (2.0, True)])
+def test_remedy_is_switched_off_where_the_rest_without_it_grows_by_half(times, stops):
+    """The sway at rest is small beside the cost, which is about one."""
+
+    def swaying(tension, request):
+        on = '"fraction"' in request.compensation
+        sway = 0.1 * (times if on else 1.0) * np.sin(np.arange(tension.size))
+        return np.convolve(tension, np.ones(9) / 9.0, "same") + sway
+
+    with closing(Repeating(swaying)) as rig:
+        proof = prove(rig, PATCH)
+    assert bool(proof.stopped) is stops
+    assert not stops or "at rest the tension deviates by 0.1" in proof.stopped
+
+
+def test_interval_of_a_ratio_is_that_of_students_test_of_the_logarithms(monkeypatch):
+    random, turns = np.random.default_rng(1), {True: [], False: []}
+
+    def measured(_rig, _about, _place, _patch, calm_N):
+        turn = np.exp(random.normal(-0.5 * (calm_N is not None), 0.05, 4))
+        turns[calm_N is not None].append(turn)
+        return turn
+
+    monkeypatch.setattr(trials, "measured", measured)
+    with closing(REEL.rig(gains=GAINS)) as rig:
+        proof = prove(rig, PATCH, pairs=4)
+    on, off = np.log(turns[True]), np.log(turns[False])
+    expected = ttest_ind(on, off).confidence_interval()
+    found = np.array(list(proof.ratios.values()))
+    assert found[:, 0] == pytest.approx(np.exp(on.mean(0) - off.mean(0)))
+    assert pytest.approx(np.exp(np.array(expected))) == found[:, 1:].T
 
 
 def test_compensation_of_a_trial_is_on_for_that_trial_alone():

@@ -18,6 +18,8 @@ from plants.effects import EFFECTS, CoulombFriction, Effect, Port, parameter
 from plants.effects.plant_scale import PlantScale
 from plants.effects.remedy import Place, Remedy
 from plants.remedies import offers_for, text
+from plants.remedies.behaviour import behaviour
+from plants.simulation.compensation import compensation_of
 from tests.support_diagnosis import deciding, diagnosis, interval
 from tests.test_compensation import friction_table, rig_with
 
@@ -105,14 +107,38 @@ def test_a_share_is_fed_forward_that_the_interval_allows():
     assert offer.tables["friction"]["fraction"] == pytest.approx(0.75)
 
 
+def test_interval_of_a_prediction_is_that_of_machines_over_the_interval_of_the_diagnosis():
+    effect, spread = CoulombFriction(torque_Nm=0.05), 0.25
+    (offer,) = offers_for(found(effect, spread), GAINS)
+    settling_s = REEL.describe("reel", None).settling_time_s
+    fed = compensation_of(offer.tables, PlantScale.of(REEL), REEL.controller)
+    ends = []
+    for times in (1.0 - spread, 1.0 + spread):
+        machine = REEL + CoulombFriction(torque_Nm=0.05 * times)
+        with_it, without = (behaviour(machine, GAINS, settling_s, c) for c in (fed, None))
+        ends.append(with_it[1] / without[1])
+    predicted = offer.ratios["tracking"]
+    assert predicted.high - predicted.low == pytest.approx(abs(ends[1] - ends[0]), rel=0.3)
+
+
 def test_small_friction_is_listed_as_not_worth_it():
     (offer,) = offers_for(found(CoulombFriction(torque_Nm=2e-4)), GAINS)
     assert offer.worth is False
     assert "not worth it" in text.rows((offer,))[0][0]
 
 
-def test_a_moved_calibration_is_the_only_remedy():
-    moved = BaseParameter("torque_gain", "", 1.0, interval(1.2, 0.01), interval(1.17, 0.01))
+@pytest.mark.parametrize(
+    ("name", "given", "fitted"),
+    [
+        ("torque_gain", 1.0, 1.17),
+        ("torque_gain", 1.0, 0.85),
+        ("gauge_offset_N", 0.0, 0.6),
+        ("gauge_offset_N", 0.0, -0.6),
+    ],
+)
+def test_a_moved_calibration_is_the_only_remedy(name, given, fitted):
+    """The gauge has a noise of 0.041 N."""
+    moved = BaseParameter(name, "", given, interval(fitted, 0.02), interval(fitted, 0.01))
     offers = offers_for(found(CoulombFriction(torque_Nm=0.05), calibrations=(moved,)), GAINS)
     assert [offer.place for offer in offers] == [Place.CALIBRATION]
     assert "hang weights" in offers[0].title

@@ -7,10 +7,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from estune.core.comparison import InterleavedRepeats
 from estune.core.cost import StepCost
 from estune.core.gains import GAIN_NAMES
 from estune.errors import InvalidInput
 from estune.run.phase import Phase
+from estune.run.confirmation import extended
 from estune.run.plan import CONFIRMATION_REPEATS_MAX, Plan
 from estune.run.planning import make_plan, plan_from_json, plan_to_json
 from estune.run.results.summary import summarise
@@ -179,6 +181,22 @@ def test_smaller_improvement_is_confirmed_by_more_repeats():
 
     assert rounds(0.3) == 3
     assert 3 < rounds(0.7) < rounds(0.9) == CONFIRMATION_REPEATS_MAX
+
+
+@pytest.mark.parametrize(
+    ("costs", "over"),
+    [
+        ((0.5, 0.501, 0.502), True),
+        ((1.0, 1.001, 0.999), True),
+        ((0.6, 0.8, 1.1), False),
+        ((0.9, 1.0, 1.1), False),
+        ((1.0, 1.15, 1.35), True),
+    ],
+    ids=["clearly better", "equal", "perhaps much better", "perhaps better", "no better"],
+)
+def test_repeats_go_on_until_the_improvement_is_known_or_none_is_possible(costs, over):
+    repeats = InterleavedRepeats((START, replace(START, P=1.0)), 3, ((1.0, 1.001, 0.999), costs))
+    assert (extended(repeats, plan(tolerance=0.02, precision=0.1)).next_index is None) is over
 
 
 def test_candidate_that_turns_out_unsafe_is_dropped():

@@ -15,9 +15,16 @@ from estune.tuners import TUNERS, Observation, SearchSpace, create_tuner
 from estune.tuners.extremum_seeking import Otis, PhaseCompensated
 from estune.tuners.killingsworth import Killingsworth
 from estune.tuners.least_squares_gradient import LeastSquaresGradient, slope
+from estune.tuners.observation import usable_margin
 from estune.tuners.perturbation import dither as dither_of
 from estune.tuners.perturbation import low_pass, washout, washout_at_rest, washout_response
-from estune.tuners.step_control import clip_norm, kesten_step
+from estune.tuners.step_control import (
+    STEP_SCALE_MIN,
+    clip_norm,
+    kesten_step,
+    recover_after_safe,
+    shrink_after_unsafe,
+)
 
 START = Gains(0.5, 20.0, 0.01, 0.03)
 WIDE = SearchSpace.around(START)
@@ -113,6 +120,27 @@ def test_step_scale_recovers_with_safe_trials(tuner):
     state = tuner.tell(tuner.start(), CENSORED)
     assert state.step_scale < 1.0
     assert run(tuner, state, bowl, 10).step_scale == 1.0
+
+
+def test_step_scale_stays_measurable_after_any_number_of_unsafe_trials():
+    scale = 1.0
+    for _ in range(50):
+        scale = shrink_after_unsafe(scale)
+    assert scale == STEP_SCALE_MIN
+    for _ in range(math.ceil(math.log(1.0 / STEP_SCALE_MIN, 1.05))):
+        scale = recover_after_safe(scale)
+    assert scale == 1.0
+
+
+@pytest.mark.parametrize(
+    ("margin", "safe", "unsafe"),
+    [(math.inf, 1.0, 0.0), (0.3, 0.3, 0.0), (-0.2, -0.2, -0.2), (-1e6, -1.0, -1.0)],
+)
+def test_margin_lies_between_minus_one_and_one_and_is_used_up_by_an_unsafe_trial(
+    margin, safe, unsafe
+):
+    assert usable_margin(Observation(1.0, margin=margin)) == safe
+    assert usable_margin(Observation(math.nan, censored=True, margin=margin)) == unsafe
 
 
 @every_tuner

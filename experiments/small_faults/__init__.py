@@ -1,0 +1,1 @@
+"""Small faults put into the source, and whether the tests notice them."""

@@ -1,0 +1,93 @@
+"""What faults are put into, which tests have to notice them, and which change no behaviour."""
+
+from typing import NamedTuple
+
+
+class Area(NamedTuple):
+    """Source files of one subject, and the names of its test files, the quickest first."""
+
+    files: tuple[str, ...]
+    tests: tuple[str, ...]
+
+
+AREAS: dict[str, Area] = {
+    "cost": Area(
+        ("estune/core/cost.py", "estune/core/metrics.py", "estune/trial/scoring.py"),
+        ("cost", "metrics", "score", "ramp", "cost_presets"),
+    ),
+    "seeking": Area(
+        (
+            "estune/tuners/extremum_seeking.py",
+            "estune/tuners/killingsworth.py",
+            "estune/tuners/least_squares_gradient.py",
+            "estune/tuners/observation.py",
+            "estune/tuners/perturbation.py",
+            "estune/tuners/search_space.py",
+            "estune/tuners/step_control.py",
+        ),
+        ("search_space", "tuner_conformance", "tuners"),
+    ),
+    "margins": Area(
+        ("estune/core/margins.py", "estune/loop_model/margins.py"),
+        ("loop_margins", "loop_records", "loop_model"),
+    ),
+    "limits": Area(
+        (
+            "estune/trial/description.py",
+            "estune/trial/record_checks.py",
+            "estune/run/limit_verdict.py",
+        ),
+        ("profiles", "rigs", "simulated_rig", "ramp", "limit_verdict", "quality"),
+    ),
+    "lease": Area(
+        (
+            "estune/remote/state_machine/rig.py",
+            "estune/remote/state_machine/client.py",
+            "estune/remote/zenoh/client_lease.py",
+        ),
+        ("link", "state_tables", "request_handler", "link_exchange"),
+    ),
+    "ledger": Area(
+        ("estune/remote/ledger.py", "estune/remote/state_machine/trials.py"),
+        ("link", "ledger", "request_handler", "stored_formats"),
+    ),
+    "restore": Area(
+        (
+            "estune/hardware/reel_machine/transitions.py",
+            "estune/hardware/reel_machine/machine.py",
+            "estune/run/loop.py",
+            "estune/run/failed_trials.py",
+            "estune/remote/zenoh/trial_execution.py",
+        ),
+        ("machine", "state_tables", "request_handler", "request_handler_stops", "tuning"),
+    ),
+    "guard": Area(
+        ("estune/reel/guard.py", "estune/hardware/guard_watch.py"),
+        ("guard", "machine"),
+    ),
+    "verdict": Area(
+        ("plants/diagnosis/search/decide.py", "plants/diagnosis/search/conclusion.py"),
+        ("decide", "explain_report"),
+    ),
+    "intervals": Area(
+        (
+            "estune/core/comparison.py",
+            "estune/loop_model/intervals.py",
+            "estune/run/confirmation.py",
+            "plants/diagnosis/search/intervals.py",
+        ),
+        ("comparison", "session", "intervals", "loop_model"),
+    ),
+    "proof": Area(
+        (
+            "estune/proof/patch.py",
+            "estune/proof/trials.py",
+            "estune/trial/tracking.py",
+            "plants/remedies/offers.py",
+        ),
+        ("prove", "behaviour", "remedies"),
+    ),
+}
+
+UNCHANGED: dict[tuple[str, str], str] = {}
+"""Faults that change no behaviour, by their line and what is done there, with the reason."""
