@@ -90,7 +90,7 @@ def test_whole_interval_decides(Ms, state):
 
 def test_overshoot_is_that_of_the_trials_with_the_very_gains():
     limits = RobustnessLimits(max_sensitivity=None, max_overshoot=0.05)
-    rig, other = ArithmeticRig(), ArithmeticRig.best._replace(P=2.0)
+    rig, other = ArithmeticRig(), replace(ArithmeticRig.best, P=2.0)
     records = []
     for number, peak in enumerate((0.04, 0.6, 0.04, 0.5)):
         request = TrialRequest("run", number, (rig.best, other)[number % 2], rig.describe().step)

@@ -90,6 +90,8 @@ def reachable() -> list[tuple[RigState, float, events.Event, Transition | None]]
                 continue
             moves.append((state, now_s, event, move))
             following = normal(move.state, now_s)
+            # Else a lease that grows has no end of states.
+            assert following.lease is None or following.lease.expires_at_s <= LEASE_S
             if following not in states:
                 states.add(following)
                 queue.append(following)

@@ -190,7 +190,7 @@ def test_smaller_improvement_is_confirmed_by_more_repeats():
         ((1.0, 1.001, 0.999), True),
         ((0.6, 0.8, 1.1), False),
         ((0.9, 1.0, 1.1), False),
-        ((1.0, 1.15, 1.35), True),
+        ((1.1, 1.15, 1.2), True),
     ],
     ids=["clearly better", "equal", "perhaps much better", "perhaps better", "no better"],
 )
