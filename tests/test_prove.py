@@ -102,7 +102,7 @@ def test_remedy_is_switched_off_where_the_rest_without_it_grows_by_half(times, s
     with closing(Repeating(swaying)) as rig:
         proof = prove(rig, PATCH)
     assert bool(proof.stopped) is stops
-    assert not stops or "at rest the tension deviates by 0.1" in proof.stopped
+    assert not stops or "deviates by 0.1" in proof.stopped
 
 
 def test_interval_of_a_ratio_is_that_of_students_test_of_the_logarithms(monkeypatch):

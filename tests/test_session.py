@@ -11,8 +11,8 @@ from estune.core.comparison import InterleavedRepeats
 from estune.core.cost import StepCost
 from estune.core.gains import GAIN_NAMES
 from estune.errors import InvalidInput
-from estune.run.phase import Phase
 from estune.run.confirmation import extended
+from estune.run.phase import Phase
 from estune.run.plan import CONFIRMATION_REPEATS_MAX, Plan
 from estune.run.planning import make_plan, plan_from_json, plan_to_json
 from estune.run.results.summary import summarise
