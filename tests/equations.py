@@ -65,14 +65,16 @@ def checks() -> dict[int, list[str]]:
 def table() -> str:
     """The page, as Markdown."""
     where, checked = implementations(), checks()
-    rows = []
+    rows: dict[str, list[int]] = {}
     for number in NUMBERS:
         places, tests = where.get(number, []), checked.get(number, [])
         # A bar would end the cell, in a formula too.
         title = places[0].title.rstrip(".").replace("|", "\\|") if places else "missing"
         names = ", ".join(f"`{place.name}`" for place in places)
-        rows.append(f"| ({number}) | {title} | {names} | {', '.join(f'`{t}`' for t in tests)} |\n")
-    return _HEAD + "".join(rows)
+        cells = f"{title} | {names} | {', '.join(f'`{t}`' for t in tests)}"
+        rows.setdefault(cells, []).append(number)
+    numbered = (f"| {', '.join(f'({n})' for n in ns)} | {cells} |\n" for cells, ns in rows.items())
+    return _HEAD + "".join(numbered)
 
 
 def _docstrings(tree: ast.Module, module: str) -> Iterator[tuple[str, str]]:
