@@ -43,19 +43,19 @@ def matrix(states: StateTable[Any, Any, Any], title: Callable[[Any], str]) -> It
 
 
 def possible_events(states: StateTable[Any, Any, Any]) -> Iterator[str]:
-    """A state machine whose events are mostly impossible: event, modes and action, in Markdown."""
+    """What each event does in which modes, in Markdown, without what is refused or impossible."""
     rows: dict[tuple[str, str], list[str]] = {}
     for event, row in states.rows.items():
         modes: dict[str, list[str]] = {}
         for mode, cell in row.items():
-            modes.setdefault(sentence_of(cell), []).append(_name(mode))
+            if not isinstance(cell, str):
+                modes.setdefault(sentence_of(cell), []).append(_name(mode))
         for action, names in modes.items():
-            if action != sentence_of(IMPOSSIBLE):
-                others = [_name(mode) for mode in row if _name(mode) not in names]
-                where = ", ".join(names)
-                if len(others) < 3:
-                    where = f"all but {', '.join(others)}" if others else "all"
-                rows.setdefault((where, action), []).append(f"`{event.value}`")
+            others = [_name(mode) for mode in row if _name(mode) not in names]
+            where = ", ".join(names)
+            if len(others) < 3:
+                where = f"all but {', '.join(others)}" if others else "all"
+            rows.setdefault((where, action), []).append(f"`{event.value}`")
     yield from table(
         ("event", "in mode", "action"),
         ((", ".join(events), *rest) for rest, events in rows.items()),
