@@ -63,6 +63,7 @@ NIGHTLY = {
     "sample_efficiency",
     "scale",
     "service_records",
+    "small_faults",
     "sweep_law",
     "tls_flood",
 }

@@ -1,6 +1,6 @@
 """Are small faults in the source noticed by the tests of what they change?
 
-Command: `python -m experiments.small_faults` (`--seed N`, `--each N`, `--area NAME`).
+Command: `python -m experiments.small_faults`.
 Target: at least 0.95 of the faults are caught, without those that change no behaviour.
 
 In each area, faults are drawn by a seed: first a kind that its files have, then a place. Each is
