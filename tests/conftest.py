@@ -28,6 +28,17 @@ def chromium():
 
 
 @pytest.fixture
+def interpreted(monkeypatch):
+    """Trials run in CasADi's virtual machine: a few take less time than to compile the plant."""
+    from plants.simulation.trial_loop import CasadiLoop, loop_functions  # noqa: PLC0415  slow
+
+    monkeypatch.setattr(
+        "plants.models.plant_model.trial_loop",
+        lambda structure: CasadiLoop(loop_functions(structure.equations())),
+    )
+
+
+@pytest.fixture
 def here(monkeypatch, capsys):
     """Runs a command in this process, and gives what it printed."""
     monkeypatch.setattr(signal, "signal", lambda *_: None)

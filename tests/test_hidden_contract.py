@@ -139,6 +139,7 @@ def test_formula_of_the_package_is_recognised():
     assert BestFit("coulomb_friction", record, {"torque_Nm": 0.025}).worst < 0.1 * CLOSEST
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", MAIN)
 def test_hidden_formula_differs_from_that_of_the_package(name):
     record, hidden = noiseless(name)

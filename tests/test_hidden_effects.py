@@ -229,6 +229,7 @@ def test_written_records_are_read_back_unchanged(variant, tmp_path):
             np.testing.assert_array_equal(found.channel(channel), given.channel(channel))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["none", *hidden_machines.CATALOGUE, *hidden_machines.OUTSIDE])
 def test_hidden_effect_moves_the_machine_and_no_record_has_its_name(name):
     variant = "unloaded" if name == "amplifier_deadband" else "plain"

@@ -286,6 +286,6 @@ reached: set[Action] = set()
 
 def test_exchange_over_a_bad_network_runs_no_trial_twice():
     reached.clear()
-    settled = settings(max_examples=200, stateful_step_count=100)
+    settled = settings(max_examples=60, stateful_step_count=100)
     run_state_machine_as_test(Exchange, settings=settled)
     assert reached >= {Action.RECORD, Action.INTERRUPTED, Action.NOTHING_RAN}

@@ -25,6 +25,7 @@ from tests.test_prediction_of_plants import swinging
 OF_REELS = [name for name, effect in EFFECTS.items() if not effect.without_cable]
 
 
+@pytest.mark.usefixtures("interpreted")
 @pytest.mark.parametrize("name", [None, *OF_REELS])
 def test_free_run_with_true_parameters_equals_the_simulation(name):
     effects = [] if name is None else [EFFECTS[name]()]

@@ -50,6 +50,12 @@ def suggest(log, **options):
     return estune.suggest(Logs((log,), (), trial.controller), **given | options)
 
 
+@pytest.fixture(scope="module")
+def suggested(busy):
+    """What is said of it."""
+    return suggest(busy)
+
+
 def write(path, part):
     with path.open("w", newline="") as file:
         rows = csv.writer(file)
@@ -57,8 +63,8 @@ def write(path, part):
         rows.writerows(zip(*part.values(), strict=True))
 
 
-def test_margins_of_a_busy_log_hold_the_true_ones(busy):
-    Ms = suggest(busy).margins.sensitivity
+def test_margins_of_a_busy_log_hold_the_true_ones(suggested):
+    Ms = suggested.margins.sensitivity
     true = true_sensitivity(REEL.plant, REEL.start)
     assert Ms.low <= true <= Ms.high
     assert Ms.high / Ms.low < 1.3
@@ -73,20 +79,19 @@ def test_a_stretch_much_shorter_than_the_settling_time_does_no_harm(busy):
     assert Ms.low <= true_sensitivity(REEL.plant, REEL.start) <= Ms.high
 
 
-def test_recommended_gains_are_better_and_keep_the_limits(busy):
-    found = suggest(busy)
-    assert found.verdict == "change"
+def test_recommended_gains_are_better_and_keep_the_limits(suggested):
+    assert suggested.verdict == "change"
     true = TrueLoop(REEL.plant, REEL.cost)
-    at, now = true.at(found.recommendation.gains), true.at(REEL.start)
+    at, now = true.at(suggested.recommendation.gains), true.at(REEL.start)
     assert at.cost < 0.7 * now.cost
-    assert true_sensitivity(REEL.plant, found.recommendation.gains) <= 1.65
+    assert true_sensitivity(REEL.plant, suggested.recommendation.gains) <= 1.65
     assert at.overshoot <= 0.06
 
 
-def test_the_effort_need_not_be_logged(busy):
+def test_the_effort_need_not_be_logged(busy, suggested):
     (part,) = busy.parts
     without = {name: values for name, values in part.items() if name != "effort"}
-    one = suggest(busy).margins.sensitivity.value
+    one = suggested.margins.sensitivity.value
     other = suggest(busy._replace(parts=(without,))).margins.sensitivity.value
     assert other == pytest.approx(one, rel=0.01)
 
@@ -175,11 +180,10 @@ def test_terms_that_rounded_signals_alone_would_need_are_not_said_to_have_run():
     assert pytest.approx(16.0, rel=1e-5) == ran.P
 
 
-def test_a_step_beyond_the_motion_of_the_records_is_said(busy):
-    found = suggest(busy)
+def test_a_step_beyond_the_motion_of_the_records_is_said(suggested):
     for size, is_said in ((1e-3, False), (1e3, True)):
-        trial = replace(found.trial, step=found.trial.step._replace(size=size))
-        remarks = replace(found, trial=trial).remarks()
+        trial = replace(suggested.trial, step=suggested.trial.step._replace(size=size))
+        remarks = replace(suggested, trial=trial).remarks()
         assert any("larger than the setpoint's range" in one for one in remarks) == is_said
 
 
@@ -282,12 +286,12 @@ def test_a_tuning_from_logs_starts_within_its_limits_near_the_optimum(busy, tmp_
 
 
 @pytest.mark.parametrize("cost", ["itae", "rejection"])
-def test_suggestion_minimises_the_cost_it_is_given(busy, cost):
-    plain, found = suggest(busy), suggest(busy, cost=cost)
+def test_suggestion_minimises_the_cost_it_is_given(busy, suggested, cost):
+    found = suggest(busy, cost=cost)
     trial, loop = found.trial, found.fit
     costs = [
         predict(loop.model, trial, one.recommendation.gains, loop.noise_std).cost
-        for one in (found, plain)
+        for one in (found, suggested)
     ]
     assert costs[0] < costs[1]
 
@@ -316,12 +320,11 @@ def test_a_tuning_from_logs_keeps_the_cost_and_the_limits_of_its_run(busy, tmp_p
     assert rule(rig, gentle, limits).gains.P < known.gains.P
 
 
-def test_advised_experiment_is_as_long_as_the_wanted_interval_needs(busy):
-    found = suggest(busy)
+def test_advised_experiment_is_as_long_as_the_wanted_interval_needs(suggested):
     loop = identify(
-        [ServicePart(s, REEL.start) for s in found.stretches], REEL.trial.controller, None
+        [ServicePart(s, REEL.start) for s in suggested.stretches], REEL.trial.controller, None
     )
-    rough, fine = (advise(loop, found.trial, REEL.start, aim) for aim in (0.1, 0.05))
+    rough, fine = (advise(loop, suggested.trial, REEL.start, aim) for aim in (0.1, 0.05))
     assert fine.share > rough.share or fine.duration_s > 3.0 * rough.duration_s
 
 

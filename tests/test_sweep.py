@@ -43,6 +43,12 @@ def run_sweep(folder: Path, design=SMALL, **options) -> SweepResult:
     return estune.sweep(design, folder=folder, **{"jobs": 1, "watch": None, **options})
 
 
+@pytest.fixture(scope="module")
+def small(tmp_path_factory):
+    """The result of the small sweep."""
+    return run_sweep(tmp_path_factory.mktemp("small"))
+
+
 def alike(one: CellOutcome, other: CellOutcome) -> bool:
     """Whether two outcomes are equal except for their durations."""
     rest = [replace(o, trace_source=np.empty(0), duration_s=0.0) for o in (one, other)]
@@ -115,15 +121,14 @@ def test_dry_run_shows_the_trials_and_writes_nothing(tmp_path, capsys, monkeypat
 
 
 @pytest.mark.slow
-def test_processes_give_equal_outcomes_and_a_second_call_runs_nothing(tmp_path):
-    one = run_sweep(tmp_path / "one")
+def test_processes_give_equal_outcomes_and_a_second_call_runs_nothing(small, tmp_path):
     many = run_sweep(tmp_path / "many", jobs=2)
-    assert len(one.outcomes) == 6
-    assert all(map(alike, one.outcomes, many.outcomes))
+    assert len(small.outcomes) == 6
+    assert all(map(alike, small.outcomes, many.outcomes))
     outcomes: list[CellOutcome] = []
     again = run_sweep(tmp_path / "many", watch=outcomes.append)
     assert not outcomes
-    assert all(map(alike, one.outcomes, again.outcomes))
+    assert all(map(alike, small.outcomes, again.outcomes))
     # More seeds add cells; the finished ones stay.
     more = run_sweep(tmp_path / "many", {**SMALL, "seeds": 2}, watch=outcomes.append)
     assert len(more.outcomes) == 12
@@ -166,18 +171,17 @@ def test_stored_sweep_of_version_0_1_0_continues_without_reruns(tmp_path, monkey
     assert [o.trace.shape for o in outcomes] == [(26, 7), (26, 7)]
 
 
-def test_frame_is_tidy_and_dataset_has_the_design_dimensions(tmp_path):
-    result = run_sweep(tmp_path)
-    frame = result.to_frame()
+def test_frame_is_tidy_and_dataset_has_the_design_dimensions(small, tmp_path):
+    frame = small.to_frame()
     assert frame.shape[0] == 6
     assert not frame.duplicated(["length_m", "tension_N", "tuner", "seed", "rig"]).any()
-    dataset = result.to_xarray()
+    dataset = small.to_xarray()
     assert dict(dataset.sizes) == {"length": 3, "tension": 2, "tuner": 1, "seed": 1, "rig": 1}
     there = {"length": 0.9, "tension": 25.0, "seed": 0}
     row = frame[(frame["length_m"] == 0.9) & (frame["tension_N"] == 25.0)].iloc[0]
     assert float(dataset["I"].sel(there).item()) == row["I"]
     assert dataset["I"].attrs["units"] == "1/s"
-    result.to_parquet(tmp_path / "cells.parquet")
+    small.to_parquet(tmp_path / "cells.parquet")
     pd.testing.assert_frame_equal(pd.read_parquet(tmp_path / "cells.parquet"), frame)
 
 
@@ -198,13 +202,12 @@ def test_failed_cell_is_stored_and_tried_again(tmp_path):
     assert not second.failed
 
 
-def test_law_excludes_and_lists_unsafe_and_unconverged_tunings(tmp_path):
-    unfinished = run_sweep(tmp_path / "unfinished")
-    assert all("the search did not converge" in o.excluded for o in unfinished.excluded)
-    assert len(unfinished.excluded) == 6
+def test_law_excludes_and_lists_unsafe_and_unconverged_tunings(small, tmp_path):
+    assert all("the search did not converge" in o.excluded for o in small.excluded)
+    assert len(small.excluded) == 6
     with pytest.raises(InvalidInput, match=r"too few for a law over length.*: 6 not converged"):
-        unfinished.law()
-    reason = unfinished.series[0].law_or_reason()
+        small.law()
+    reason = small.series[0].law_or_reason()
     assert (
         "6 of 6 tunings ended without an estimate" in reason or "remaining improvement" in reason
     )
@@ -227,7 +230,7 @@ def test_sweep_command_writes_laws_report_and_cells(tmp_path, capsys, monkeypatc
     monkeypatch.chdir(tmp_path)
     Path("sweep.toml").write_text(
         'lengths_m = [0.5, 0.8, 1.1, 1.4]\nrigs = ["plants:reference_reel"]\n'
-        "trials = 30\nseeds = 2\n"
+        "trials = 12\nseeds = 2\n"
     )
     assert run(["sweep", "sweep.toml", "--quiet", "--jobs", "1"]) == 0
     text = " ".join(capsys.readouterr().out.split())

@@ -96,6 +96,7 @@ def test_unloaded_reel_matches_its_linear_model():
     assert angle(reel, chirp) == pytest.approx(expected, abs=1e-10)
 
 
+@pytest.mark.usefixtures("interpreted")
 def test_unloaded_reel_rejects_effects_of_a_cable():
     for effect in EFFECTS.values():
         loaded = effect.resists or not effect.by_tension  # a gear passes its load on
@@ -130,6 +131,7 @@ def test_unloaded_reel_names_unknown_attributes():
 OF_DRIVES = [name for name, effect in EFFECTS.items() if effect.without_cable]
 
 
+@pytest.mark.usefixtures("interpreted")
 @pytest.mark.parametrize("name", OF_DRIVES)
 def test_free_run_of_a_drive_with_true_parameters_equals_the_simulation(name):
     one = EFFECTS[name]()
