@@ -10,14 +10,6 @@ from estune.cli import run
 from tests.support_runs import ArithmeticRig
 
 
-@pytest.hookimpl(tryfirst=True)  # before lanes are selected
-def pytest_collection_modifyitems(items):
-    """Puts tests with a browser into the slow lane."""
-    for item in items:
-        if "chromium" in getattr(item, "fixturenames", ()):
-            item.add_marker("slow")
-
-
 @pytest.fixture(scope="module")
 def chromium():
     """A browser for the pages of a file."""

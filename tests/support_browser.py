@@ -19,11 +19,15 @@ QUIET = (
 
 expect.set_options(timeout=WITHIN_MS)
 
-needs_browser = pytest.mark.skipif(CHROMIUM is None, reason="there is no Chromium here")
+needs_browser = pytest.mark.slow
+"""Mark of a test with a browser: such tests are of the slow lane."""
 
 
 @contextmanager
 def browser():
+    """A browser; where there is none, the test is skipped."""
+    if CHROMIUM is None:
+        pytest.skip("there is no Chromium here")
     with sync_playwright() as playwright:
         chromium = playwright.chromium.launch(executable_path=CHROMIUM, args=QUIET)
         try:

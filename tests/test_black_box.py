@@ -156,6 +156,7 @@ def test_skipped_instants_are_found_behind_any_lateness():
     assert np.array_equal(instants, true - true[0])
 
 
+@pytest.mark.slow
 def test_stop_of_a_served_rig_is_a_record_of_its_motion(tmp_path, monkeypatch):
     monkeypatch.setattr("estune.hardware.black_box.AFTER_S", 0.2)
     config = quick(step__duration_s=2.0)

@@ -200,6 +200,7 @@ def test_help_mentions_no_page_that_is_not_installed(capsys):
         assert "docs/" not in capsys.readouterr().out, name
 
 
+@pytest.mark.slow
 def test_folder_that_hides_an_installed_package_is_named(tmp_path):
     hiding = tmp_path / "plants" / "__init__.py"
     hiding.parent.mkdir()

@@ -125,7 +125,10 @@ def test_export_ends_lines_as_unix_does(tmp_path):
     assert not any(b"\r" in file.read_bytes() for file in files)
 
 
-@pytest.mark.parametrize("encoding", ["cp1252", "latin-1", "ascii"])
+@pytest.mark.parametrize(
+    "encoding",
+    [*(pytest.param(e, marks=pytest.mark.slow) for e in ("cp1252", "latin-1")), "ascii"],
+)
 def test_output_in_a_poor_encoding_is_plain_text_and_no_traceback(encoding, tmp_path, monkeypatch):
     written = {name: io.BytesIO() for name in ("stdout", "stderr")}
     for name, stream in written.items():

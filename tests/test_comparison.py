@@ -50,7 +50,7 @@ OTHERS = [
 )
 @pytest.mark.parametrize(("improvement", "noise"), [(0.2, 0.02), *OTHERS])
 def test_intervals_of_repeats_that_end_once_narrow_hold_the_true_change(improvement, noise, known):
-    rng, covered, runs = np.random.default_rng(7), 0, 1500
+    rng, covered, runs = np.random.default_rng(7), 0, 500
     for _ in range(runs):
         repeats = InterleavedRepeats.new((A, B), 2, np.exp(rng.normal(0.0, noise, int(known))))
         while (turn := repeats.next_index) is not None:

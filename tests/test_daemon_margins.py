@@ -85,6 +85,7 @@ def test_a_heavier_drum_is_noticed_within_two_records_and_a_quiet_reel_is_left_a
         it.until(lambda s: s.run.endswith("-002"))  # and it is tuned again
 
 
+@pytest.mark.slow
 def test_a_guard_that_ends_a_multisine_ends_them_all(tmp_path):
     with watched(tmp_path) as (rig, it):
         it.until(lambda s: s.sensitivity is not None)

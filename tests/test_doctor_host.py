@@ -140,6 +140,7 @@ def call(*arguments: str) -> subprocess.CompletedProcess:
     return subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
 
 
+@pytest.mark.slow
 def test_doctor_command_fails_with_failed_checks_in_json():
     with served("simulated") as server:
         done = call(server.endpoint, "--move", "--json")
@@ -158,6 +159,7 @@ def test_doctor_command_fails_with_failed_checks_in_json():
         assert Outcome.DIVERGED.sentence in done.stdout
 
 
+@pytest.mark.slow
 def test_doctor_command_finds_no_fault_in_what_a_board_does_not_state(tmp_path):
     with small_board(tmp_path) as (_, endpoint):
         done = call(endpoint, "--json")

@@ -76,6 +76,7 @@ def uninterrupted_rows(trials: int) -> list[tuple]:
     return [(e.number, e.gains, e.cost) for e in whole.entries]
 
 
+@pytest.mark.slow
 def test_full_disk_is_reported_and_committed_trials_stay_whole(tmp_path):
     with small_disk(tmp_path / "disk", "600k") as disk:
         message = tune_until_it_fails(disk)
@@ -88,6 +89,7 @@ def test_full_disk_is_reported_and_committed_trials_stay_whole(tmp_path):
     assert [(e.number, e.gains, e.cost) for e in resumed.entries] == uninterrupted_rows(300)
 
 
+@pytest.mark.slow
 def test_file_size_limit_is_reported_and_committed_trials_stay_whole(tmp_path):
     message = tune_until_it_fails(tmp_path, "400000")
     assert "estune resume" in message

@@ -116,6 +116,7 @@ def test_friction_of_a_gear_grows_with_its_torque():
     assert found.effects[0].parameters["load_share"].value == pytest.approx(0.3, rel=0.05)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("seed", "variant", "effect", "size"),
     [

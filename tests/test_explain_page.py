@@ -147,6 +147,7 @@ def test_search_can_be_stopped_and_begun_again(tmp_path, log):
     work.search.stop()
 
 
+@pytest.mark.slow
 def test_failed_search_says_why(tmp_path):
     (tmp_path / "empty.csv").write_text("time_s,tension_N\n")
     work = Workbook(tmp_path / "work")

@@ -60,6 +60,7 @@ def test_connect_finds_the_only_rig_and_the_one_named():
                 assert rig.describe().name == rig.name == "drum"
 
 
+@pytest.mark.slow
 def test_connect_selects_among_rigs_behind_a_router_by_name():
     with (
         router() as hub,

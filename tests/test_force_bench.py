@@ -68,6 +68,7 @@ def test_bandwidth_above_all_frequencies_is_none_and_mass_is_felt_in_motion():
     assert heavy.error_rms_N == pytest.approx(2.0 * light.error_rms_N)
 
 
+@pytest.mark.slow
 def test_simulated_reel_hysteresis_is_of_the_eyelets_and_bandwidth_of_the_gains():
     reel, B = reference_reel(), 0.95
     bench = SimulatedForceBench(bench_carriage(reel, reel, (B, B)))

@@ -269,7 +269,7 @@ def test_record_without_friction_information_is_refused(record, message):
     ("record", "message"),
     [
         (lambda: ramp(slope=3.0, duration=0.5, static=0.3, coulomb=0.02), "slower ramp"),
-        (lambda: ramp(stribeck=8.0), "end the ramp higher"),
+        pytest.param(lambda: ramp(stribeck=8.0), "end the ramp higher", marks=pytest.mark.slow),
         (lambda: ramp(static=0.02), "Coulomb friction alone|slower ramp"),
     ],
 )

@@ -215,7 +215,14 @@ def fuzz(mutations: int, seed: int = 0) -> Fuzz:
     return run
 
 
-@pytest.mark.parametrize("mutations", [10_000, pytest.param(120_000, marks=pytest.mark.nightly)])
+@pytest.mark.parametrize(
+    "mutations",
+    [
+        3_000,
+        pytest.param(10_000, marks=pytest.mark.slow),
+        pytest.param(120_000, marks=pytest.mark.nightly),
+    ],
+)
 def test_fuzz_finds_no_faults(mutations):
     run = fuzz(mutations, seed=1)
     assert run.faults == []

@@ -174,6 +174,7 @@ def test_plant_is_identified_by_every_excitation(excitation):
     assert fit.hooke_constant_Nm_rad(2e-3).value == pytest.approx(k, rel=0.01)
 
 
+@pytest.mark.slow
 def test_confidence_intervals_have_nominal_coverage():
     seeds = 60
     ratios = []

@@ -13,6 +13,7 @@ from plants.models.model_file import load_model
 from tests.support_measurements import open_loop
 
 
+@pytest.mark.slow
 def test_current_limit_is_found_though_a_friction_made_up_for_it(tmp_path):
     """The base fit takes 700 times the viscous friction, with which the limit shows nothing."""
     drive = draw("servo", 6, 3002)
@@ -51,6 +52,7 @@ def test_gravity_of_a_link_points_where_the_encoder_says(tmp_path):
     assert phase.low < phase.value + error < phase.high < phase.low + 0.1
 
 
+@pytest.mark.slow
 def test_fuller_law_does_not_stand_for_a_simpler_one_and_another_effect(tmp_path):
     """Stribeck friction that fades over most speeds explains 0.996 of the two."""
     drive = draw("stage", 7, 3005)

@@ -84,7 +84,7 @@ def simulated_loop(model, gains, samples, sampling=SETTINGS):
     return np.array(outputs)
 
 
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=5, deadline=None)
 @given(model=MODELS)
 @example(model=SecondOrder(1.0, 30.8359375, 0.25))  # a grid point of the mode beside zero
 def test_sensitivity_limited_keeps_its_limits_for_any_plant(model):

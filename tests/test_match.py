@@ -155,6 +155,7 @@ def test_match_applies_gains_only_on_request_and_to_passing_reels():
     assert [rig.description.gains for rig in rigs.values()] == [r.gains for r in live.reels]
 
 
+@pytest.mark.slow
 def test_interrupted_matching_continues_and_repeats_no_trial(tmp_path):
     class CutOff(ArithmeticRig):
         trials_left = 50

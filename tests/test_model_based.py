@@ -146,6 +146,7 @@ class Knocked(StepsOnly):
         return replace(record, profile=step.kind)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("before", [0, pytest.param(4, marks=pytest.mark.nightly)])
 def test_disturbance_in_one_trial_of_five_costs_few_trials(before):
     reel = plants.reference_reel(0.8)

@@ -70,6 +70,7 @@ def test_deciding_experiment_separates_refitted_models(plain):
     assert apart(found.trial.profile) > 5.0 * apart(profiles[worst])
 
 
+@pytest.mark.slow
 def test_no_experiment_for_indistinguishable_models(plain):
     same = {"one": REEL + CoulombFriction(), "other": REEL + CoulombFriction()}
     assert next_experiment("ambiguous", REEL, same, plain, about("reel")) is None

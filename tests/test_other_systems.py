@@ -5,6 +5,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 _WITHOUT = """
 import asyncio, importlib.abc, multiprocessing.connection
 import os, socket, subprocess, sys, types
@@ -46,6 +48,7 @@ for call in (lambda: make_file(10), lambda: CanSocket("can0", 0, 1)):
 """
 
 
+@pytest.mark.slow
 def test_library_and_pages_run_without_the_modules_of_linux(tmp_path):
     done = subprocess.run(
         [sys.executable, "-c", f"{_WITHOUT}import estune.cli\n{_LIBRARY}", tmp_path],

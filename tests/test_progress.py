@@ -37,7 +37,7 @@ class Unlucky(ArithmeticRig):
 
 
 def test_plain_progress_is_a_heading_and_about_a_dozen_lines(capsys):
-    for trials in (40, 400):
+    for trials in (40, 200):
         estune.tune(ArithmeticRig(), trials=trials, tolerance=0.0, journal=False)
         lines = capsys.readouterr().err.splitlines()
         assert 8 <= len(lines) <= 20

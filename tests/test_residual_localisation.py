@@ -101,7 +101,7 @@ def test_friction_is_localised_with_one_sensor(missing):
     assert block.regime.name in ("velocity", "velocity sign", "velocity sign and tension")
 
 
-@pytest.mark.parametrize("rate", [120.0, 5000.0])
+@pytest.mark.parametrize("rate", [120.0, pytest.param(5000.0, marks=pytest.mark.slow)])
 def test_hardening_spring_is_localised_at_any_scale(rate):
     """Solution of m y'' + c y' + k y + k3 y^3 = u at two scales of time and size."""
     size, w = 1e-3, 2.0 * np.pi * rate / 40.0

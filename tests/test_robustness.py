@@ -66,7 +66,7 @@ def test_tuned_gains_of_high_sensitivity_end_as_not_robust_and_keep_the_start(fa
     assert result.heading().startswith("NOT ROBUST")
 
 
-@pytest.mark.parametrize("with_any_gains", [False, True])
+@pytest.mark.parametrize("with_any_gains", [False, pytest.param(True, marks=pytest.mark.slow)])
 def test_response_that_ends_farther_from_its_setpoint_than_before_is_not_robust(with_any_gains):
     class Drooping(Behind):
         def run(self, request):

@@ -52,6 +52,7 @@ def test_an_eyelet_shows_by_another_plant_in_fast_motion(seed):
     assert "changes with its motion" in found.judgement.reason
 
 
+@pytest.mark.slow
 def test_a_load_does_not_stand_in_for_a_dead_time():
     problem = PROBLEMS["K-K G1"]  # 100 samples of dead time
     gains = Gains(1.64, 0.0584, 0.474, 0.596)

@@ -183,6 +183,7 @@ def test_failing_compiler_is_named(tmp_path, cache):
     assert libraries(cache) == []
 
 
+@pytest.mark.slow
 def test_unwritable_cache_falls_back_to_a_temporary_folder(tmp_path):
     blocked = tmp_path / "file"
     blocked.write_text("in the way")

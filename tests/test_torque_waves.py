@@ -78,6 +78,7 @@ def test_drive_that_does_not_cog_has_no_waves():
     assert waves is None or waves.share < 0.3
 
 
+@pytest.mark.slow
 def test_diagnosis_names_the_cogging_of_a_drive_that_turns_one_way():
     d = plants.explain(SERVO, [turning(n) for n in range(2)], hold_out=[turning(5)])
     assert (d.verdict, [e.name for e in d.effects]) == ("named", ["cogging"])

@@ -96,6 +96,7 @@ def tuned(length_m, *, seed=0, **how):
     return estune.tune(reel.rig(seed=seed), tuner="model_based", watch=None, **how)
 
 
+@pytest.mark.slow
 def test_law_of_earlier_runs_starts_a_new_reel_at_its_optimum(runs):
     result = tuned(1.1, seed=5, start=estune.start_from(f"law:{runs}"), journal=False)
     best = tuned(1.1, seed=6, journal=False)
@@ -125,6 +126,7 @@ def test_law_refuses_lengths_beyond_its_own_and_takes_the_nearest_of_two(runs, t
     assert "nearest length" in known.source
 
 
+@pytest.mark.slow
 def test_sweep_starts_from_a_run_and_its_cells_give_a_law(runs, tmp_path):
     design = {
         "lengths_m": [0.5, 0.9, 1.4],
