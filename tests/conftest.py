@@ -31,6 +31,12 @@ def interpreted(monkeypatch):
 
 
 @pytest.fixture
+def undrawn(monkeypatch):
+    """Figures of pages are empty: to draw one takes 0.3 s."""
+    monkeypatch.setattr("estune.support.page_image.to_svg", lambda _figure: "<svg></svg>")
+
+
+@pytest.fixture
 def here(monkeypatch, capsys):
     """Runs a command in this process, and gives what it printed."""
     monkeypatch.setattr(signal, "signal", lambda *_: None)

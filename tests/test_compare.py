@@ -44,6 +44,7 @@ def test_comparison_continues_where_it_was_stopped(made):
     assert {name: result.nfev for name, result in again.results.items()} == counts
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_comparison_page_has_both_figures_each_tuner_and_their_numbers(made):
     text = render(page(made))
     for name, result in made.results.items():
@@ -53,6 +54,7 @@ def test_comparison_page_has_both_figures_each_tuner_and_their_numbers(made):
     assert not re.search(r"(?:src|href)=['\"]https?://", text)
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_compare_command_prints_table_or_json_and_writes_its_files(tmp_path, capsys):
     command = ["compare", "plants:reference_reel", "--tuners", ",".join(BOTH), "--trials", "3"]
     command += ["--repeats", "2", "--quiet", "--folder", str(tmp_path)]

@@ -16,6 +16,17 @@ from experiments.measured_data import cut
 from plants.effects import EFFECTS, Effect, Port, parameter
 from tests.support_hidden import drawn, skip_without_compiler
 
+FEW = ("viscous_damping", "gain_error", "gauge_offset", "dead_time", "rate_limit")
+"""Effects that explain neither a drag that grows with the square nor dry friction."""
+
+
+def all_but(family):
+    """Few effects, and in the slow lane all that are not of the family of one."""
+    others = [name for name in EFFECTS if hidden_machines.family(name) != family]
+    return pytest.mark.parametrize(
+        "others", [FEW, pytest.param(others, marks=pytest.mark.slow)], ids=["few", "all"]
+    )
+
 
 @pytest.fixture(autouse=True, scope="module")
 def _compiler():
@@ -40,9 +51,9 @@ class AirDrag(Effect):
         return state, -p.torque_Nms2 * omega * ca.fabs(omega)
 
 
-def test_undeclared_effect_is_unknown_until_it_is_declared():
+@all_but("bent_viscous_friction")
+def test_undeclared_effect_is_unknown_until_it_is_declared(others):
     given, records = drawn(501, "outside_unloaded", "quadratic_drag")
-    others = [name for name in EFFECTS if name != "bent_viscous_friction"]
     without = plants.explain(given, records, effects=others)
     assert without.verdict == "unknown"
     assert not without.effects
@@ -67,9 +78,9 @@ def test_unknown_verdict_says_what_the_error_looks_like():
     assert "It looks like a gain of the gauge that changes with time." in found.sentence
 
 
-def test_omitted_truth_is_not_replaced_by_another_name():
+@all_but("coulomb_friction")
+def test_omitted_truth_is_not_replaced_by_another_name(others):
     given, records = drawn(700, "unloaded", "coulomb_friction")
-    others = [name for name in EFFECTS if hidden_machines.family(name) != "coulomb_friction"]
     found = plants.explain(given, records, effects=others)
     assert found.verdict == "unknown"
     assert found.where.blocks[0].name == "force"

@@ -56,12 +56,13 @@ def named():
 
 @pytest.fixture(scope="module")
 def shown(named):
-    text = render(page(named))
+    text = render(page(replace(named, where=NO_BLOCKS)))
     return text, Page(text)
 
 
-def test_page_contains_all_of_the_diagnosis(named, shown):
-    _, found = shown
+@pytest.mark.usefixtures("undrawn")
+def test_page_contains_all_of_the_diagnosis(named):
+    found = Page(render(page(named)))
     assert not found.open
     for sentence in (
         named.heading(),
@@ -85,7 +86,7 @@ def test_page_needs_no_network_and_no_other_file(shown):
     text, found = shown
     assert "://" not in text
     assert not re.search(r"@import|url\(|<script|<link", text)
-    assert len(found.addresses) >= 8
+    assert len(found.addresses) >= 4
     for address in found.addresses:
         kind, content = address.split(",", 1)
         assert kind == "data:image/svg+xml;base64"
@@ -95,11 +96,11 @@ def test_page_needs_no_network_and_no_other_file(shown):
             assert all(link.startswith("#") for link in links)
 
 
-def test_page_is_reproducible(named):
-    short = replace(named, where=NO_BLOCKS)
-    assert render(page(short)) == render(page(short))
+def test_page_is_reproducible(named, shown):
+    assert render(page(replace(named, where=NO_BLOCKS))) == shown[0]
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_page_escapes_user_text(named):
     hostile = '<script>alert("&")</script>'
     text = render(page(replace(named, sentence=hostile, where=NO_BLOCKS)))
@@ -107,6 +108,7 @@ def test_page_escapes_user_text(named):
     assert hostile in Page(text).text
 
 
+@pytest.mark.usefixtures("undrawn")
 @pytest.mark.parametrize(
     "made",
     [
@@ -216,6 +218,7 @@ def test_excerpt_has_the_greatest_error():
     assert part.stop >= 500
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_unwritable_page_is_reported(tmp_path):
     named = diagnosis(where=NO_BLOCKS)
     with pytest.raises(InvalidInput, match="give another file"):

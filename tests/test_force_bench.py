@@ -105,6 +105,7 @@ def test_outside_force_of_a_file_replaces_that_of_the_bench(tmp_path):
         with_outside_force(record, path, clock_s)
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_command_writes_a_page_and_prints_both_gains(tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     options = ["--part", "5", "--force", "15", "--json"]

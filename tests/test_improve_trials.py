@@ -38,6 +38,7 @@ def whole(tmp_path_factory):
     return plants.improve(REEL.rig(), REEL, folder=tmp_path_factory.mktemp("whole"), **FEWER)
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_page_of_an_improvement_has_its_costs_last_diagnosis_and_tuning(whole):
     text = render(page(whole))
     for shown in (*whole.rows()[0][1:2], whole.diagnosis.heading().partition(";")[0], "Diagnoses"):

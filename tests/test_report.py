@@ -41,6 +41,7 @@ def test_report_of_an_improvement_recommends_the_gains_with_the_interval(tuned):
     assert str(tuned.improvement) in made.headline.text
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_report_without_improvement_keeps_the_gains_and_shows_no_second_column(unimproved):
     made = page(unimproved)
     assert made.headline.good is None
@@ -71,6 +72,7 @@ def test_page_is_one_small_file_without_script_and_the_same_each_time(tuned):
     assert all(address.startswith("data:") for address in addresses)
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_run_without_a_trial_has_a_report(tmp_path):
     class Unreachable(ArithmeticRig):
         def run(self, _request):
@@ -119,6 +121,7 @@ def test_legend_of_a_narrow_figure_fits():
     assert ax.get_legend().get_window_extent().x1 <= figure.bbox.x1
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_command_writes_the_page_into_the_folder_of_the_run(tmp_path, capsys):
     tune(ArithmeticRig(), trials=2, run="one", folder=tmp_path, **{**QUICK, "journal": True})
     assert run(["report", str(tmp_path / "one")]) == 0

@@ -210,6 +210,7 @@ def test_gains_of_logs_are_read_from_a_file_and_those_of_no_log_refused(tmp_path
         stated_controller(str(file))
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_command_reads_a_csv_and_writes_report_and_json(busy, tmp_path, capsys):
     write(tmp_path / "log.csv", busy.parts[0])
     P, I, D, F = REEL.start.as_tuple()

@@ -60,6 +60,7 @@ def test_change_has_its_unit_once_where_both_have_the_same():
     assert change_text("not reached", "30 ms") == "not reached → 30 ms"
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_result_of_an_oven_is_in_its_own_units():
     options = {"tuner": "safe_bayesian", "tolerance": 0.0, "trials": 4, "repeats": 2}
     options["cost"] = "tracking_and_rejection"
