@@ -1,5 +1,6 @@
 """A driver of the emulated reel some of whose readings do not come; loaded by the loop itself."""
 
+from estune.hardware.driver import Position
 from plants.emulator import EmulatedDriver
 
 
@@ -16,3 +17,18 @@ class StallingDriver(EmulatedDriver):
         if self._number in self._stalled:
             raise TimeoutError(f"reading {self._number} did not come")
         return super().read()
+
+
+class StillDrive:
+    """A drive that never turns, beside which a gauge is tested."""
+
+    def enable(self):
+        pass
+
+    disable = safe_state = request = close = enable
+
+    def write(self, current_counts):
+        pass
+
+    def position(self):
+        return Position(0)

@@ -73,6 +73,7 @@ class VirtualLoop:
     Attributes:
         current_A: What was commanded at each sample.
         tension_N: What was read.
+        turned: Counts by which something else has turned the drum.
     """
 
     def __init__(self, rig: RigConfig, *, noise_N: float = 0.0) -> None:
@@ -94,6 +95,7 @@ class VirtualLoop:
         self.current_A: list[float] = []
         self.tension_N: list[float] = []
         self._powered = False
+        self.turned = 0
 
     def ask(self, gains, profile, number: int = 1, cost_max=float("inf")) -> None:
         settings = self.rig.settings()
@@ -112,8 +114,10 @@ class VirtualLoop:
     def step(self, reading: Reading | None = None, silence_s: float = 0.0, *, late=False) -> None:
         """Runs one sample; `reading` replaces the true sensor values."""
         self.time_s += 1.0 / self.plan.sampling_Hz
-        counts = self.board.read(self.time_s)
-        measured = Reading(self.time_s, *counts) if reading is None else reading
+        gauge, encoder = self.board.read(self.time_s)
+        measured = (
+            Reading(self.time_s, gauge, encoder + self.turned) if reading is None else reading
+        )
         command = self.machine.sample(measured, silence_s, late=late)
         self.board.write(self.time_s, command)
         self.current_A.append(Electronics().current_A(command))

@@ -58,13 +58,13 @@ def test_frames_have_the_layout_of_linux(bus):
         port.send(Frame(0x68, struct.pack("<ff", 9.0, 0.0)).pack())  # of another command
         port.send(Frame(0x49, struct.pack("<ff", 9.0, 0.0)).pack())  # of another node
         port.send(Frame(0x69, struct.pack("<ff", -2.5, 0.0)).pack())
-        assert odrive.position() == -250
+        assert odrive.position() == (-250, "")
         odrive.safe_state()
         assert port.recv(16)[:5] == bytes.fromhex("62000000 00")
     odrive.close()
 
 
-def test_axis_that_leaves_closed_loop_ends_motion_with_its_errors(bus):
+def test_axis_that_leaves_closed_loop_is_a_fault_with_its_errors(bus):
     address, listener = bus
     settings = {"newton_metres_per_count": 1.0, "counts_per_turn": 1, "write_within_s": 60.0}
     odrive = ODrive(address, 0, answer_within_s=PATIENT_s, **settings)
@@ -75,12 +75,11 @@ def test_axis_that_leaves_closed_loop_ends_motion_with_its_errors(bus):
         port.send(Frame(0x01, struct.pack("<IBBBB", 0x40, 1, 0, 0, 0)).pack())
         odrive.request()
         port.send(Frame(0x09, struct.pack("<ff", 0.0, 0.0)).pack())
-        with pytest.raises(RigError, match="state 1, errors 0x40"):
-            odrive.position()
+        assert "state 1, errors 0x40" in odrive.position().fault
     odrive.close()
 
 
-def test_gauge_that_sends_by_itself_gives_its_newest_reading_or_raises(bus):
+def test_gauge_that_sends_by_itself_gives_its_newest_reading_or_a_fault(bus):
     address, listener = bus
     gauge = CanGauge(
         *(address, 0x20),
@@ -103,8 +102,7 @@ def test_gauge_that_sends_by_itself_gives_its_newest_reading_or_raises(bus):
     port, _ = listener.accept()
     with port:
         silent.request()
-        with pytest.raises(TimeoutError, match="no frame of the gauge"):
-            silent.read()
+        assert "no frame of the gauge" in silent.read().fault
     silent.close()
 
 
@@ -130,8 +128,7 @@ def test_frames_on_the_bus_are_counted_against_those_that_are_due(bus):
     port, _ = listener.accept()
     with port:
         odrive.request()
-        with pytest.raises(TimeoutError):
-            odrive.position()
+        assert odrive.position().fault
         encoder, torque, heartbeat = odrive.messages()
         assert (encoder.expected, encoder.seen) == (3, 0)
         # 55 + 135 bits asked for, 95 a torque: with a gauge of 95, 380 bits a sample.
@@ -166,12 +163,10 @@ def test_lost_frame_is_asked_for_again(bus, lost):
         odrive.request()
         gauge.request()
         if lost < 3:
-            assert (gauge.read().counts, odrive.position()) == (7, 5)
+            assert (gauge.read().counts, odrive.position()) == (7, (5, ""))
         else:
-            with pytest.raises(TimeoutError, match="after 3 requests"):
-                gauge.read()
-            with pytest.raises(TimeoutError, match="has not answered 3 requests"):
-                odrive.position()
+            assert "after 3 requests" in gauge.read().fault
+            assert "has not answered 3 requests" in odrive.position().fault
         for part in (odrive, gauge):
             part.request()  # for a thread that still waits for one
             part.request()
@@ -180,7 +175,7 @@ def test_lost_frame_is_asked_for_again(bus, lost):
             thread.join()
 
 
-def test_axis_without_heartbeats_ends_motion(bus):
+def test_axis_without_heartbeats_is_a_fault(bus):
     address, listener = bus
     settings = {"newton_metres_per_count": 1.0, "counts_per_turn": 1, "write_within_s": 60.0}
     odrive = ODrive(address, 0, heartbeat_s=0.02, answer_within_s=PATIENT_s, **settings)
@@ -191,8 +186,7 @@ def test_axis_without_heartbeats_ends_motion(bus):
         time.sleep(0.25)
         odrive.request()
         port.send(Frame(0x09, struct.pack("<ff", 0.0, 0.0)).pack())
-        with pytest.raises(RigError, match="no heartbeat of the ODrive"):
-            odrive.position()
+        assert "no heartbeat of the ODrive" in odrive.position().fault
     odrive.close()
 
 

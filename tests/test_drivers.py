@@ -20,6 +20,7 @@ from estune.hardware.drivers.serial_board import SerialBoard
 from estune.hardware.drivers.serial_port import SerialPort
 from estune.hardware.exchange_timing import measure_exchanges
 from estune.trial import Outcome, TrialRequest
+from experiments.device_faults.devices import FAULTY
 from plants.emulator import EmulatedDriver
 from plants.emulator.board import Electronics, EmulatedBoard
 from plants.emulator.devices import GAUGE, CanDevices, SerialDevice
@@ -30,6 +31,9 @@ PATIENT_s = 3.0
 """Time within which an answer must come: the test machine may be busy."""
 
 
+FAULTY_WITHIN_s = 0.3
+"""The same of a device with faults, each of which is waited for."""
+
 MOVES = 1500
 
 
@@ -38,70 +42,156 @@ def hardware(device):
     return emulated_hardware(settings if device is None else {**settings, "device": device})
 
 
-def of_serial(address):
-    return {"use": "serial-board", "settings": {"port": address, "answer_within_s": PATIENT_s}}
+def of_serial(address, within_s=PATIENT_s):
+    return {"use": "serial-board", "settings": {"port": address, "answer_within_s": within_s}}
 
 
-def of_can(address):
+def of_can_gauge(address, within_s=PATIENT_s):
+    settings = {"interface": address, "identifier": GAUGE, "answer_within_s": within_s}
+    return {"use": "can-gauge", "settings": settings}
+
+
+def of_can(address, within_s=PATIENT_s):
     drive = {
         "interface": address,
         "newton_metres_per_count": CanDevices.newton_metres_per_count,
         "counts_per_turn": CanDevices.counts_per_turn,
-        "answer_within_s": PATIENT_s,
+        "answer_within_s": within_s,
         "write_within_s": 60.0,
     }
-    gauge = {"interface": address, "identifier": GAUGE, "answer_within_s": PATIENT_s}
-    part = {"use": "can-gauge", "settings": gauge}
-    return {"use": "odrive", "settings": drive, "gauge": part}
+    return {"use": "odrive", "settings": drive, "gauge": of_can_gauge(address, within_s)}
+
+
+STILL = {"use": "tests.support_drivers:StillDrive"}
+
+
+def of_can_gauge_alone(address, within_s=PATIENT_s):
+    return STILL | {"gauge": of_can_gauge(address, within_s)}
+
+
+def of_serial_gauge_alone(address, within_s=PATIENT_s):
+    gauge = of_serial(address, within_s) | {"use": "serial-gauge"}
+    return STILL | {"gauge": gauge}
 
 
 DRIVER_TABLES = {"serial": of_serial, "can": of_can}
 
 
-class _OnTheEmulatedReel(DriverConformance):
-    """Each test opens its own driver of one emulated reel, as programs do that follow each other.
+def open_driver(table):
+    return load_driver(*quick(driver=table).driver.driver)
+
+
+class Served:
+    """An emulated device that a thread serves.
 
     Attributes:
-        device: The protocol between them.
+        device: The device.
+        table: Function from its address to the table of the driver.
     """
 
-    device = None
+    def __init__(self, device, table=of_serial):
+        self.device, self.table = device, table
+        self._lock, self._over = threading.Lock(), threading.Event()
+        self._thread = threading.Thread(target=self._serve)
 
+    @property
+    def faults(self):
+        return self.device.faults
+
+    def open(self):
+        return open_driver(self.table(self.device.address, FAULTY_WITHIN_s))
+
+    def begin(self, fault):
+        with self._lock:
+            self.device.begin(fault)
+
+    def end(self):
+        with self._lock:
+            self.device.end()
+
+    def __enter__(self):
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_):
+        self._over.set()
+        self._thread.join()
+
+    def _serve(self):
+        while not self._over.wait(1e-4):
+            with self._lock:
+                for file in select.select(self.device.readable, [], [], 2e-3)[0]:
+                    self.device.take(file, time.monotonic())
+                self.device.tick(time.monotonic())
+
+
+def emulated_board():
+    reel, electronics = plants.reference_reel(), Electronics(watchdog_s=60.0)
+    return EmulatedBoard(reel, electronics, 1, time.monotonic())
+
+
+class _OnAnEmulatedDevice(DriverConformance):
+    """Each test has a device of its own.
+
+    Attributes:
+        kind: The device.
+        table: Function from its address to the table of the driver.
+    """
+
+    kind = "serial"
+    table = staticmethod(of_serial)
+
+    @pytest.fixture
+    def device(self, tmp_path):
+        device = FAULTY[self.kind](emulated_board(), str(tmp_path / "bus"))
+        with Served(device, self.table) as served:
+            yield served
+        device.end()
+        device.begin("unplugged")
+
+    @pytest.fixture
+    def driver(self, device):
+        with closing(open_driver(self.table(device.device.address))) as driver:
+            yield driver
+
+
+class TestEmulated(DriverConformance):
     @pytest.fixture(scope="class")
     @classmethod
     def address(cls):
-        with hardware(cls.device) as address:
+        with hardware(None) as address:
             yield address
+
+    @pytest.fixture
+    def driver(self, address):
+        with EmulatedDriver(address) as driver:
+            yield driver
 
     @pytest.fixture
     def moves(self):
         return MOVES
 
 
-class TestEmulated(_OnTheEmulatedReel):
+class TestSerialBoard(_OnAnEmulatedDevice):
     @pytest.fixture
-    def driver(self, address):
-        with EmulatedDriver(address) as driver:
-            yield driver
+    def moves(self):
+        return MOVES
 
 
-class TestSerialBoard(_OnTheEmulatedReel):
-    device = "serial"
-
-    @pytest.fixture
-    def driver(self, address):
-        table = of_serial(address)
-        with closing(load_driver(table["use"], table["settings"])) as driver:
-            yield driver
-
-
-class TestODriveWithCanGauge(_OnTheEmulatedReel):
-    device = "can"
+class TestODriveWithCanGauge(_OnAnEmulatedDevice):
+    kind, table = "can", staticmethod(of_can)
 
     @pytest.fixture
-    def driver(self, address):
-        with closing(load_driver(*quick(driver=of_can(address)).driver.driver)) as driver:
-            yield driver
+    def moves(self):
+        return MOVES
+
+
+class TestSerialGauge(_OnAnEmulatedDevice):
+    table = staticmethod(of_serial_gauge_alone)
+
+
+class TestCanGauge(_OnAnEmulatedDevice):
+    kind, table = "can", staticmethod(of_can_gauge_alone)
 
 
 @pytest.mark.parametrize("device", DRIVER_TABLES)
@@ -117,7 +207,7 @@ def test_rig_runs_a_trial_behind_a_real_devices_protocol(device):
     assert record.angle_rad.any()
 
 
-class FaultyDevice(SerialDevice):
+class LossyBoard(SerialDevice):
     """A board whose answers pass through a list of faults, one for each answer."""
 
     def __init__(self, board):
@@ -125,9 +215,6 @@ class FaultyDevice(SerialDevice):
         self.faults = deque()
         self.deaf = False
         self.sent = []
-
-    def take(self, file, now_s):
-        super().take(file, now_s)
 
     def _execute(self, verb, sequence, number, now_s):
         if not (self.deaf and verb == b"w"):
@@ -151,21 +238,8 @@ class FaultyDevice(SerialDevice):
 
 @pytest.fixture
 def board():
-    reel = plants.reference_reel()
-    device = FaultyDevice(EmulatedBoard(reel, Electronics(watchdog_s=60.0), 1, time.monotonic()))
-    over = threading.Event()
-
-    def serve():
-        (file,) = device.readable
-        while not over.is_set():
-            if select.select([file], [], [], 0.05)[0]:
-                device.take(file, time.monotonic())
-
-    thread = threading.Thread(target=serve)
-    thread.start()
-    yield device
-    over.set()
-    thread.join()
+    with Served(LossyBoard(emulated_board())) as served:
+        yield served.device
 
 
 FAULTS = ("lost", "cut", "doubled", "stale before", "damaged", "noise before", "none")
@@ -182,19 +256,17 @@ def test_reading_is_that_of_its_own_request_whatever_the_line_does(board, fault)
             assert (reading.gauge_counts, reading.encoder_counts) == (gauge, encoder)
 
 
-def test_silent_board_raises_and_commands_that_do_not_arrive_end_motion(board):
+def test_silent_board_and_commands_that_do_not_arrive_are_faults(board):
     with SerialBoard(board.address, answer_within_s=PATIENT_s) as driver:
         board.deaf = True
         for _ in range(2):
             driver.write(0)
             driver.read()
         driver.write(0)
-        with pytest.raises(RigError, match="3 commands in a row did not reach the board"):
-            driver.read()
+        assert "3 commands in a row did not reach the board" in driver.read().fault
     with SerialBoard(board.address, answer_within_s=0.03) as driver:
         board.faults.extend(["lost"] * 3)
-        with pytest.raises(TimeoutError, match="has not answered 3 requests"):
-            driver.read()
+        assert "has not answered 3 requests" in driver.read().fault
 
 
 def test_messages_that_are_lost_are_counted(board):
@@ -206,8 +278,7 @@ def test_messages_that_are_lost_are_counted(board):
         # The last command is confirmed by the next reading.
         assert command.expected - 1 <= command.seen <= command.expected
         board.deaf = True
-        with pytest.raises(RigError, match="commands in a row"):
-            measure_exchanges(driver, 632.0, 0.02)
+        assert measure_exchanges(driver, 632.0, 0.02).failed
         assert driver.messages()[1].seen <= command.seen + 1
 
 
@@ -240,12 +311,11 @@ def test_doctor_of_a_rigs_file_measures_driver_and_loop(device):
     assert {"messages", "gauge rate", "trials", "loop"} <= results.keys()
 
 
-def test_watchdog_of_the_board_ends_motion(board):
+def test_power_that_the_board_has_cut_is_a_fault(board):
     with SerialBoard(board.address, answer_within_s=PATIENT_s) as driver:
         driver.enable()
         board._board.power(time.monotonic(), on=False)
-        with pytest.raises(RigError, match="protection has cut the amplifier's power"):
-            driver.read()
+        assert "protection has cut the amplifier's power" in driver.read().fault
 
 
 def test_port_that_is_in_use_absent_or_slow_is_refused(board, tmp_path):

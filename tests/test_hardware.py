@@ -1,6 +1,7 @@
 """Rig on hardware in wall-clock time: rig, loop and emulated reel in their own processes."""
 
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -15,7 +16,8 @@ import pytest
 from estune.core.gains import Gains
 from estune.errors import InvalidInput, RigError
 from estune.hardware import HardwareRig
-from estune.trial import Outcome, Setpoint, TrialRequest
+from estune.hardware.shared_memory import Word
+from estune.trial import LATE, Outcome, Setpoint, TrialRequest
 from plants.emulator import EmulatedDriver
 from plants.emulator.driver import emulated_hardware
 from tests.support_hardware import loop_state, quick
@@ -249,37 +251,56 @@ def test_abort_during_preparation_stops_the_trial(hardware):
         assert record.outcome is Outcome.CANCELLED
 
 
-def test_failing_driver_ends_motion_and_is_reported(hardware):
+def test_lost_hardware_stops_the_reel_and_ends_nothing(hardware):
     address, _ = hardware
     with emulated_hardware({"electronics": {"watchdog_s": 0.2}}) as other:
         rig = HardwareRig(configuration(other))
         rig.run(ask(rig))
-    with pytest.raises(RigError, match=r"the loop has failed|loop has ended"):
+    eventually(lambda: loop_state(rig).phase == "stopped")
+    with pytest.raises(RigError, match=r"emulated hardware .* clear it"):
         rig.run(ask(rig, 1))
     rig.close()
     with HardwareRig(configuration(address)) as rig:  # another rig is unaffected
         assert rig.run(ask(rig)).outcome is Outcome.DONE
 
 
-def test_reading_that_does_not_come_stops_the_reel_and_ends_nothing(address):
-    stall = {"address": address, "stall_at": 300, "stalled": 2}
+def stalling(address, stalled, **changes):
+    """Configuration of a rig so many of whose readings in a row do not come, in its trial."""
+    stall = {"address": address, "stall_at": 300, "stalled": stalled}
     table = {"use": "tests.support_drivers:StallingDriver", "settings": stall}
-    with HardwareRig(quick(driver=table)) as rig:
+    return quick(driver=table, **changes)
+
+
+def test_bad_readings_within_the_rule_are_bridged_and_flagged(address):
+    with HardwareRig(stalling(address, 2, guard__bad_s=1.0)) as rig:
+        record = rig.run(ask(rig, step_at_s=0.9, duration_s=1.0))
+        assert record.outcome is Outcome.DONE
+        assert (record.flags & LATE).sum() >= 2
+        assert rig._memory.fault == "reading 301 did not come"
+
+
+def test_bad_readings_beyond_the_rule_stop_the_reel_until_it_is_cleared(address):
+    with HardwareRig(stalling(address, 10)) as rig:
         record = rig.run(ask(rig, step_at_s=0.9, duration_s=1.0))
         assert record.outcome is Outcome.INTERRUPTED
-        assert "calibration" in record.reason or "reading" in record.reason
+        assert re.match("reading 30[0-2] did not come .*bad reading", record.reason)
+        with pytest.raises(RigError, match=r"did not come .* clear it"):
+            rig.run(ask(rig, 1))
+        eventually(lambda: loop_state(rig).phase == "stopped")
         rig.clear()
-        assert rig.run(ask(rig, 1)).outcome is Outcome.DONE
+        assert rig.run(ask(rig, 2)).outcome is Outcome.DONE
 
 
-def test_driver_that_falls_silent_for_good_ends_the_loop_with_its_reason(address):
-    stall = {"address": address, "stall_at": 300, "stalled": 10**6}
-    table = {"use": "tests.support_drivers:StallingDriver", "settings": stall}
-    with HardwareRig(quick(driver=table)) as rig:
+def test_device_that_falls_silent_is_opened_again_without_power(address):
+    with EmulatedDriver(address) as watcher, HardwareRig(stalling(address, 10**6)) as rig:
         rig.run(ask(rig, step_at_s=0.9, duration_s=1.0))
-        rig.wait()
-        with pytest.raises(RigError, match="did not come"):
-            rig.describe()
+        # The driver that is opened again reads 299 times before it falls silent, too.
+        eventually(lambda: rig._memory.fault == "reading 300 did not come")
+        bad = rig._memory.words[Word.BAD]
+        eventually(lambda: rig._memory.words[Word.BAD] > bad + 1000)
+        assert not watcher.truth().powered
+        assert loop_state(rig).latched
+        assert rig.describe().gains == quick().describe().gains
 
 
 def test_estop_acts_at_once_and_stays_until_cleared(rig, hardware):

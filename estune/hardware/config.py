@@ -22,7 +22,7 @@ from estune.hardware.compensation.tables import CompensationTable
 from estune.hardware.firmware import controller_source
 from estune.hardware.hybrid_control import HybridPlan
 from estune.hardware.live_gains import LengthSource
-from estune.hardware.loop_messages import LoopPlan, Motion, RealTime, SafeState
+from estune.hardware.loop_messages import BadReadings, LoopPlan, Motion, RealTime, SafeState
 from estune.hardware.scales import CurrentScale, GaugeScale
 from estune.hardware.schedule_file import read_schedule
 from estune.hardware.tables import (
@@ -216,6 +216,7 @@ class RigConfig(TomlTable):
         settings = description.controller
         driver, driver_settings = self.driver.driver
         compensation = self.compensations()
+        per_count_rad = 2.0 * math.pi / self.reel.encoder_counts_per_turn
         late_s = self.real_time.late_s or 0.1 / self.sampling_Hz
         return LoopPlan(
             driver=driver,
@@ -224,7 +225,7 @@ class RigConfig(TomlTable):
             capacity=self.capacity,
             gauge=gauge,
             current=current,
-            radians_per_count=2.0 * math.pi / self.reel.encoder_counts_per_turn,
+            radians_per_count=per_count_rad,
             newtons_per_ampere=self.newtons_per_ampere,
             tension_min_N=self.limits.tension_min_N,
             tension_max_N=self.limits.tension_max_N,
@@ -237,6 +238,11 @@ class RigConfig(TomlTable):
             compensation_source=self.compensation_text(compensation),
             hybrid=self.hybrid_control(),
             guard=self._guard(),
+            bad_readings=BadReadings(
+                self.guard.bad_in_a_row,
+                self.guard.bad_s,
+                self.guard.travel_max_rad / abs(per_count_rad),
+            ),
             motion=Motion(
                 hold_N=self.hold_N,
                 take_up_N=self.motion.take_up_A * self.newtons_per_ampere,
@@ -254,8 +260,8 @@ class RigConfig(TomlTable):
         )
 
     def _guard(self) -> Limits:
-        of_trials = {"eta_max", "deadline_margin_s"}
-        return Limits(**self.guard.model_dump(exclude=of_trials, exclude_none=True))
+        others = {"eta_max", "deadline_margin_s", "bad_in_a_row", "bad_s"}
+        return Limits(**self.guard.model_dump(exclude=others, exclude_none=True))
 
     @model_validator(mode="after")
     def _fits(self) -> Self:

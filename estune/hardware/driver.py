@@ -2,10 +2,13 @@
 
 A driver is loaded in the process of the real-time loop, from the settings in the rig's file, and
 is called by one thread. It knows no newtons, gains or limits: calibrations C1 and C2, the
-controller and the guard stand between it and a trial.
+controller and the guard stand between it and a trial. `driver_link` stands between it and the
+loop: it opens the driver again where the device is gone.
 """
 
 import inspect
+import math
+import time
 from collections.abc import Mapping
 from typing import Any, NamedTuple, Protocol, Self, runtime_checkable
 
@@ -24,20 +27,45 @@ class Reading(NamedTuple):
         time_s: Time on the system's monotonic clock (`time.monotonic`), s; best the moment the
             converter latched the gauge.
         gauge_counts: Counts of the strain gauge's converter; NaN where the converter reports
-            overload or is not ready.
+            overload.
         encoder_counts: Counts of the drum's encoder, unwrapped: they go on past a turn.
+        age_s: Age of the last good values, s; zero in a good reading.
+        fault: Why there are no values of this instant; empty in a good reading.
     """
 
     time_s: float
     gauge_counts: float
     encoder_counts: int
+    age_s: float = 0.0
+    fault: str = ""
+
+
+def bad_reading(fault: str, last: Reading | None) -> Reading:
+    """A reading without values of this instant.
+
+    Args:
+        fault: Why there are none.
+        last: The last good reading; None before the first.
+    """
+    now_s = time.monotonic()
+    if last is None:
+        return Reading(now_s, math.nan, 0, math.inf, fault)
+    return Reading(now_s, math.nan, last.encoder_counts, now_s - last.time_s, fault)
 
 
 class GaugeReading(NamedTuple):
-    """A gauge's counts, NaN where they are not valid, and their time as of `Reading`."""
+    """A gauge's counts, and their time and fault as of `Reading`."""
 
     time_s: float
     counts: float
+    fault: str = ""
+
+
+class Position(NamedTuple):
+    """The encoder's counts, unwrapped, and their fault as of `Reading`."""
+
+    counts: int
+    fault: str = ""
 
 
 class MessageCount(NamedTuple):
@@ -78,7 +106,7 @@ class Gauge(Protocol):
         ...
 
     def read(self) -> GaugeReading:
-        """The reading that was asked for, or the newest; raises where there is none in time."""
+        """The reading that was asked for, or the newest; with a fault where none came in time."""
         ...
 
     def close(self) -> None:
@@ -89,7 +117,8 @@ class Gauge(Protocol):
 class Amplifier(Protocol):
     """Power and current of a motor: what a drive and a driver of a whole reel have in common.
 
-    Any exception ends motion: the loop calls `safe_state` and gives the hardware up.
+    No method raises for what a device sends, does not send or does not take: the next reading has
+    the fault. An exception counts as a fault, too.
     """
 
     def enable(self) -> None:
@@ -120,19 +149,19 @@ class Drive(Amplifier, Protocol):
         """Asks for the encoder; returns at once."""
         ...
 
-    def position(self) -> int:
-        """The encoder's counts, unwrapped; raises where they do not come in time."""
+    def position(self) -> Position:
+        """The encoder's counts; with a fault where they did not come in time."""
         ...
 
 
 class Driver(Amplifier, Protocol):
     """Hardware of one reel. A context manager: leaving it closes it.
 
-    `read` and `write` return within a small part of the sampling period, or raise.
+    `read` and `write` return within a small part of the sampling period.
     """
 
     def read(self) -> Reading:
-        """Reads gauge and encoder."""
+        """Reads gauge and encoder; see `bad_reading`."""
         ...
 
     def __enter__(self) -> Self:

@@ -10,6 +10,7 @@ import numpy as np
 from estune.core.quantities import FloatArray
 from estune.errors import RigError
 from estune.hardware.driver import CountsMessages, Driver, MessageCount
+from estune.hardware.driver_link import read_safely
 
 FAILED_MAX = 20
 """Number of failed readings after which the measurement ends: nothing answers in time."""
@@ -27,7 +28,7 @@ class ExchangeTiming:
         wire_s: Mean part of it that the messages need on the bus; NaN likewise.
         time_s: Time stamps of the readings.
         gauge_counts: Counts of the gauge.
-        failed: Readings that did not come in time.
+        failed: Bad readings.
         messages: Messages during the measurement, by kind; empty where the driver does not count.
     """
 
@@ -74,15 +75,14 @@ def measure_exchanges(driver: Driver, sampling_Hz: float, seconds: float) -> Exc
         instant_s = max(instant_s + 1.0 / sampling_Hz, time.monotonic())
         time.sleep(max(0.0, instant_s - time.monotonic()))
         began_s = time.monotonic()
-        try:
-            reading = driver.read()
-        except TimeoutError as error:
+        reading = read_safely(driver, None)
+        if reading.fault:
             failed += 1
             if failed >= min(FAILED_MAX, samples):
                 raise RigError(
-                    f"{failed} of {failed + len(rows)} readings failed ({error}); check the "
-                    "device's settings and the line"
-                ) from error
+                    f"{failed} of {failed + len(rows)} readings failed ({reading.fault}); check "
+                    "the device's settings and the line"
+                )
             continue
         driver.write(0)
         rows.append((time.monotonic() - began_s, reading.time_s, reading.gauge_counts))

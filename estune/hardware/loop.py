@@ -10,22 +10,22 @@ the last 100 us 0, 16, 38. `time.sleep` itself waits for an absolute time on the
 (clock_nanosleep); calling that directly was no better.
 """
 
-import contextlib
 import ctypes
 import gc
-import math
 import os
 import select
 import signal
 import sys
 import time
+from contextlib import closing
 from multiprocessing.connection import Connection
 from typing import Any
 
 from estune.errors import EstuneError, RigError
 from estune.hardware.compensation.runtime import make_compensation
 from estune.hardware.controller import make_controller
-from estune.hardware.driver import Driver, Reading, load_driver
+from estune.hardware.driver import load_driver
+from estune.hardware.driver_link import DriverLink
 from estune.hardware.hybrid_control import make_hybrid
 from estune.hardware.loop_messages import (
     BeginTrial,
@@ -44,24 +44,22 @@ from estune.hardware.reel_machine.machine import ReelStateMachine
 from estune.hardware.shared_memory import BINS, BIN_s, Memory, Word
 
 _BIN_ns = BIN_s * 1e9
-_MISSING_MAX_s = 0.5
-"""Time without a reading after which the hardware is given up, s; the reel is at rest by then."""
 _PR_SET_TIMERSLACK = 29
 _MCL_CURRENT, _MCL_FUTURE = 1, 2
 
 
 class Loop:
-    """The loop around one state machine and one driver."""
+    """The loop around one state machine and one driver's link."""
 
     def __init__(
         self,
         plan: LoopPlan,
-        driver: Driver,
+        link: DriverLink,
         machine: ReelStateMachine,
         memory: Memory,
         rig: "Connection[Any, Any]",
     ) -> None:
-        self._driver = driver
+        self._link = link
         self._machine = machine
         self._memory = memory
         self._rig = rig
@@ -74,7 +72,6 @@ class Loop:
         self._ending = False
         self._beat = 0
         self._beat_at_ns = time.monotonic_ns()
-        self._last: Reading | None = None
 
     def end(self, *_: object) -> None:
         """Asks the loop to end; a signal handler."""
@@ -86,10 +83,7 @@ class Loop:
         shut_down = False
         while not (shut_down and self._machine.at_rest):
             self._sample(instant)
-            powered = self._machine.powered
-            if powered is not self._powered:
-                (self._driver.enable if powered else self._driver.disable)()
-                self._powered = powered
+            if self._tend_driver():
                 instant = time.monotonic_ns()  # an amplifier may take its time
             self._exchange_messages()
             if self._ending and not shut_down:
@@ -104,28 +98,29 @@ class Loop:
         late = lateness > self._late_ns
         if words[Word.BEAT] != self._beat:
             self._beat, self._beat_at_ns = words[Word.BEAT], now
-        reading = self._read()
+        reading = self._link.read()
         silence_s = (now - self._beat_at_ns) * 1e-9
-        self._driver.write(self._machine.sample(reading, silence_s, late=late))
+        self._link.write(self._machine.sample(reading, silence_s, late=late))
         words[Word.LATE] += late
         self._memory.lateness[min(int(lateness / _BIN_ns), BINS - 1)] += 1
         turnaround = time.monotonic_ns() - instant
         self._memory.turnaround[min(int(turnaround / _BIN_ns), BINS - 1)] += 1
 
-    def _read(self) -> Reading:
-        """A reading; one that does not come has no tension, and is the guard's to judge.
-
-        Raises:
-            TimeoutError: none has come for `_MISSING_MAX_s`.
-        """
-        try:
-            self._last = self._driver.read()
-        except TimeoutError:
-            now_s = time.monotonic()
-            if self._last is None or now_s - self._last.time_s > _MISSING_MAX_s:
-                raise
-            return Reading(now_s, math.nan, self._last.encoder_counts)
-        return self._last
+    def _tend_driver(self) -> bool:
+        """Switches the amplifier, or opens a driver again that is lost; whether it did either."""
+        powered, lost = self._machine.powered, self._machine.at_rest and self._link.is_due
+        if powered is self._powered and not lost:
+            return False
+        self._memory.words[Word.BUSY] = True
+        if powered is not self._powered:
+            self._link.switch(on=powered)
+            self._powered = powered
+        else:
+            self._machine.remove_power()
+            self._link.reopen()
+            self._powered = False
+        self._memory.words[Word.BUSY] = False
+        return True
 
     def _next_instant(self, instant: int) -> int:
         """The next sampling instant; one that has passed already is skipped, not made up for."""
@@ -174,9 +169,7 @@ class Loop:
         """Leaves the hardware in its own safe state after an exception."""
         sentence = f"{type(error).__name__}: {error}"
         self._memory.reason = sentence
-        for last_resort in (self._driver.safe_state, self._driver.disable):
-            with contextlib.suppress(Exception):
-                last_resort()
+        self._link.make_safe()
         self._send(Failed(RigError.__name__, f"the loop has failed: {sentence}"))
 
 
@@ -224,12 +217,12 @@ def main(pipe: int, block: int) -> int:
     plan: LoopPlan = rig.recv()
     memory = Memory(block, plan.capacity)
     try:
-        with load_driver(plan.driver, plan.driver_settings) as driver:
+        with closing(DriverLink(lambda: load_driver(plan.driver, plan.driver_settings))) as link:
             controller, note = make_controller(plan.controller)
             compensation = make_compensation(plan.compensation, plan.compensation_source)
             hybrid = make_hybrid(plan.hybrid, controller, plan.controller)
             machine = ReelStateMachine(plan, memory, controller, compensation, hybrid)
-            loop = Loop(plan, driver, machine, memory, rig)
+            loop = Loop(plan, link, machine, memory, rig)
             signal.signal(signal.SIGTERM, loop.end)
             notes = _request_real_time(plan.timing)
             rig.send(Ready((note, *notes) if note else notes))
@@ -238,7 +231,7 @@ def main(pipe: int, block: int) -> int:
             gc.disable()  # for good: a collection takes longer than a sample
             try:
                 loop.run()
-            except Exception as error:  # noqa: BLE001  whatever a driver raises ends motion
+            except Exception as error:  # noqa: BLE001  a mistake in the loop itself ends motion
                 loop.failed(error)
                 return RigError.exit_code
     except EstuneError as error:

@@ -75,6 +75,22 @@ class RealTime:
 
 
 @dataclass(frozen=True, slots=True)
+class BadReadings:
+    """Bad readings up to which the reel stays in motion, on the values of the last good one.
+
+    Attributes:
+        in_a_row: Greatest number of bad readings in a row.
+        seconds: Longest time without a good reading, s.
+        travel_counts: Encoder counts of the greatest travel that the guard allows in a trial: a
+            change of more between two readings is the encoder's, and no motion of the drum.
+    """
+
+    in_a_row: int
+    seconds: float
+    travel_counts: float
+
+
+@dataclass(frozen=True, slots=True)
 class LoopPlan:
     """Everything the loop needs.
 
@@ -113,6 +129,7 @@ class LoopPlan:
     compensation_source: str
     hybrid: HybridPlan | None
     guard: Limits
+    bad_readings: BadReadings
     motion: Motion
     safe: SafeState
     timing: RealTime

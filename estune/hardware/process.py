@@ -2,6 +2,7 @@
 
 import contextlib
 import logging
+import math
 import os
 import subprocess
 import sys
@@ -25,6 +26,8 @@ ANSWER_WITHIN_s = 2.0
 _START_WITHIN_s = 30.0
 _STALLED_s = 1.0
 _POLL_s = 0.05
+_LOGGED_EVERY_s = 1.0
+"""Least time between two lines of the log on bad readings, of which there may be one a sample."""
 
 _log = logging.getLogger(__name__)
 _Answer = TypeVar("_Answer")
@@ -130,10 +133,13 @@ class LoopProcess:
 
     def _await(self, kind: type[_Answer], within_s: float) -> _Answer:
         deadline = time.monotonic() + within_s
-        samples, seen_at = -1, time.monotonic()
+        samples, began = -1, time.monotonic()
+        seen_at = began
         try:
             while not self._pipe.poll(_POLL_s):
                 now = time.monotonic()
+                if self.memory.words[Word.BUSY] and now - began < _START_WITHIN_s:
+                    seen_at, deadline = seen_at + _POLL_s, deadline + _POLL_s
                 if self.memory.words[Word.SAMPLES] != samples:
                     samples, seen_at = self.memory.words[Word.SAMPLES], now
                 stalled = samples > 0 and now - seen_at > _STALLED_s
@@ -165,9 +171,14 @@ class LoopProcess:
         return RigError(f"rig {self._name}: {self._failure}; check the rig, then start it anew")
 
     def _beat(self) -> None:
-        words = self.memory.words
+        words, logged, logged_s = self.memory.words, 0, -math.inf
         while not self._stopped.wait(BEAT_s):
             words[Word.BEAT] += 1
+            bad, now_s = words[Word.BAD], time.monotonic()
+            if bad != logged and now_s - logged_s > _LOGGED_EVERY_s:
+                sentence = "rig %s: %d bad readings, the last: %s"
+                _log.warning(sentence, self._name, bad - logged, self.memory.fault)
+                logged, logged_s = bad, now_s
 
 
 def _start(file: int) -> tuple["Connection[Any, Any]", "subprocess.Popen[bytes]"]:

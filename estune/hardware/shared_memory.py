@@ -61,6 +61,9 @@ class Word(IntEnum):
     PROGRESS = 10  # loop: samples measured of the trial under way
     IN_POSITION = 12  # loop: one while position control is selected
     SETPOINTS = 11  # rig: setpoints from above so far; the last is in `Memory.target_N`
+    BAD = 13  # loop: bad readings so far
+    FAULT = 14  # loop: bytes of the fault of the last one
+    BUSY = 15  # loop: one while a driver is opened or power switched, which may take its time
 
 
 class SensorLevels(IntEnum):
@@ -141,7 +144,7 @@ class Memory:
         self.target_N, self.target_rad = self._take("d", 1), self._take("d", 1)
         self.far_end_m_s = self._take("d", 1)
         self.lateness, self.turnaround = self._take("q", BINS), self._take("q", BINS)
-        self._reason, self._order = self._take("B", REASON_BYTES), self._take("B", REASON_BYTES)
+        self._reason, self._order, self._fault = (self._take("B", REASON_BYTES) for _ in range(3))
         columns = [self._take("d", capacity) for _ in range(_COLUMNS)]
         self.time_s, self.setpoint_N, self.tension_N = columns[:3]
         self.current_A, self.angle_rad, self.weights = columns[3:6]
@@ -167,6 +170,15 @@ class Memory:
     @estop_reason.setter
     def estop_reason(self, text: str) -> None:
         self._write(self._order, Word.ORDER, text)
+
+    @property
+    def fault(self) -> str:
+        """Fault of the last bad reading; written by the loop."""
+        return bytes(self._fault[: self.words[Word.FAULT]]).decode(errors="replace")
+
+    @fault.setter
+    def fault(self, text: str) -> None:
+        self._write(self._fault, Word.FAULT, text)
 
     def publish(
         self,
@@ -233,7 +245,7 @@ class Memory:
 
 
 def _size(capacity: int) -> int:
-    head = 8 * (len(Word) + len(SensorLevels) + 3 + 2 * BINS) + 2 * REASON_BYTES
+    head = 8 * (len(Word) + len(SensorLevels) + 3 + 2 * BINS) + 3 * REASON_BYTES
     return head + _BYTES_PER_SAMPLE * capacity + BOX_ROWS * _BOX_ROW.size
 
 

@@ -121,6 +121,8 @@ class GuardTable(TomlTable):
     gap_s: Positive = 0.015
     late_in_a_row: Annotated[int, Field(ge=1)] = 10
     heartbeat_s: Positive = 0.5
+    bad_in_a_row: Annotated[int, Field(ge=0)] = 2
+    bad_s: NotNegative = 0.01
     eta_max: Positive | None = None
     deadline_margin_s: Positive = 0.2
 

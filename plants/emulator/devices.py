@@ -112,9 +112,7 @@ class CanDevices:
     def __init__(self, board: EmulatedBoard, address: str) -> None:
         self._board = board
         self.address = f"{address}.can"
-        self._listener = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-        self._listener.bind(self.address)
-        self._listener.listen()
+        self._listen()
         self._ports: dict[int, socket.socket] = {}
         self._state, self._errors, self._beat_s = 1, 0, 0.0
         node = NODE << 5
@@ -124,6 +122,11 @@ class CanDevices:
             node | 0x0E: self._torque,
             node | 0x18: self._clear_errors,
         }
+
+    def _listen(self) -> None:
+        self._listener = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        self._listener.bind(self.address)
+        self._listener.listen()
 
     @property
     def readable(self) -> list[int]:

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from estune.errors import RigError
-from estune.hardware.driver import Reading
+from estune.hardware.driver import Reading, bad_reading
 from estune.support.child_process import child_process
 from estune.support.closing import Closing
 from plants.emulator import wire
@@ -56,6 +56,8 @@ class EmulatedDriver(Closing):
                 "seed": seed,
             }
             address = self._own.enter_context(emulated_hardware(settings))
+        self._last: Reading | None = None
+        self._late = False  # whether an answer may come after its time
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         self._socket.settimeout(_ANSWER_WITHIN_s)
         try:
@@ -73,8 +75,24 @@ class EmulatedDriver(Closing):
 
     def read(self) -> Reading:
         """Reads gauge and encoder."""
-        self._say(wire.READ)
-        return Reading(*wire.READING.unpack(self._socket.recv(wire.READING.size)))
+        try:
+            while self._late and self._socket.recv(wire.READING.size, socket.MSG_DONTWAIT):
+                pass  # an answer to an earlier request
+        except BlockingIOError:
+            self._late = False
+        except OSError as error:
+            return bad_reading(f"the emulated hardware is gone: {error.strerror}", self._last)
+        try:
+            self._say(wire.READ)
+            answer = self._socket.recv(wire.READING.size)
+        except OSError as error:
+            self._late = True
+            why = error.strerror or error
+            return bad_reading(f"the emulated hardware does not answer: {why}", self._last)
+        if len(answer) != wire.READING.size:
+            return bad_reading("the emulated hardware has ended", self._last)
+        self._last = Reading(*wire.READING.unpack(answer))
+        return self._last
 
     def write(self, current_counts: int) -> None:
         """Commands a motor current."""

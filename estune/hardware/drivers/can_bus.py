@@ -11,15 +11,24 @@ from estune.errors import RigError
 FRAME = struct.Struct("<IB3x8s")
 """`struct can_frame` of linux/can.h: identifier with flags, length, eight bytes."""
 REMOTE, EXTENDED, ERROR = 0x40000000, 0x80000000, 0x20000000
+QUEUE_MAX = 1024
+"""Frames taken at once: more than the kernel queues for a socket, so that a flood leaves no old
+frame, and fewer than a flood brings without end."""
 _FILTER = struct.Struct("<II")
 
 
 class Frame(NamedTuple):
-    """One frame; `remote` is a request for the frame of the same identifier."""
+    """One frame; `remote` is a request for the frame of the same identifier.
+
+    Attributes:
+        is_data: Whether it is an ordinary frame with data: not remote, and neither of an extended
+            identifier, which may have the same number, nor a report of an error on the bus.
+    """
 
     identifier: int
     data: bytes = b""
     remote: bool = False
+    is_data: bool = True
 
     def pack(self) -> bytes:
         """As the kernel takes it."""
@@ -30,7 +39,8 @@ class Frame(NamedTuple):
     def unpack(cls, packet: bytes) -> "Frame":
         """As the kernel gives it."""
         identifier, length, data = FRAME.unpack(packet)
-        return cls(identifier & 0x1FFFFFFF, data[:length], bool(identifier & REMOTE))
+        is_data = not identifier & (REMOTE | EXTENDED | ERROR)
+        return cls(identifier & 0x1FFFFFFF, data[:length], bool(identifier & REMOTE), is_data)
 
 
 def frame_bits(length: int) -> int:
@@ -42,6 +52,7 @@ class CanSocket:
     """Frames of one device on a bus.
 
     Attributes:
+        fault: Why the last frame was not sent or received; empty where it was.
         waited_s: Time spent waiting for frames, s.
 
     Args:
@@ -76,34 +87,38 @@ class CanSocket:
                 f"ip link set {interface} up type can bitrate 1000000"
             ) from error
         self._range = range(first, last + 1)
-        self.waited_s = 0.0
+        self.waited_s, self.fault = 0.0, ""
         self._socket.settimeout(0.0)
         self._poll = select.poll()
         self._poll.register(self._socket, select.POLLIN)
 
     def send(self, frame: Frame) -> None:
-        """Sends a frame.
-
-        Raises:
-            RigError: the interface's queue is full: nobody acknowledges on the bus.
-        """
+        """Sends a frame, or sets the fault: the queue is full where no device acknowledges."""
+        self.fault = ""
         try:
             self._socket.send(frame.pack())
-        except (BlockingIOError, OSError) as error:
-            raise RigError(
-                f"the CAN interface takes no frame ({error}); check the bus, its rate and its "
-                "termination"
-            ) from error
+        except OSError as error:
+            self.fault = (
+                f"the CAN interface takes no frame ({error.strerror}); check the adapter, the "
+                "bus, its rate and its termination"
+            )
 
     def waiting(self) -> list[Frame]:
         """The frames that have arrived."""
         found = []
-        while self._poll.poll(0):
-            packet = self._socket.recv(FRAME.size)
-            if not packet:
-                raise RigError("the CAN interface is gone; check the adapter")
+        for _ in range(QUEUE_MAX):
+            if self.fault or not self._poll.poll(0):
+                break
+            try:
+                packet = self._socket.recv(FRAME.size)
+            except OSError as error:
+                self.fault = f"the CAN interface is gone ({error.strerror}); check the adapter"
+                break
+            if len(packet) != FRAME.size:
+                self.fault = "the CAN interface is gone; check the adapter"
+                break
             frame = Frame.unpack(packet)
-            if frame.identifier in self._range and not frame.remote:
+            if frame.identifier in self._range and frame.is_data:
                 found.append(frame)
         return found
 
@@ -112,7 +127,7 @@ class CanSocket:
         began_s = time.monotonic()
         while not (found := self.waiting()):
             left_ms = 1e3 * (instant_s - time.monotonic())
-            if left_ms <= 0.0:
+            if left_ms <= 0.0 or self.fault:
                 break
             self._poll.poll(int(left_ms))  # whole milliseconds; the rest of the last is watched
         self.waited_s += time.monotonic() - began_s

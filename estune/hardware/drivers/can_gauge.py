@@ -29,7 +29,7 @@ class CanGauge:
 
     Raises:
         RigError: there is no such interface.
-        InvalidInput: the layout or the identifier cannot be used.
+        InvalidInput: the layout or the identifier cannot be used, or its counts are no number.
     """
 
     def __init__(
@@ -48,6 +48,9 @@ class CanGauge:
             self._layout = struct.Struct(layout)
         except struct.error as error:
             raise InvalidInput(f"layout {layout!r}: {error}; write it as for struct") from error
+        numbers = self._layout.unpack(bytes(self._layout.size))
+        if not (numbers and isinstance(numbers[0], int | float)):
+            raise InvalidInput(f"layout {layout!r} does not begin with a number, the counts")
         if not 0 <= identifier <= 0x7FF:
             raise InvalidInput(f"identifier is {identifier:#x}; it must be from 0 to 0x7ff")
         self._identifier, self._requested = identifier, requested
@@ -55,6 +58,7 @@ class CanGauge:
         check_positive("bits_per_s", bits_per_s, "bit/s")
         self._rate_Hz, self._bits_per_s = rate_Hz, bits_per_s
         self._last: GaugeReading | None = None
+        self._refused = ""  # what came in place of a reading
         self._asked = self._seen = 0
         self._bus = CanSocket(interface, identifier, identifier)
         self._opened_s = time.monotonic()
@@ -73,6 +77,7 @@ class CanGauge:
 
     def request(self) -> None:
         """Asks for a reading, where the gauge has to be asked."""
+        self._refused = self._bus.fault = ""
         if self._requested:
             self._take(self._bus.waiting())
             self._last = None
@@ -80,11 +85,7 @@ class CanGauge:
             self._asked += 1
 
     def read(self) -> GaugeReading:
-        """The newest reading, stamped at its arrival; a request is repeated.
-
-        Raises:
-            TimeoutError: it does not come, or is too old.
-        """
+        """The newest reading, stamped at its arrival; a request is repeated."""
         self._take(self._bus.waiting())
         attempts = ATTEMPTS if self._requested else 1
         for attempt in range(attempts):
@@ -93,10 +94,14 @@ class CanGauge:
             deadline_s = time.monotonic() + self._within_s / attempts
             while not self._is_fresh and (frames := self._bus.until(deadline_s)):
                 self._take(frames)
+                if time.monotonic() > deadline_s:
+                    break  # a bus that is flooded always has frames
             if self._last is not None and self._is_fresh:
                 return self._last
         asked = f" after {attempts} requests" if self._requested else ""
-        raise TimeoutError(f"no frame of the gauge within {self._within_s:g} s{asked}")
+        missing = f"no frame of the gauge within {self._within_s:g} s{asked}"
+        fault = self._bus.fault or missing + (self._refused and f": it sent {self._refused}")
+        return GaugeReading(time.monotonic(), math.nan, fault)
 
     @property
     def _is_fresh(self) -> bool:
@@ -109,8 +114,14 @@ class CanGauge:
 
     def _take(self, frames: list[Frame]) -> None:
         for frame in frames:
-            if len(frame.data) >= self._layout.size:
-                self._seen += 1
-                counts = self._layout.unpack_from(frame.data)[0]
-                valid = counts != self._overload
-                self._last = GaugeReading(time.monotonic(), float(counts) if valid else math.nan)
+            if len(frame.data) < self._layout.size:
+                self._refused = f"{len(frame.data)} bytes in place of {self._layout.size}"
+                continue
+            counts = self._layout.unpack_from(frame.data)[0]
+            if counts == self._overload:
+                counts = math.nan
+            elif not math.isfinite(counts):
+                self._refused = f"{counts} counts"
+                continue
+            self._seen += 1
+            self._last = GaugeReading(time.monotonic(), float(counts))

@@ -11,8 +11,8 @@ from collections import Counter
 from typing import NamedTuple
 
 from estune.core.quantities import check_positive
-from estune.errors import InvalidInput, RigError
-from estune.hardware.driver import MessageCount
+from estune.errors import InvalidInput
+from estune.hardware.driver import MessageCount, Position
 from estune.hardware.drivers.can_bus import CanSocket, Frame, frame_bits
 
 HEARTBEAT, ESTOP, SET_STATE, ENCODER = 0x01, 0x02, 0x07, 0x09
@@ -37,6 +37,10 @@ HEARTBEATS_MISSED_MAX = 10
 
 Ten of 0.1 s: load on the bus delays them, for they have the lowest of priorities.
 """
+
+
+COUNTS_MAX = 2**31
+"""Counts that a drive cannot have turned: its own counter has 32 bits."""
 
 
 class Heartbeat(NamedTuple):
@@ -90,6 +94,7 @@ class ODrive:
         self._enabled = False
         self._written_s = 0.0
         self._turns: float | None = None
+        self._refused = ""  # what came in place of the encoder's turns
         self._heartbeat = Heartbeat(0, IDLE)
         self._beat_at_s = time.monotonic()
         self._heartbeat_s, self._bits_per_s = heartbeat_s, bits_per_s
@@ -115,8 +120,7 @@ class ODrive:
     def enable(self) -> None:
         """Clears errors, selects torque control and closes the loop of the current.
 
-        Raises:
-            RigError: the axis does not enter closed loop; the message has its error bits.
+        Where the axis does not enter closed loop, its position has a fault with the error bits.
         """
         self._send(CLEAR_ERRORS)
         self._send(SET_MODE, _MODE.pack(TORQUE_CONTROL, PASSTHROUGH))
@@ -124,57 +128,63 @@ class ODrive:
         self._send(SET_STATE, _STATE.pack(CLOSED_LOOP))
         self._heartbeat = Heartbeat(0, IDLE)
         deadline_s = time.monotonic() + SWITCHED_WITHIN_s
-        while self._heartbeat.state != CLOSED_LOOP:
-            if time.monotonic() > deadline_s:
-                raise RigError(
-                    f"the ODrive does not enter closed loop ({self._said()}); check its "
-                    "calibration and supply, and the bus rate"
-                )
+        while self._heartbeat.state != CLOSED_LOOP and time.monotonic() < deadline_s:
+            if self._bus.fault:
+                break
             self._take(self._bus.until(deadline_s))
         self._written_s = self._beat_at_s = time.monotonic()
         self._enabled = True
 
     def request(self) -> None:
-        """Asks for the encoder."""
-        self._turns = None
+        """Asks for the encoder; an answer to an earlier request is discarded."""
+        self._take(self._bus.waiting())
+        self._turns, self._refused = None, ""
         self._bus.send(Frame(self._node | ENCODER, remote=True))
         self._frames[_ASKED] += 1
 
-    def position(self) -> int:
+    def position(self) -> Position:
         """The encoder's counts, after a request, which is repeated.
 
-        Raises:
-            TimeoutError: they do not come.
-            RigError: the axis has left closed loop or fallen silent, or the controller has
-                stopped writing.
+        They have a fault where they do not come, and where the axis has left closed loop or fallen
+        silent, or the controller has stopped writing.
         """
         turns = self._answered()
-        if self._enabled and self._heartbeat != Heartbeat(0, CLOSED_LOOP):
-            raise RigError(f"the ODrive has left closed loop ({self._said()}); check the drive")
+        if turns is None:
+            waited = (
+                f"the ODrive has not answered {ATTEMPTS} requests for its encoder within "
+                f"{self._answer_s:g} s"
+            )
+            refused = self._refused and f": it sent {self._refused}"
+            return Position(0, self._bus.fault or waited + refused)
+        return Position(round(turns * self._counts), self._power_fault() if self._enabled else "")
+
+    def _power_fault(self) -> str:
+        """Why the axis with power is not under control; empty where it is."""
+        if self._heartbeat != Heartbeat(0, CLOSED_LOOP):
+            return f"the ODrive is not in closed loop ({self._said()}); check drive and supply"
         silent_s = time.monotonic() - self._beat_at_s
-        if self._enabled and silent_s > HEARTBEATS_MISSED_MAX * self._heartbeat_s:
-            raise RigError(
+        if silent_s > HEARTBEATS_MISSED_MAX * self._heartbeat_s:
+            return (
                 f"no heartbeat of the ODrive for {silent_s:.1f} s: its state is unknown; check "
                 "the drive and its heartbeat_rate_ms"
             )
-        if self._enabled and time.monotonic() - self._written_s > self._write_s:
-            raise RigError(f"no torque was commanded for more than {self._write_s:g} s")
-        return round(turns * self._counts)
+        if time.monotonic() - self._written_s > self._write_s:
+            return f"no torque was commanded for more than {self._write_s:g} s"
+        return ""
 
-    def _answered(self) -> float:
-        """Turns of the encoder, asked for again where no answer comes."""
+    def _answered(self) -> float | None:
+        """Turns of the encoder, asked for again where no answer comes; None without any."""
         for attempt in range(ATTEMPTS):
             if attempt:
                 self.request()
             deadline_s = time.monotonic() + self._answer_s / ATTEMPTS
             while self._turns is None and (frames := self._bus.until(deadline_s)):
                 self._take(frames)
+                if time.monotonic() > deadline_s:
+                    break  # a bus that is flooded always has frames
             if self._turns is not None:
-                return self._turns
-        raise TimeoutError(
-            f"the ODrive has not answered {ATTEMPTS} requests for its encoder within "
-            f"{self._answer_s:g} s"
-        )
+                break
+        return self._turns
 
     def write(self, current_counts: int) -> None:
         """Commands a torque."""
@@ -204,11 +214,21 @@ class ODrive:
         for frame in frames:
             command = frame.identifier & 0x1F
             self._frames[command] += 1
-            if command == ENCODER and len(frame.data) == _ENCODER.size:
-                self._turns = _ENCODER.unpack(frame.data)[0]
+            if command == ENCODER:
+                self._note_turns(frame.data)
             elif command == HEARTBEAT and len(frame.data) >= _HEARTBEAT.size:
                 self._heartbeat = Heartbeat(*_HEARTBEAT.unpack_from(frame.data))
                 self._beat_at_s = time.monotonic()
+
+    def _note_turns(self, data: bytes) -> None:
+        if len(data) != _ENCODER.size:
+            self._refused = f"{len(data)} bytes in place of {_ENCODER.size}"
+            return
+        turns = _ENCODER.unpack(data)[0]
+        if abs(turns * self._counts) < COUNTS_MAX:  # which NaN is not
+            self._turns = turns
+        else:
+            self._refused = f"{turns:g} turns"
 
     def _said(self) -> str:
         return f"state {self._heartbeat.state}, errors {self._heartbeat.errors:#x}"

@@ -10,6 +10,7 @@ from estune.hardware.driver import (
     Gauge,
     MessageCount,
     Reading,
+    bad_reading,
     load_part,
 )
 
@@ -37,6 +38,7 @@ class PairedDriver:
         drive_settings: Mapping[str, Any],
         gauge_settings: Mapping[str, Any],
     ) -> None:
+        self._last: Reading | None = None
         self._stack = ExitStack()
         try:
             self._drive: Drive = load_part(drive, drive_settings, Drive)
@@ -68,8 +70,12 @@ class PairedDriver:
         """Reads both, one request on the way while the other is answered."""
         self._gauge.request()
         self._drive.request()
-        time_s, counts = self._gauge.read()
-        return Reading(time_s, counts, self._drive.position())
+        time_s, gauge_counts, gauge_fault = self._gauge.read()
+        encoder_counts, drive_fault = self._drive.position()
+        if fault := drive_fault or gauge_fault:
+            return bad_reading(fault, self._last)
+        self._last = Reading(time_s, gauge_counts, encoder_counts)
+        return self._last
 
     def close(self) -> None:
         """Closes both. May be called again."""

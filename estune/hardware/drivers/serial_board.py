@@ -14,7 +14,7 @@ from collections import Counter
 from typing import NamedTuple, Self
 
 from estune.errors import RigError
-from estune.hardware.driver import GaugeReading, MessageCount, Reading
+from estune.hardware.driver import GaugeReading, MessageCount, Reading, bad_reading
 from estune.hardware.drivers.board_clock import BoardClock, unwrapped
 from estune.hardware.drivers.serial_port import SerialPort
 
@@ -36,7 +36,7 @@ watchdog has cut the current."""
 ATTEMPTS = 3
 """Requests of one reading within its time; reading has no effect, so it may be repeated."""
 LOST_MAX = 2
-"""Commands in a row that may be lost before motion ends."""
+"""Commands in a row that may be lost before a reading counts as bad."""
 POWERED_WITHIN_s = 1.0
 
 
@@ -65,14 +65,16 @@ class AnswerStream:
     def feed(self, data: bytes) -> list[BoardAnswer]:
         """The valid answers that these bytes complete."""
         self._bytes += data
-        found, size = [], ANSWER.size + CHECKSUM.size
-        while len(self._bytes) >= size:
-            packet = self._bytes[: ANSWER.size]
-            if packet[0] == ANSWER_BEGINS and sealed(packet) == self._bytes[:size]:
+        found, size, at = [], ANSWER.size + CHECKSUM.size, 0
+        # The bytes are cut once: garbage costs a search, and no copy for each byte of it.
+        while 0 <= (at := self._bytes.find(ANSWER_BEGINS, at)) <= len(self._bytes) - size:
+            packet = self._bytes[at : at + ANSWER.size]
+            if sealed(packet) == self._bytes[at : at + size]:
                 found.append(BoardAnswer(*ANSWER.unpack(packet)[1:]))
-                self._bytes = self._bytes[size:]
+                at += size
             else:
-                self._bytes = self._bytes[1:]
+                at += 1
+        self._bytes = self._bytes[at:] if at >= 0 else b""
         return found
 
 
@@ -95,14 +97,13 @@ class SerialBoard:
         self._sequence = self._written = self._encoder = self._lost = 0
         self._counts = Counter[str]()
         self._enabled = self._unread = False
+        self._last: Reading | None = None
         self._port = SerialPort(port, baud)
-        try:
-            self._written = self._exchange().accepted
-        except TimeoutError as error:
+        first = self._exchange()
+        if first is None:
             self._port.close()
-            raise RigError(
-                f"no board answers at {port}; check its program and the rate"
-            ) from error
+            raise RigError(f"no board answers at {port}; check its program and the rate")
+        self._written = first.accepted
 
     @property
     def waited_s(self) -> float:
@@ -120,31 +121,46 @@ class SerialBoard:
         )
 
     def enable(self) -> None:
-        """Gives the amplifier power, and waits until the board says so."""
+        """Gives the amplifier power, and waits until the board says so; else readings are bad."""
         deadline_s = time.monotonic() + POWERED_WITHIN_s
         self._say(ENABLE)
-        while not self._exchange().status & POWERED:
-            if time.monotonic() > deadline_s:
-                raise RigError("the board does not switch the amplifier on; check its supply")
         self._enabled = True
+        while time.monotonic() < deadline_s:
+            answer = self._exchange()
+            if answer is not None and answer.status & POWERED:
+                return
 
     def read(self) -> Reading:
-        """Reads gauge and encoder."""
+        """Reads gauge and encoder; a reading is bad, too, where the board does not obey."""
         answer = self._exchange()
+        fault = "" if answer is None else self._disobedience(answer)
+        return bad_reading(fault, self._last) if fault else self._reading(answer)
+
+    def measure(self) -> Reading:
+        """Reads gauge and encoder of a board that is commanded nothing."""
+        return self._reading(self._exchange())
+
+    def _reading(self, answer: BoardAnswer | None) -> Reading:
+        if answer is None:
+            waited = f"has not answered {ATTEMPTS} requests within {ATTEMPTS * self._wait_s:g} s"
+            return bad_reading(self._port.fault or f"the board {waited}", self._last)
+        counts = math.nan if answer.status & OVERLOAD else float(answer.gauge)
+        self._encoder = unwrapped(answer.encoder, self._encoder)
+        self._last = Reading(self._clock.time_s, counts, self._encoder)
+        return self._last
+
+    def _disobedience(self, answer: BoardAnswer) -> str:
+        """Why the board is not under command; empty where it is."""
         if self._enabled and not answer.status & POWERED:
             cause = "watchdog" if answer.status & WATCHDOG else "own protection"
-            raise RigError(f"the board's {cause} has cut the amplifier's power; check the board")
+            return f"the board's {cause} has cut the amplifier's power; check the board"
         accepted = answer.accepted == self._written
         self._lost = 0 if accepted else self._lost + 1
         self._counts["accepted"] += accepted and self._unread
         self._unread = False
         if self._lost > LOST_MAX:
-            raise RigError(
-                f"{self._lost} commands in a row did not reach the board; check the line"
-            )
-        counts = math.nan if answer.status & OVERLOAD else float(answer.gauge)
-        self._encoder = unwrapped(answer.encoder, self._encoder)
-        return Reading(self._clock.time_s, counts, self._encoder)
+            return f"{self._lost} commands in a row did not reach the board; check the line"
+        return ""
 
     def write(self, current_counts: int) -> None:
         """Commands a motor current, which feeds the board's watchdog."""
@@ -180,8 +196,8 @@ class SerialBoard:
         self._sequence = (self._sequence + 1) & 0xFFFF
         self._port.write(sealed(REQUEST.pack(REQUEST_BEGINS, verb, self._sequence, number)))
 
-    def _exchange(self) -> BoardAnswer:
-        """The answer to a request for a reading; any other is old, and discarded."""
+    def _exchange(self) -> BoardAnswer | None:
+        """The answer to a request for a reading, if it comes; any other is old, and discarded."""
         for _ in range(ATTEMPTS):
             self._say(READ)
             self._counts["asked"] += 1
@@ -192,9 +208,9 @@ class SerialBoard:
                         self._clock = self._clock.stamped(answer.time_us, time.monotonic())
                         self._counts["answered"] += 1
                         return answer
-        raise TimeoutError(
-            f"the board has not answered {ATTEMPTS} requests within {ATTEMPTS * self._wait_s:g} s"
-        )
+                if time.monotonic() > deadline_s:
+                    break  # a line that is flooded always has bytes
+        return None
 
 
 class SerialGauge:
@@ -223,8 +239,8 @@ class SerialGauge:
 
     def read(self) -> GaugeReading:
         """Reads the gauge."""
-        reading = self._board.read()
-        return GaugeReading(reading.time_s, reading.gauge_counts)
+        reading = self._board.measure()
+        return GaugeReading(reading.time_s, reading.gauge_counts, reading.fault)
 
     def close(self) -> None:
         """Closes the port. May be called again."""

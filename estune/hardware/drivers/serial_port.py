@@ -22,6 +22,7 @@ class SerialPort:
     """An open port in raw mode, locked against a second program.
 
     Attributes:
+        fault: Why the last bytes were not sent or received; empty where they were.
         byte_s: Time of a byte on the line, s.
         waited_s: Time spent waiting for bytes, s.
 
@@ -58,15 +59,25 @@ class SerialPort:
             ) from error
         self._poll = select.poll()
         self._poll.register(self._file, select.POLLIN)
-        self.byte_s, self.waited_s = BITS_PER_BYTE / baud, 0.0
+        self._path = path
+        self.byte_s, self.waited_s, self.fault = BITS_PER_BYTE / baud, 0.0, ""
 
     def write(self, data: bytes) -> None:
-        """Sends bytes."""
-        if os.write(self._file, data) != len(data):
-            raise RigError("the port does not take more bytes; its rate is too low for the loop")
+        """Sends bytes, or sets the fault."""
+        try:
+            sent = os.write(self._file, data)
+        except BlockingIOError:
+            sent = 0
+        except OSError as error:
+            self.fault = self._gone(error.strerror)
+            return
+        full = f"{self._path} takes no more bytes; check the device and the rate of the line"
+        self.fault = "" if sent == len(data) else full
 
     def read(self, until_s: float) -> bytes:
         """Bytes that arrive before an instant of `time.monotonic`; empty if none do."""
+        if self.fault:
+            return b""  # what would be answered was not sent
         began_s = time.monotonic()
         wait_ms = max(0.0, 1e3 * (until_s - began_s))
         # poll counts whole milliseconds; what is left of the last one is watched.
@@ -75,7 +86,21 @@ class SerialPort:
             if time.monotonic() >= until_s:
                 break
         self.waited_s += time.monotonic() - began_s
-        return os.read(self._file, 4096) if arrived else b""
+        if not arrived:
+            return b""
+        try:
+            data = os.read(self._file, 4096)
+        except BlockingIOError:
+            return b""
+        except OSError as error:
+            self.fault = self._gone(error.strerror)
+            return b""
+        if not data:
+            self.fault = self._gone("hung up")
+        return data
+
+    def _gone(self, why: str | None) -> str:
+        return f"{self._path} is gone ({why}); plug it in again"
 
     def close(self) -> None:
         """Closes the port. May be called again."""

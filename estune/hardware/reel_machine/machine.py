@@ -6,11 +6,16 @@ from estune.hardware.controller import Controller
 from estune.hardware.driver import Reading
 from estune.hardware.hybrid_control import HybridControl
 from estune.hardware.loop_messages import BeginTrial, Ended, LoopPlan, Refused, SetCompensation
+from estune.hardware.reel_machine.bridge import Bridge, bridge
 from estune.hardware.reel_machine.reel import ReelState
 from estune.hardware.reel_machine.transitions import TABLE, Change, MotionEvent
 from estune.hardware.shared_memory import Memory, MotionPhase, Word
 from estune.reel.guard import Sample
 from estune.trial import GUARD, LATE, SATURATED, Outcome
+
+REST_s = 0.5
+"""Time without a good reading after which a reel at rest takes no trial until it is cleared, s:
+nothing moves, and a board that starts again, or a line that is plugged in, takes its time."""
 
 _CLOSED = frozenset((MotionPhase.HOLD, MotionPhase.TRIAL))
 
@@ -27,6 +32,8 @@ class ReelStateMachine:
         hybrid: HybridControl | None = None,
     ) -> None:
         self._plan, self._memory = plan, memory
+        self._bridge = Bridge()
+        self._without_power = False
         self._reel = ReelState(plan, memory, controller, compensation, hybrid)
 
     @property
@@ -38,7 +45,7 @@ class ReelStateMachine:
     def powered(self) -> bool:
         """Whether the amplifier must have power."""
         if self.phase is MotionPhase.STOPPED:
-            return self._plan.safe.effort_N != 0.0
+            return self._plan.safe.effort_N != 0.0 and not self._without_power
         return self.phase is not MotionPhase.OFF
 
     @property
@@ -68,6 +75,10 @@ class ReelStateMachine:
         else:
             cell(reel, trial)
 
+    def remove_power(self) -> None:
+        """Removes the power of a stopped reel whose device is lost, until it is cleared."""
+        self._without_power = True
+
     def set_live_gains(self, live: Coefficients) -> None:
         """Makes gains the live ones, fixed, without a jump of the effort."""
         self._apply(MotionEvent.SET_GAINS, live)
@@ -77,7 +88,9 @@ class ReelStateMachine:
         self._reel.control.set_compensation(own.plan, own.source)
 
     def reset(self) -> None:
-        """Clears a latched stop."""
+        """Clears a latched stop; the next good reading is then believed, wherever it is."""
+        self._bridge = self._bridge._replace(last=None)
+        self._without_power = False
         self._apply(MotionEvent.CLEAR)
 
     def shut_down(self, sentence: str) -> None:
@@ -92,7 +105,9 @@ class ReelStateMachine:
             silence_s: Time since the rig's last heartbeat, s.
             late: Whether the sample began late.
         """
-        plan, memory, reel, time_s = self._plan, self._memory, self._reel, reading.time_s
+        plan, memory, reel = self._plan, self._memory, self._reel
+        reading = self._believe(reading)
+        time_s = reading.time_s
         gauge = plan.gauge.force_N(reading.gauge_counts)
         angle = reading.encoder_counts * plan.radians_per_count
         recorded, k = reel.phase is MotionPhase.TRIAL, reel.trial.k
@@ -102,8 +117,10 @@ class ReelStateMachine:
             is_open=recorded and reel.trial.under_way.open_loop,
         )
         tension = gauge - terms.off_gauge_N
-        flags = LATE if late else 0
+        flags = LATE if late or reading.fault else 0
         self._take_orders(time_s)
+        if self._stop_unread(reading):
+            flags = GUARD
         trip = self._cell(MotionEvent.TRIP)
         if not isinstance(trip, str):
             commanded_A = reel.effort_N / plan.newtons_per_ampere
@@ -140,6 +157,31 @@ class ReelStateMachine:
             flags=flags,
         )
         return plan.current.counts(current)
+
+    def _believe(self, reading: Reading) -> Reading:
+        """The reading, or the last good one in place of a bad one."""
+        plan, memory = self._plan, self._memory
+        self._bridge, reading = bridge(
+            *(plan.bad_readings, self._bridge, reading), period_s=1.0 / plan.sampling_Hz
+        )
+        if reading.fault:
+            memory.fault = reading.fault
+            memory.words[Word.BAD] += 1
+        return reading
+
+    def _stop_unread(self, reading: Reading) -> bool:
+        """Stops and latches the reel if it can no longer be measured; whether it did so now."""
+        rule, reel, bad = self._plan.bad_readings, self._reel, self._bridge.bad
+        age_s = reading.age_s if self._bridge.last else bad / self._plan.sampling_Hz
+        lost = age_s > REST_s if self.at_rest else bad > rule.in_a_row or age_s > rule.seconds
+        if reel.latched or not (bad and lost):
+            return False
+        sentence = (
+            f"{reading.fault} ({bad} bad reading{'s' * (bad > 1)} in a row, "
+            f"{1e3 * age_s:.4g} ms without a good one)"
+        )
+        self._apply(MotionEvent.STOP, Outcome.INTERRUPTED, sentence)
+        return True
 
     def _take_orders(self, time_s: float) -> None:
         """Stop, abort and setpoints that others have written to the shared memory."""
