@@ -5,14 +5,14 @@ import struct
 import threading
 import time
 from collections import deque
-from contextlib import closing
+from contextlib import ExitStack, closing
 
 import pytest
 
 import plants
 from estune.cli.checks import State, run_file_checks
 from estune.cli.checks.driver_checks import check_exchange
-from estune.conformance.driver import DriverConformance
+from estune.conformance.driver import DriverConformance, check_silence
 from estune.errors import InvalidInput, RigError
 from estune.hardware import HardwareRig
 from estune.hardware.driver import load_driver
@@ -192,6 +192,18 @@ class TestSerialGauge(_OnAnEmulatedDevice):
 
 class TestCanGauge(_OnAnEmulatedDevice):
     kind, table = "can", staticmethod(of_can_gauge_alone)
+
+
+@pytest.mark.slow
+def test_minute_of_silence_ends_no_driver(tmp_path):
+    with ExitStack() as opened:
+        devices = []
+        for case in (TestSerialBoard, TestODriveWithCanGauge, TestSerialGauge, TestCanGauge):
+            address = str(tmp_path / case.__name__)
+            device = FAULTY[case.kind](emulated_board(), address)
+            opened.callback(device.begin, "unplugged")
+            devices.append(opened.enter_context(Served(device, case.table)))
+        check_silence(devices, 60.0)
 
 
 @pytest.mark.parametrize("device", DRIVER_TABLES)

@@ -10,8 +10,9 @@
 `trial_board.rig.BoardRig`.
 
 **Guarantees.** What the guard finds at a sample decides the current of that same sample. The loop
-waits for nobody: it brings the reel to rest when its rig is gone, when it is told to, or when the
-driver's data are stale, and the driver's own watchdog ends the current when the loop is gone. Live
+waits for nobody: it brings the reel to rest when its rig is gone, when it is told to, or when
+readings stay bad, and the driver's own watchdog ends the current when the loop is gone. A device
+that misbehaves or is unplugged ends no process (`driver_link`, `reel_machine.bridge`). Live
 gains are back at the end of every trial. After a stop the rig takes no trial until it is cleared.
 None of this is an emergency stop: a machine that can hurt people needs a switch in its power.
 
@@ -44,7 +45,15 @@ from estune.support.lazy_exports import lazy_exports
 
 if TYPE_CHECKING:
     from estune.hardware.config import RigConfig, read_config
-    from estune.hardware.driver import Drive, Driver, Gauge, GaugeReading, Reading
+    from estune.hardware.driver import (
+        Drive,
+        Driver,
+        Gauge,
+        GaugeReading,
+        Position,
+        Reading,
+        bad_reading,
+    )
     from estune.hardware.firmware import controller_source
     from estune.hardware.rig import HardwareRig
 
@@ -54,8 +63,10 @@ __all__ = [
     "Gauge",
     "GaugeReading",
     "HardwareRig",
+    "Position",
     "Reading",
     "RigConfig",
+    "bad_reading",
     "controller_source",
     "read_config",
 ]
@@ -68,8 +79,10 @@ __getattr__, __dir__ = lazy_exports(
         "Gauge": "estune.hardware.driver",
         "GaugeReading": "estune.hardware.driver",
         "HardwareRig": "estune.hardware.rig",
+        "Position": "estune.hardware.driver",
         "Reading": "estune.hardware.driver",
         "RigConfig": "estune.hardware.config",
+        "bad_reading": "estune.hardware.driver",
         "controller_source": "estune.hardware.firmware",
         "read_config": "estune.hardware.config",
     },
