@@ -1,4 +1,4 @@
-"""Prints what a change of the code costs: files, functions of a call, names, rooms, lines.
+"""Prints what a change of the code costs: files, functions of a call, names, rooms, lines, words.
 
 ./dev python -m tests.code_measures
 """
@@ -18,6 +18,7 @@ import estune
 import plants
 from experiments.diagnosis_numbers.__main__ import functions_of
 from experiments.diagnosis_numbers.cases import CASES
+from tests.page_words import page_words
 from tests.test_names import SHARED, class_names
 
 ROOT = Path(__file__).parents[1]
@@ -115,6 +116,7 @@ def main() -> None:
     product = sum(n for room, n in counts.items() if room.startswith(PACKAGES))
     for room, n in ({"estune and plants": product} | counts).items():
         print(f"  {room:25} {n:6}")
+    print(f"\nwords of docs/ {sum(page_words().values()):18}")
 
 
 if __name__ == "__main__":

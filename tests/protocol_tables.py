@@ -115,7 +115,7 @@ def _type(hint: Any) -> str:
     if hint in _PLAIN:
         return _PLAIN[hint]
     if origin is Literal:
-        return " or ".join(f"`{json.dumps(value)}`" for value in inside)
+        return ", ".join(f"`{json.dumps(value)}`" for value in inside)
     if origin in (Union, types.UnionType):
         return " or ".join(dict.fromkeys(map(_type, inside)))
     if origin is tuple:

@@ -1,16 +1,13 @@
 """Every experiment runs in its quick form and prints figures and targets in the stated form."""
 
-import ast
 import re
-from functools import cache
-from pathlib import Path
 
 import pytest
 
+from experiments.__main__ import experiments, main
 from tests.support_claims import CHECKS
 from tests.support_experiments import run_experiment
 
-ROOT = Path(__file__).parents[1]
 TIMED = {
     "benchmark_trials",
     "emergency_stop",
@@ -80,20 +77,6 @@ FORM = re.compile(
 """First lines of an experiment: its question, its command, its target."""
 
 
-@cache
-def experiments() -> dict[str, str]:
-    """Docstrings of the modules and packages that can be run and print results, by name."""
-    folder = ROOT / "experiments"
-    mains = [*folder.glob("*.py"), *folder.glob("*/__main__.py")]
-    return {
-        file.parent.name if file.stem == "__main__" else file.stem: ast.get_docstring(
-            ast.parse(text)
-        )
-        for file in sorted(mains)
-        if re.search(r"def main\(.*print_results\(", text := file.read_text(), re.DOTALL)
-    }
-
-
 @pytest.mark.parametrize("name", experiments())
 def test_experiment_opens_with_its_question_command_and_target(name):
     form = FORM.fullmatch(experiments()[name])
@@ -101,11 +84,11 @@ def test_experiment_opens_with_its_question_command_and_target(name):
     assert form[1] == name
 
 
-def test_page_of_experiments_has_the_question_of_each():
-    page = (ROOT / "docs" / "reference" / "experiments.md").read_text("utf-8")
-    rows = re.findall(r"^\* `(\w+)`: (.+)$", page, re.MULTILINE)
-    assert dict(rows) == {name: text.partition("\n")[0] for name, text in experiments().items()}
-    assert len(rows) == len(dict(rows))
+def test_experiments_are_listed_with_their_questions(capsys):
+    main()
+    listed = dict(line.split(maxsplit=1) for line in capsys.readouterr().out.splitlines())
+    assert listed.keys() == experiments().keys() >= {"scale", "hidden_effects", "paper"}
+    assert all(question.endswith("?") for question in listed.values())
 
 
 @pytest.mark.slow

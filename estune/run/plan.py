@@ -47,9 +47,8 @@ class Search:
     repeats: Annotated[
         int,
         Setting(
-            "Least repeats of the initial and of the tuned gains in the confirmation; tuners that "
-            "do not identify the loop also begin with as many trials of the initial gains, and "
-            "choose between candidates by as many of each",
+            "Least repeats of the initial and of the tuned gains in the confirmation, and of the "
+            "initial gains before a search that does not identify the loop",
             least=1,
         ),
     ] = REPEATS
