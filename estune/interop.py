@@ -8,7 +8,6 @@ import numpy as np
 
 from estune.core import pidf
 from estune.core.gains import Gains
-from estune.core.initial import Proposal
 from estune.core.margins import Margins, SampledPlant, loop_margins, sample_plant
 from estune.core.pidf import ControllerSettings
 from estune.core.quantities import FloatArray
@@ -48,12 +47,8 @@ def model_gains(model: LinearModel, settings: ControllerSettings) -> Gains:
 
     Raises:
         InvalidInput: the rule does not apply to the model.
-        UnsafeStart: the loop would be unstable, or near it.
     """
-    plant = sampled_model(model, settings)
-    gains = largest_integral_gain(plant, settings)
-    proposal = Proposal("sensitivity_limited", gains, loop_margins(plant, gains, settings))
-    return proposal.checked().gains
+    return largest_integral_gain(sampled_model(model, settings), settings)
 
 
 def sampled_model(model: LinearModel, settings: ControllerSettings) -> SampledPlant:

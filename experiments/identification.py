@@ -15,24 +15,23 @@ from typing import NamedTuple
 import numpy as np
 from joblib import Parallel, delayed
 
-from experiments.results import Target, at_most, command_line, print_results
-from plants.bench.identify import (
-    Band,
+from experiments.paper.identify import (
     BroadbandExcitation,
     SecondOrderFit,
     fit_second_order,
-    multisine,
     open_loop_record,
     response_of_record,
 )
+from experiments.paper.identify.conditions import (
+    SAMPLING_HZ,
+    TENSIONS_N,
+    LENGTHS_m,
+    excitation,
+)
+from experiments.results import Target, at_most, command_line, print_results
 from plants.models.reel import Reel, reference_reel
 from plants.models.reel_equations import viscous_friction_Nms
 
-LENGTHS_m = (0.5, 0.8, 1.1, 1.4)
-TENSIONS_N = (5.0, 10.0, 20.0, 40.0)
-SAMPLING_HZ = 632.0
-BAND = Band(low_Hz=0.5, high_Hz=310.0, period_s=2.0, periods=4, settling_periods=1)
-PEAK_N = 40.0
 PROBABILITY = 0.95
 LIMITS = {"resonance": 0.005, "damping": 0.05, "dead_time": 0.1}
 SIGMAS = 3.29
@@ -51,11 +50,6 @@ class Trial(NamedTuple):
     error: dict[str, float]
     covered: dict[str, bool]
     half_width: dict[str, float]
-
-
-def excitation() -> BroadbandExcitation:
-    """The multisine of the experiment, with most power above the resonance."""
-    return multisine(SAMPLING_HZ, BAND, PEAK_N, slope=1.5, corner_Hz=20.0)
 
 
 def conditions() -> list[Reel]:

@@ -25,8 +25,8 @@ from estune.core.quantities import FloatArray
 from estune.reel.hybrid import SwitchingRules
 from estune.remote.zenoh import RemoteRig, SetpointStream, connect
 from estune.trial import Setpoint
+from experiments.paper.cable_platform import PoseController
 from experiments.results import Target, at_least, at_most, command_line, print_results
-from plants.bench.cable_platform import PoseController
 from plants.bench.cable_platform.examples import platform, served
 
 RADIUS_M, TURN_HZ = 0.1, 0.35

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 from estune.support.lazy_exports import lazy_exports
 
 if TYPE_CHECKING:
-    from plants.bench.demonstrations.moving_cable_end import simulate_moving
+    from plants.bench.moving_cable_end import simulate_moving
     from plants.diagnosis.experiments.designs import initial_experiments
     from plants.diagnosis.explain import explain
     from plants.effects import CoulombFriction, Effect, EyeletFriction
@@ -86,7 +86,7 @@ __getattr__, __dir__ = lazy_exports(
         "save_model": "plants.models.model_file",
         "servo": "plants.models.drives",
         "simulate": "plants.simulation.batch",
-        "simulate_moving": "plants.bench.demonstrations.moving_cable_end",
+        "simulate_moving": "plants.bench.moving_cable_end",
         "stage": "plants.models.drives",
         "unloaded_reel": "plants.models.unloaded_reel",
     },

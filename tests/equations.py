@@ -16,6 +16,7 @@ from typing import NamedTuple
 
 ROOT = Path(__file__).parents[1]
 TABLE = ROOT / "docs" / "reference" / "equations.md"
+FOLDERS = ("estune", "plants", "experiments/paper")
 NUMBERS = range(1, 38)
 
 _DECLARED = re.compile(r"Implements\s+((?:\(\d+\)(?:,\s+|\s+and\s+|\s+to\s+)?)+)")
@@ -39,9 +40,7 @@ class Place(NamedTuple):
 def implementations() -> dict[int, list[Place]]:
     """The docstrings that implement each equation; there must be one for each."""
     places = defaultdict(list)
-    for path in sorted(
-        p for folder in ("estune", "plants") for p in (ROOT / folder).rglob("*.py")
-    ):
+    for path in sorted(p for folder in FOLDERS for p in (ROOT / folder).rglob("*.py")):
         module = ".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__")
         for name, docstring in _docstrings(ast.parse(path.read_text("utf-8")), module):
             for declared in _DECLARED.finditer(docstring):
@@ -54,7 +53,7 @@ def implementations() -> dict[int, list[Place]]:
 def checks() -> dict[int, list[str]]:
     """The tests marked with each equation."""
     tests = defaultdict(list)
-    for path in sorted((ROOT / "tests").glob("test_*.py")):
+    for path in sorted((ROOT / "tests").rglob("test_*.py")):
         for node in ast.walk(ast.parse(path.read_text("utf-8"))):
             if isinstance(node, ast.FunctionDef):
                 for number in _marks(node):

@@ -10,8 +10,8 @@ import plants
 from estune.errors import InvalidInput
 from estune.trial import TrialRequest
 from estune.trial.profiles import StepProfile
+from experiments.paper.identify import Band, multisine, open_loop_record
 from plants import effects
-from plants.bench.identify import Band, multisine, open_loop_record
 from plants.conformance.effect import EffectConformance
 from plants.conformance.reel_runs import GAINS, REEL, UP, readings, rest, rollout, wander
 from plants.effects import EFFECTS, Effect, EyeletFriction, Port, Quantisation, RecordScale, Role

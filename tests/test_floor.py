@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from experiments.paper.identify.excitation import Band, chirp, multisine
+from experiments.paper.identify.open_loop import open_loop_record
 from plants import reference_reel
-from plants.bench.identify.excitation import Band, chirp, multisine
-from plants.bench.identify.open_loop import open_loop_record
 from plants.diagnosis.data.measured_record import MeasuredRecord
 from plants.diagnosis.data.noise import spectral_rms, step_of, upper_rms
 from plants.diagnosis.data.noise_floor import noise_floor

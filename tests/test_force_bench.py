@@ -12,9 +12,9 @@ from estune.core.gains import Gains
 from estune.errors import InvalidInput
 from plants.bench.cable_platform import bench_carriage
 from plants.bench.cable_platform.force_benches import SimulatedForceBench, open_benches
-from plants.bench.two_reels.felt_force import felt_force
-from plants.bench.two_reels.force_procedure import ForceSample, ForceTest
-from plants.bench.two_reels.outside_force import with_outside_force
+from plants.bench.felt_force.felt_force import felt_force
+from plants.bench.felt_force.force_procedure import ForceSample, ForceTest
+from plants.bench.felt_force.outside_force import with_outside_force
 from plants.models.reel import SAFE_GAINS, reference_reel
 from tests.test_setpoints import served_bench
 

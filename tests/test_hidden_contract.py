@@ -15,7 +15,7 @@ from experiments.hidden_machines.effects import CATALOGUE
 from experiments.hidden_machines.machine import DriveSignals, NoCompiler, run
 from experiments.hidden_machines.records import MachineRecord, machine
 from experiments.hidden_scores import measurement
-from plants.bench.identify import Band, multisine, open_loop_record
+from experiments.paper.identify import Band, multisine, open_loop_record
 from plants.diagnosis.data.measured_record import MeasuredRecord
 from plants.diagnosis.models.diagnosed_model import diagnosed
 from plants.diagnosis.prediction.prediction import Predictor

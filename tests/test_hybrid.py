@@ -12,7 +12,6 @@ from estune.core.pidf import ControllerSettings, PidfState
 from estune.errors import InvalidInput
 from estune.reel import hybrid
 from estune.reel.hybrid import HybridCoefficients, HybridSignals, HybridState, SwitchingRules
-from plants.bench.demonstrations.workspace_boundary import reference_boundary_trial, run_boundary
 
 RATE = 632.0
 
@@ -169,19 +168,6 @@ def test_selection_follows_the_rules_of_the_paper():
     assert rules.tension_setpoint_N(0.5, solved=True) == 2.0
     setpoint_N = rules.tension_setpoint_N(0.5, solved=False)
     assert not rules.select(previous=True, tension_N=setpoint_N, solved=False)
-
-
-def test_hand_over_at_the_boundary_keeps_the_cable_taut():
-    trial = reference_boundary_trial()
-    handed, parallel = run_boundary(trial)
-    for traces in (handed, parallel):
-        assert np.count_nonzero(np.diff(traces.in_tension)) >= 4  # both switch back and forth
-    assert np.abs(handed.jump_N).max() < 1e-9
-    assert np.abs(parallel.jump_N).max() > trial.platform.reel.tension_N
-    assert handed.tension_N.min() > trial.rules.tension_min_N
-    assert parallel.tension_N.min() == 0.0
-    # The user pushes the platform some centimetres beyond the boundary, then releases it.
-    assert handed.position_m.max() < 0.1 < parallel.position_m.max()
 
 
 @pytest.mark.parametrize("value", [0.0, -1.0, math.nan, math.inf])

@@ -9,9 +9,9 @@ import plants
 from estune.errors import InvalidInput
 from estune.trial import SATURATED, TrialRequest
 from estune.trial.profiles import MultisineProfile
+from experiments.paper.identify.excitation import Band, chirp, multisine
+from experiments.paper.identify.open_loop import open_loop_record
 from plants import reference_reel
-from plants.bench.identify.excitation import Band, chirp, multisine
-from plants.bench.identify.open_loop import open_loop_record
 from plants.diagnosis.checks.sensors import faults
 from plants.diagnosis.data.measured_record import MeasuredRecord
 from plants.diagnosis.data.records import FolderContents

@@ -12,9 +12,9 @@ import estune
 from estune.cli import run
 from estune.errors import InvalidInput
 from estune.run.results.export import columns, export_trials, metadata
+from experiments.paper.identify.excitation import Band, multisine
+from experiments.paper.identify.open_loop import open_loop_record
 from plants import reference_reel
-from plants.bench.identify.excitation import Band, multisine
-from plants.bench.identify.open_loop import open_loop_record
 from plants.diagnosis.data.measured_record import CHANNELS, MeasuredRecord
 from plants.diagnosis.data.records import read_measurements
 from tests.support_runs import ArithmeticRig

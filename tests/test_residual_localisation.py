@@ -10,9 +10,9 @@ from scipy.integrate import solve_ivp
 from scipy.signal import lfilter
 
 from estune.trial import LinearModel, TrialRequest
+from experiments.paper.identify.excitation import Band, chirp, multisine
+from experiments.paper.identify.open_loop import open_loop_record
 from plants import reference_reel
-from plants.bench.identify.excitation import Band, chirp, multisine
-from plants.bench.identify.open_loop import open_loop_record
 from plants.diagnosis.data.measured_record import MeasuredRecord
 from plants.diagnosis.data.noise_floor import noise_floor
 from plants.diagnosis.data.smoothing import Smoother

@@ -11,15 +11,16 @@ import estune
 import plants
 from estune.core.gains import Gains
 from estune.core.margins import Margins
+from estune.core.pidf import ControllerSettings
 from estune.errors import InvalidInput, UnsafeStart
 from estune.interop import linear_model, margins, model_gains
 from estune.run.planning import make_plan
 from estune.run.start import KnownStart
 from experiments.loop_claims import true_sensitivity
 from tests.support_runs import description, start_for
-from tests.test_initial import SETTINGS
 
 s = control.tf("s")
+SETTINGS = ControllerSettings(632.0, 0.002, -120.0, 120.0)
 
 
 def loop(model) -> Margins:

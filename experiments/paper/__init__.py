@@ -1,7 +1,17 @@
 """The paper's figures, reproduced with the project's models, and a verdict on each claim.
 
 `python -m experiments.paper` puts them on one page. Every number in a sentence is computed in the
-same run.
+same run. What the figures need and no command does, with the paper's equations and figures:
+
+    cable             sag, stretch and slack of the cable (1)-(7), string frequency (31)
+    identify          resonance, damping and dead time of a reel from broadband records, (30);
+                      its friction from a velocity ramp, (10)
+    initial_gains     gains by rules from the `second_order` model
+    two_reels         eyelet angles (11)-(13), friction contact (14)-(20), attenuation ratio B and
+                      friction coefficient (21)-(26), transparency index (27)-(29), hysteresis
+    demonstrations    friction and inertia compensation (Figs. 16 and 17), the boundary of the
+                      workspace (Fig. 18)
+    cable_platform    tension distribution and pose control of a platform
 """
 
 import importlib

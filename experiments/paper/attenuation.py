@@ -4,7 +4,7 @@ from matplotlib.figure import Figure
 
 from estune.support.plot_style import BLUE, GREY, VERMILION, finish, legend, stacked
 from experiments.paper import PaperFigure
-from plants.bench.two_reels import (
+from experiments.paper.two_reels import (
     WEBER_LIMIT,
     Eyelet,
     ReelModel,

@@ -11,16 +11,16 @@ from scipy.stats import linregress
 
 from estune.core.quantities import FloatArray
 from estune.support.plot_style import FOUR, finish, legend, stacked
-from experiments.identification import TENSIONS_N, LENGTHS_m, excitation
 from experiments.paper import PaperFigure
-from plants.bench.identify import (
+from experiments.paper.cable import string_frequency_Hz
+from experiments.paper.identify import (
     FrequencyResponse,
     SecondOrderFit,
     fit_second_order,
     open_loop_record,
     response_of_record,
 )
-from plants.cable import string_frequency_Hz
+from experiments.paper.identify.conditions import TENSIONS_N, LENGTHS_m, excitation
 from plants.models.reel import Reel
 
 TENSION_N = 15.0

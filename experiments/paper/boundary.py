@@ -8,7 +8,7 @@ from matplotlib.ticker import StrMethodFormatter
 
 from estune.support.plot_style import BLUE, GREY, VERMILION, finish, legend, stacked
 from experiments.paper import PaperFigure
-from plants.bench.demonstrations.workspace_boundary import (
+from experiments.paper.demonstrations.workspace_boundary import (
     BoundaryTraces,
     BoundaryTrial,
     reference_boundary_trial,

@@ -11,7 +11,7 @@ from estune.core.quantities import FloatArray
 from estune.reel.gravity import gravity_force_N
 from estune.support.plot_style import BLUE, GREEN, GREY, VERMILION, finish, legend, stacked
 from experiments.paper import PaperFigure
-from plants.bench.demonstrations.friction_compensation import (
+from experiments.paper.demonstrations.friction_compensation import (
     WrenchTraces,
     WrenchTrial,
     reference_wrench_trial,

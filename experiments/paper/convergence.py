@@ -9,8 +9,8 @@ from scipy.stats import f_oneway
 import estune
 from estune.core.quantities import FloatArray
 from estune.support.plot_style import FOUR, finish, legend, stacked
-from experiments.identification import LENGTHS_m
 from experiments.paper import PaperFigure
+from experiments.paper.identify.conditions import LENGTHS_m
 from plants.models.reel import Reel
 
 TENSION_N = 15.0

@@ -6,7 +6,7 @@ from matplotlib.figure import Figure
 
 from estune.support.plot_style import FOUR, finish, legend, stacked
 from experiments.paper import PaperFigure
-from plants.bench.two_reels import (
+from experiments.paper.two_reels import (
     Eyelet,
     HysteresisLoop,
     HysteresisTest,

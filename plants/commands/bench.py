@@ -19,8 +19,8 @@ from estune.run.journal import RUNS
 
 if TYPE_CHECKING:
     from plants.bench.cable_platform.force_benches import TestedReel
-    from plants.bench.two_reels.force_page import ReelForces
-    from plants.bench.two_reels.force_procedure import ForceTest
+    from plants.bench.felt_force.force_page import ReelForces
+    from plants.bench.felt_force.force_procedure import ForceTest
 
 
 def bench(
@@ -65,8 +65,8 @@ def bench(
     """
     from estune.support.html_page import write  # noqa: PLC0415  slow to import
     from plants.bench.cable_platform.force_benches import open_benches  # noqa: PLC0415  as above
-    from plants.bench.two_reels.force_page import COLUMNS, headline, page  # noqa: PLC0415  as above
-    from plants.bench.two_reels.force_procedure import ForceTest  # noqa: PLC0415  as above
+    from plants.bench.felt_force.force_page import COLUMNS, headline, page  # noqa: PLC0415  as above
+    from plants.bench.felt_force.force_procedure import ForceTest  # noqa: PLC0415  as above
 
     check_folder_exists("--report", report)
     if len(run) > 1 and len(run) != len(targets):
@@ -117,9 +117,9 @@ def _measure(
     *,
     quiet: bool,
 ) -> "ReelForces":
-    from plants.bench.two_reels.felt_force import felt_force  # noqa: PLC0415  slow to import
-    from plants.bench.two_reels.force_page import ReelForces  # noqa: PLC0415  as above
-    from plants.bench.two_reels.outside_force import with_outside_force  # noqa: PLC0415  as above
+    from plants.bench.felt_force.felt_force import felt_force  # noqa: PLC0415  slow to import
+    from plants.bench.felt_force.force_page import ReelForces  # noqa: PLC0415  as above
+    from plants.bench.felt_force.outside_force import with_outside_force  # noqa: PLC0415  as above
 
     records, figures = {}, {}
     for name, own in gains.items():
@@ -139,7 +139,7 @@ def _measure(
 
 
 def _plain(reels: "Sequence[ReelForces]") -> dict[str, Any]:
-    from plants.bench.two_reels.force_page import COLUMNS  # noqa: PLC0415  slow to import
+    from plants.bench.felt_force.force_page import COLUMNS  # noqa: PLC0415  slow to import
 
     return {
         reel.label: {

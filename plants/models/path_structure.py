@@ -11,7 +11,6 @@ from typing import Any, Protocol
 
 import casadi as ca
 
-from plants.cable.taut import GRAVITY_M_S2
 from plants.models.effect_stages import EffectStages
 from plants.models.parameters import Parameters, ParametricStructure
 from plants.simulation.equations import (
@@ -20,6 +19,9 @@ from plants.simulation.equations import (
     held_input,
     pack_constants,
 )
+
+GRAVITY_M_S2 = 9.80665
+"""Standard gravity, ISO 80000-3."""
 
 SUBSTEPS = 4
 

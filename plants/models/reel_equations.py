@@ -23,10 +23,10 @@ from typing import Any, ClassVar
 
 import casadi as ca
 
-from plants.cable.taut import GRAVITY_M_S2
 from plants.effects.effect import Effect, Port
 from plants.models.effect_stages import EffectStages
 from plants.models.path_structure import (
+    GRAVITY_M_S2,
     SUBSTEPS,
     EffectNumbers,
     PathStructure,

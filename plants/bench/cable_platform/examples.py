@@ -1,11 +1,11 @@
 """A platform held by four reels and a two-reel bench, and the process that serves their reels."""
 
+import math
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 
 from estune.support.child_process import child_process, next_line
 from plants.bench.cable_platform.mechanism import Mechanism, bench_carriage, planar_platform
-from plants.bench.two_reels import attenuation
 from plants.models.reel import reference_reel
 
 _END_WITHIN_S = 10.0
@@ -24,7 +24,9 @@ def platform() -> tuple[Mechanism, tuple[str, ...]]:
 
 def bench() -> tuple[Mechanism, tuple[str, ...]]:
     """Two reference reels face to face, both eyelets with C_R = 0.1 and a bend of 2.1 rad."""
-    reel, B = reference_reel(), attenuation(0.1, 2.1)
+    tangent = 0.1 / math.sqrt(1.0 - 0.1**2)  # of the friction angle, whose sine is C_R
+    B = math.exp(-2.0 * math.asinh(tangent * math.cos(2.1 / 2.0)))  # (22)
+    reel = reference_reel()
     return bench_carriage(reel, reel, (B, B)), ("x", "y")
 
 

@@ -13,7 +13,7 @@ from estune.trial import RigDescription, Setpoint
 from plants.bench.cable_platform.examples import bench
 from plants.bench.cable_platform.mechanism import Mechanism, bench_carriage
 from plants.bench.cable_platform.simulation import Simulation
-from plants.bench.two_reels.force_procedure import ForceBench, ForceSample
+from plants.bench.felt_force.force_procedure import ForceBench, ForceSample
 from plants.models.reel import Reel
 
 RATE_HZ = 200.0

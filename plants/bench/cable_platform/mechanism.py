@@ -24,7 +24,7 @@ import numpy as np
 
 from estune.core.quantities import FloatArray, check_not_negative, check_positive
 from estune.errors import InvalidInput
-from plants.cable.taut import GRAVITY_M_S2
+from plants.models.path_structure import GRAVITY_M_S2
 from plants.models.reel import Reel, reference_reel
 from plants.models.reel_equations import viscous_friction_Nms
 

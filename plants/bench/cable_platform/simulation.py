@@ -15,7 +15,7 @@ from plants.models.reel import SAFE_GAINS
 from plants.simulation.buffers import Buffers
 
 POSITION_GAINS = Gains(P=2000.0, I=6000.0, D=120.0, setpoint_filter_s=0.0)
-"""Of the drum in m of cable; as in `plants.bench.demonstrations.workspace_boundary`."""
+"""Of the drum in m of cable; as in `experiments.paper.demonstrations.workspace_boundary`."""
 
 
 @dataclass

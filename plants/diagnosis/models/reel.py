@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 
 from estune.core.quantities import FloatArray
-from plants.cable.taut import GRAVITY_M_S2
 from plants.diagnosis.constants import CONSTANTS
 from plants.diagnosis.data.measured_record import MeasuredRecord
 from plants.diagnosis.models.calibration import SaggingCalibration
@@ -21,6 +20,7 @@ from plants.diagnosis.models.free_parameters import (
 )
 from plants.diagnosis.models.initial_states import shifted
 from plants.effects import Effect
+from plants.models.path_structure import GRAVITY_M_S2
 from plants.models.reel import Reel
 from plants.models.reel_equations import (
     ReelStructure,
