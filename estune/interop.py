@@ -2,7 +2,7 @@
 
 import math
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -11,26 +11,22 @@ from estune.core.gains import Gains
 from estune.core.margins import Margins, SampledPlant, loop_margins, sample_plant
 from estune.core.pidf import ControllerSettings
 from estune.core.quantities import FloatArray
-from estune.core.schedule import GainSchedule
 from estune.core.sensitivity import largest_integral_gain
 from estune.errors import InvalidInput
 from estune.trial import LinearModel
 
 if TYPE_CHECKING:  # python-control takes more than a second to import
-    from control import NonlinearIOSystem, StateSpace, TransferFunction
+    from control import StateSpace, TransferFunction
 
 __all__ = [
     "Margins",
     "as_control",
     "closed_loop",
-    "from_control",
     "linear_model",
     "margins",
     "model_gains",
     "sampled_controller",
     "sampled_plant",
-    "schedule_to_control",
-    "to_control",
 ]
 
 
@@ -61,29 +57,6 @@ def sampled_model(model: LinearModel, settings: ControllerSettings) -> SampledPl
         dead_time_s=model.dead_time_s,
         sample_s=1.0 / settings.sampling_Hz,
     )
-
-
-def to_control(
-    gains: Gains, settings: ControllerSettings
-) -> "tuple[TransferFunction, TransferFunction, TransferFunction]":
-    """The controller in continuous time, as python-control transfer functions.
-
-    Returns:
-        F = 1/(tau_F s + 1), C_r = P + I/s, and C_y = P + I/s + D s/(tau_d s + 1), so that
-        u = C_r F r - C_y y, (32) to (34); tau_d = 0 is the ideal derivative.
-    """
-    from control import tf  # noqa: PLC0415  slow to import
-
-    P, I, D, lag = gains.P, gains.I, gains.D, settings.derivative_filter_s
-    if D == 0.0:
-        lag = 0.0
-    F = tf([1.0], [gains.setpoint_filter_s, 1.0])
-    C_r = tf([P, I], [1.0, 0.0]) if I > 0.0 else tf([P], [1.0])
-    if I > 0.0:
-        C_y = tf([P * lag + D, P + I * lag, I], [lag, 1.0, 0.0])
-    else:
-        C_y = tf([P * lag + D, P], [lag, 1.0])
-    return F, C_r, C_y
 
 
 def sampled_controller(gains: Gains, settings: ControllerSettings) -> "StateSpace":
@@ -189,101 +162,6 @@ def closed_loop(
     )
 
 
-def schedule_to_control(
-    schedule: GainSchedule, settings: ControllerSettings
-) -> "NonlinearIOSystem":
-    """The controller with scheduled gains in continuous time, as a python-control system.
-
-    At a fixed length and tension it equals the controller of `to_control`. It has no limits and no
-    anti-windup. The integral is stored as effort, so that gain changes cause no jump.
-
-    Args:
-        schedule: Gains over cable length and tension; constant outside its range.
-        settings: The derivative filter tau_d, which must not be zero, is taken from here.
-
-    Returns:
-        A system of inputs `setpoint`, `measurement`, `length_m` and `tension_N`, output `effort`,
-        and states `integral`, `setpoint_filter`, `measurement_filter`.
-
-    Raises:
-        InvalidInput: there is no derivative filter; an ideal derivative has no state.
-    """
-    from control import nlsys  # noqa: PLC0415  slow to import
-
-    lag = settings.derivative_filter_s
-    if lag == 0.0:
-        raise InvalidInput("derivative filter is 0 s; give a scheduled controller one above zero")
-
-    def at(u: FloatArray) -> Gains:
-        return schedule.gains(float(u[2]), float(u[3]))
-
-    def rates(_t: float, x: FloatArray, u: FloatArray, _params: Any) -> FloatArray:
-        gains, (_, r_F, y_F) = at(u), x
-        # A setpoint filter of zero is approximated by a hundredth of the derivative filter.
-        tau_F = max(gains.setpoint_filter_s, 0.01 * lag)
-        return np.array([gains.I * (r_F - u[1]), (u[0] - r_F) / tau_F, (u[1] - y_F) / lag])
-
-    def effort(_t: float, x: FloatArray, u: FloatArray, _params: Any) -> FloatArray:
-        gains, (integral, r_F, y_F) = at(u), x
-        return np.array([gains.P * (r_F - u[1]) + integral - gains.D * (u[1] - y_F) / lag])
-
-    return nlsys(
-        rates,
-        effort,
-        inputs=["setpoint", "measurement", "length_m", "tension_N"],
-        outputs=["effort"],
-        states=["integral", "setpoint_filter", "measurement_filter"],
-        name="scheduled_pidf",
-    )
-
-
-def from_control(C_y: "TransferFunction", setpoint_filter_s: float = 0.0) -> Gains:
-    """The gains of a PID controller given as a python-control transfer function.
-
-    P, PI, PD and PID are recognised, the derivative ideal or with a first-order filter. The
-    filter's time constant is not one of the gains: give it to `ControllerSettings`.
-
-    Args:
-        C_y: The controller from measurement to effort, without the minus sign of the feedback.
-        setpoint_filter_s: Time constant of the setpoint filter F, s.
-
-    Raises:
-        InvalidInput: the transfer function is not of that form, or not continuous and
-            single-input, single-output, or a gain is out of its range.
-    """
-    from control import TransferFunction  # noqa: PLC0415  slow to import
-
-    if not isinstance(C_y, TransferFunction):
-        raise InvalidInput(
-            f"the controller is a {type(C_y).__name__}; give a python-control TransferFunction, "
-            "for instance by control.tf"
-        )
-    _check_siso_continuous(C_y, "controller")
-    numerator, denominator = _coprime(C_y.num[0][0], C_y.den[0][0])
-    if not np.isfinite([*numerator, *denominator]).all():
-        raise InvalidInput("the controller has a coefficient that is not finite")
-    if len(denominator) > 3 or len(numerator) > 3:
-        raise _not_a_pid("it has more than two poles or two zeros")
-    c0, c1, c2 = _ascending(denominator)
-    n0, n1, n2 = _ascending(numerator)
-    if c0 != 0.0 and c2 == 0.0:  # no integral action: (n0 + n1 s)/(c0 + c1 s)
-        if n2 != 0.0:
-            raise _not_a_pid("it differentiates twice or has a second zero without an integrator")
-        lag, P, I = c1 / c0, n0 / c0, 0.0
-        D = n1 / c0 - P * lag
-    elif c0 == 0.0 and c1 != 0.0:  # (n0 + n1 s + n2 s^2)/(s (c1 + c2 s))
-        lag, I = c2 / c1, n0 / c1
-        P = n1 / c1 - I * lag
-        D = n2 / c1 - P * lag
-    else:
-        raise _not_a_pid("its poles are not one at the origin and one of a derivative filter")
-    if lag < 0.0:
-        raise _not_a_pid(f"its derivative filter has an unstable pole, time constant {lag:g} s")
-    if abs(D) <= 1e-12 * abs(P) * lag:  # rounding, where zero and pole of the filter cancel
-        D = 0.0
-    return Gains(P, I, D, setpoint_filter_s)
-
-
 def linear_model(system: "TransferFunction | StateSpace", dead_time_s: float = 0.0) -> LinearModel:
     """The plant given as a transfer function or state space of python-control or SciPy.
 
@@ -350,27 +228,6 @@ def _check_siso_continuous(system: "TransferFunction | StateSpace", what: str) -
         raise InvalidInput(
             f"the {what} is discrete, sampled every {system.dt} s; give it in continuous time"
         )
-
-
-def _coprime(numerator: FloatArray, denominator: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Both polynomials without leading zeros and common powers of s, highest power first."""
-    numerator, denominator = np.trim_zeros(numerator, "f"), np.trim_zeros(denominator, "f")
-    while numerator.size and numerator[-1] == 0.0 == denominator[-1]:
-        numerator, denominator = numerator[:-1], denominator[:-1]
-    return numerator, denominator
-
-
-def _ascending(polynomial: FloatArray) -> tuple[float, float, float]:
-    """The coefficients of 1, s and s^2 of a polynomial given highest power first."""
-    c0, c1, c2 = (*map(float, polynomial[::-1]), 0.0, 0.0, 0.0)[:3]
-    return c0, c1, c2
-
-
-def _not_a_pid(why: str) -> InvalidInput:
-    return InvalidInput(
-        f"the controller is not P + I/s + D s/(tau s + 1): {why}; "
-        "give a controller of this form, or its gains"
-    )
 
 
 def _state_space(

@@ -43,8 +43,8 @@ from estune.trial.profiles import StepProfile, TriangleProfile
 from estune.trial.scoring import cost_of
 from experiments.loop_claims import true_sensitivity
 from experiments.results import at_most, command_line, print_results
+from experiments.virtual_loop import VirtualLoop
 from plants.emulator import RIG_FILE
-from plants.emulator.virtual_loop import VirtualLoop
 
 COULOMB_Nm, STATIC_Nm, STRIBECK_rad_s = 0.02, 0.03, 0.5
 INERTIA_kgm2, VISCOUS_Nms = 2.0e-3, 0.010

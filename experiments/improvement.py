@@ -24,8 +24,8 @@ from estune.hardware import HardwareRig
 from estune.hardware.config import config_from
 from estune.hardware.loop_messages import BeginTrial, LoopPlan
 from experiments.results import at_least, at_most, command_line, print_results
+from experiments.virtual_loop import VirtualLoop
 from plants.emulator import RIG_FILE
-from plants.emulator.virtual_loop import VirtualLoop
 from plants.improvement.tuning import ImprovementOptions
 
 FRICTION_Nm = 0.01, 0.04

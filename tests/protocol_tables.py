@@ -11,7 +11,9 @@ from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 from estune.remote.state_machine.reply_codes import ReplyCode
 from estune.remote.state_machine.state import Mode
 from estune.trial import Outcome
-from estune.trial.profiles import PROFILES
+from estune.trial.profiles import AnyProfile
+
+PROFILES: tuple[type[AnyProfile], ...] = get_args(AnyProfile)
 
 
 def table(head: Iterable[str], rows: Iterable[Iterable[Any]]) -> Iterator[str]:
@@ -103,7 +105,7 @@ _PLAIN: dict[Any, str] = {
     bool: "true or false",
     type(None): "null",
     Outcome: "an outcome",
-    **dict.fromkeys(PROFILES, "a profile"),
+    **dict.fromkeys(get_args(AnyProfile), "a profile"),
     ReplyCode: "a reply code",
     Mode: "a mode",
 }

@@ -34,10 +34,10 @@ from estune.trial import (
     TrialRequest,
     record_frame,
 )
-from estune.trial.profiles import PROFILES
 from experiments.inert_rig import RECORD
 from tests.protocol_examples import EXAMPLES, SAMPLES
 from tests.protocol_tables import (
+    PROFILES,
     fields_list,
     hex_dump,
     message_section,

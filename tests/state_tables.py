@@ -3,6 +3,7 @@
 Run it after each change of a transition: ./dev python -m tests.state_tables
 """
 
+import inspect
 import re
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -10,7 +11,7 @@ from typing import Any
 
 from estune.daemon import supervisor_state
 from estune.hardware.reel_machine import transitions
-from estune.support.state_table import IMPOSSIBLE, StateTable, sentence_of
+from estune.support.state_table import IMPOSSIBLE, StateTable
 from tests.protocol_tables import table
 
 PAGE = Path(__file__).parents[1] / "docs" / "reference" / "state-machines.md"
@@ -20,6 +21,13 @@ TABLES: dict[str, StateTable[Any, Any, Any]] = {
 }
 
 _SECTION = re.compile(r"(<!-- from the code: (\w+) -->\n).*?(<!-- end -->)", re.DOTALL)
+
+
+def sentence_of(cell: Callable[..., Any] | str) -> str:
+    """What a cell does, or why it does nothing, in a sentence."""
+    if not isinstance(cell, str):
+        return (inspect.getdoc(cell) or "").split("\n")[0]
+    return f"{cell[:1].upper()}{cell[1:]}." if cell == IMPOSSIBLE else f"Refused: {cell}."
 
 
 def matrix(states: StateTable[Any, Any, Any], title: Callable[[Any], str]) -> Iterator[str]:

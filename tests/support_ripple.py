@@ -6,7 +6,7 @@ from dataclasses import asdict, replace
 from estune.core.gains import Gains
 from estune.proof.patch import Patch
 from estune.proof.trials import prove
-from plants.emulator.virtual_loop import virtual_rig
+from experiments.virtual_loop import virtual_rig
 from tests.support_hardware import config
 
 GAINS = Gains(0.78, 31.0, 0.0206, 0.0003)

@@ -10,9 +10,9 @@ from estune.core.cost import default_cost
 from estune.hardware.compensation.plan import CompensationTerms
 from estune.hardware.config import config_from
 from estune.trial import TrialRequest
+from experiments.virtual_loop import virtual_rig
 from plants.effects import CoulombFriction
 from plants.emulator import RIG_FILE
-from plants.emulator.virtual_loop import virtual_rig
 from plants.improvement.experiment_runner import ExperimentRunner
 from plants.improvement.tuning import approach_of
 from plants.simulation.approach import Approach, ApproachedPlant

@@ -26,9 +26,9 @@ from estune.trial import SATURATED, Outcome, TrialRecord, TrialRequest
 from estune.trial.loop_records import loop_signals
 from estune.trial.profiles import StepProfile, TriangleProfile
 from estune.trial.records import COMPENSATION_COLUMNS
+from experiments.virtual_loop import virtual_rig
 from plants.diagnosis.data.records import read_measurements
 from plants.emulator import RIG_FILE
-from plants.emulator.virtual_loop import virtual_rig
 from tests.support_hardware import config
 
 FRICTION = {

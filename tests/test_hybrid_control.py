@@ -17,7 +17,7 @@ from estune.reel import hybrid
 from estune.reel.hybrid import HybridCoefficients, HybridSignals, HybridState
 from estune.support import c_compiler
 from estune.trial import Setpoint, TrialRequest
-from plants.emulator.virtual_loop import virtual_rig
+from experiments.virtual_loop import virtual_rig
 from tests.support_hardware import config, loop_state
 
 HYBRID = {

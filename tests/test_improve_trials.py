@@ -13,8 +13,8 @@ from estune.hardware.config import config_from
 from estune.run.loop import Stopped
 from estune.support.html_page import prose, render
 from estune.trial import GUARD, LATE, Outcome, record_frame
+from experiments.virtual_loop import virtual_rig
 from plants.emulator import RIG_FILE
-from plants.emulator.virtual_loop import virtual_rig
 from plants.improvement import improve as module
 from plants.improvement.page import page
 from plants.improvement.result import OWN, REACHED, TUNED, Costs

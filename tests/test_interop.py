@@ -5,8 +5,6 @@ import math
 import control
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from estune.core.gain_forms import backed_off, gain_forms
 from estune.core.gains import Gains
@@ -15,98 +13,16 @@ from estune.core.pidf import ControllerSettings, coefficients, state_at_rest, st
 from estune.errors import InvalidInput
 from estune.interop import (
     closed_loop,
-    from_control,
     linear_model,
     margins,
     sampled_controller,
-    to_control,
 )
 
 s = control.tf("s")
 
-magnitude = st.floats(1e-3, 1e3)
-gain_values = st.builds(
-    Gains, magnitude, st.just(0.0) | magnitude, st.just(0.0) | magnitude, st.just(0.0) | magnitude
-)
-
 
 def settings(sampling_Hz, derivative_filter_s):
     return ControllerSettings(sampling_Hz, derivative_filter_s, -math.inf, math.inf)
-
-
-# --- the controller --------------------------------------------------------------------------
-
-
-@given(gain_values, st.just(0.0) | st.floats(1e-4, 1e-1))
-def test_controller_to_python_control_and_back(gains, derivative_filter_s):
-    F, _, C_y = to_control(gains, settings(632.0, derivative_filter_s))
-    setpoint_filter_s = F.den[0][0][0] if F.den[0][0].size > 1 else 0.0
-    back = from_control(C_y, setpoint_filter_s)
-    # The filter mixes the coefficients P + I tau and D + P tau; the tolerance is their rounding.
-    lag = derivative_filter_s if gains.D > 0.0 else 0.0
-    assert back.I == gains.I
-    assert back.setpoint_filter_s == gains.setpoint_filter_s
-    assert pytest.approx(gains.P, rel=0.0, abs=3e-16 * (gains.P + gains.I * lag)) == back.P
-    assert (
-        pytest.approx(gains.D, rel=0.0, abs=1e-15 * (gains.D + lag * (gains.P + gains.I * lag)))
-        == back.D
-    )
-
-
-@given(gain_values)
-def test_controller_with_ideal_derivative_returns_bit_for_bit(gains):
-    F, C_r, C_y = to_control(gains, settings(632.0, 0.0))
-    assert from_control(C_y, gains.setpoint_filter_s) == gains
-    assert from_control(C_r) == Gains(gains.P, gains.I, 0.0, 0.0)
-    assert F(0.0) == 1.0
-
-
-@given(gain_values, st.floats(0.1, 1e3))
-def test_transfer_functions_match_the_equations(gains, omega):
-    tau_d, jw = 0.004, 1j * omega
-    F, C_r, C_y = to_control(gains, settings(632.0, tau_d))
-    P, I, D, tau_F = gains.as_tuple()
-    assert F(jw) == pytest.approx(1.0 / (tau_F * jw + 1.0), rel=1e-9)
-    assert C_r(jw) == pytest.approx(P + I / jw, rel=1e-9)
-    assert C_y(jw) == pytest.approx(P + I / jw + D * jw / (tau_d * jw + 1.0), rel=1e-9)
-
-
-def test_from_control_recognises_a_controller_in_s():
-    K, Ti, Td, tau = 2.0, 0.5, 0.1, 0.01
-    ideal = K * (1 + 1 / (Ti * s) + Td * s)
-    filtered = K * (1 + 1 / (Ti * s) + Td * s / (tau * s + 1))
-    for controller in (ideal, filtered):
-        assert from_control(controller, 0.03).as_tuple() == pytest.approx((2.0, 4.0, 0.2, 0.03))
-    cancelled = (2 * s + 3) * (0.7 * s + 1) / (s * (0.7 * s + 1))
-    assert from_control(cancelled).as_tuple() == pytest.approx((2.0, 3.0, 0.0, 0.0))
-    assert from_control(control.tf([3.0], [1.0])) == Gains(3.0, 0.0, 0.0, 0.0)
-    assert from_control(control.tf([4.0, 3.0, 0.0], [2.0, 0.0])) == Gains(1.5, 0.0, 2.0, 0.0)
-
-
-@pytest.mark.parametrize(
-    ("controller", "why"),
-    [
-        ((1 + s) / s**2, "not one at the origin and one of a derivative filter"),
-        (
-            (1 + s) / ((1 + s / 5) * (2 + s)),
-            "not one at the origin and one of a derivative filter",
-        ),
-        ((1 + s) ** 3 / s, "more than two poles or two zeros"),
-        ((1 + s) ** 2 / (s * (1 + s / 9) ** 2), "more than two poles or two zeros"),
-        (1 + s**2, "differentiates twice"),
-        ((1 + s) ** 2 / (s * (1 - 0.01 * s)), "unstable pole, time constant -0.01 s"),
-        ((1 - s) ** 2 / s, "gain P is -2"),
-        ((1 + s / 9) / (1 + s), "gain D is -"),
-        (control.tf([1.0, 1.0], [1.0, 0.0], 0.1), "discrete, sampled every 0.1 s"),
-        (control.tf([[[1.0], [1.0]]], [[[1.0], [1.0]]]), "2 inputs and 1 outputs"),
-        (control.ss([[-1.0]], [[1.0]], [[1.0]], [[0.0]]), "is a StateSpace"),
-        (control.tf([math.nan, 1.0], [1.0, 0.0]), "not finite"),
-        (3.0, "is a float"),
-    ],
-)
-def test_from_control_refuses_other_controllers_with_reason(controller, why):
-    with pytest.raises(InvalidInput, match=why):
-        from_control(controller)
 
 
 # --- the plant -------------------------------------------------------------------------------

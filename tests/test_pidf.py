@@ -20,7 +20,6 @@ from estune.core.pidf import (
     symbolic_coefficients,
 )
 from estune.errors import InvalidInput
-from estune.interop import to_control
 
 UNLIMITED = (-math.inf, math.inf)
 LIMITED = ControllerSettings(632.0, 5e-4, -20.0, 30.0)
@@ -61,7 +60,9 @@ def test_sampled_controller_converges_to_the_continuous_one(gains):
         t = np.arange(0.0, 0.5, 1.0 / sampling_Hz)
         setpoint = 1.0 - np.cos(14.0 * t)
         measurement = np.sin(9.0 * t) ** 2 + 0.2 * (1.0 - np.cos(40.0 * t))
-        F, C_r, C_y = to_control(gains, settings)
+        s = control.tf("s")
+        F, C_r = 1.0 / (gains.setpoint_filter_s * s + 1.0), gains.P + gains.I / s
+        C_y = C_r + gains.D * s / (settings.derivative_filter_s * s + 1.0)
         continuous = (
             control.forced_response(C_r * F, t, setpoint).outputs
             - control.forced_response(C_y, t, measurement).outputs

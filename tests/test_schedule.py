@@ -6,7 +6,6 @@ import subprocess
 from dataclasses import replace
 from functools import cache
 
-import control
 import numpy as np
 import pytest
 from hypothesis import given
@@ -24,7 +23,6 @@ from estune.hardware.driver import Reading
 from estune.hardware.live_gains import LengthSource, LiveGains
 from estune.hardware.schedule_file import read_schedule, schedule_header
 from estune.hardware.shared_memory import MotionPhase
-from estune.interop import schedule_to_control, to_control
 from estune.support import c_compiler
 from estune.trial import Outcome, TrialRequest
 from estune.trial.profiles import StepProfile
@@ -179,21 +177,6 @@ def test_firmware_header_gives_equal_and_continuous_gains(tmp_path, flags, toler
     expected = [SCHEDULE.gains(*row[:2]).as_tuple() for row in queries.tolist()]
     np.testing.assert_allclose(computed[:, :4], expected, rtol=max(tolerance, 1e-14) / 10.0)
     np.testing.assert_allclose(computed[:, 5], computed[:, 4], rtol=0.0, atol=100.0 * tolerance)
-
-
-# --- python-control --------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("L", [0.5, 1.1])
-def test_python_control_system_at_one_length_is_that_controller(L):
-    system = schedule_to_control(SCHEDULE, SETTINGS)
-    frozen = control.linearize(system, np.zeros(3), np.array([0.0, 0.0, L, 15.0]))
-    F, C_r, C_y = to_control(SCHEDULE.gains(L, 15.0), SETTINGS)
-    omega = np.logspace(-1, 3, 9)
-    for place, expected in ((0, C_r * F), (1, -C_y)):
-        scheduled_rig = frozen[0, place]
-        response = [scheduled_rig(1j * w) for w in omega]
-        np.testing.assert_allclose(response, [expected(1j * w) for w in omega], rtol=1e-3)
 
 
 # --- on a rig --------------------------------------------------------------------------------

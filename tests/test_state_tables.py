@@ -18,7 +18,7 @@ from estune.remote.state_machine.client import ClientInput, ClientStage
 from estune.remote.state_machine.reply_codes import ReplyCode
 from estune.remote.state_machine.state import Mode
 from estune.remote.state_machine.trials import TrialEvent, TrialState
-from estune.support.state_table import StateTable, sentence_of
+from estune.support.state_table import StateTable
 from estune.trial import Outcome
 from estune.trial.profiles import StepProfile
 from tests import state_tables
@@ -41,7 +41,7 @@ def test_table_has_a_function_or_a_reason_for_every_event_in_every_mode(name):
     for event, mode in product(inputs, modes):
         cell = table.cell(event, mode)
         assert callable(cell) or (isinstance(cell, str) and cell), (event, mode)
-        sentence = sentence_of(cell)
+        sentence = state_tables.sentence_of(cell)
         assert sentence, (event, mode)
         assert isinstance(cell, str) or len(sentence.split()) <= 20, sentence
 

@@ -12,15 +12,13 @@ _RECURRENCES = ((0, 0, (1,)), (1, 0, (1,)), (2, 1, (1, 3)), (3, 1, (1, 3, 1)))
 """Degree and inner coefficients of the primitive polynomial of each dimension, and the first
 direction numbers (Joe and Kuo, SIAM Journal on Scientific Computing 30, 2008)."""
 
-DIMENSIONS_MAX = len(_RECURRENCES)
-
 
 @lru_cache(maxsize=16)
 def sobol_points(dimensions: int, count: int) -> FloatArray:
     """The first points of the sequence in the unit cube, read-only, shape (count, dimensions).
 
     Args:
-        dimensions: At most `DIMENSIONS_MAX`.
+        dimensions: At most four.
         count: Number of points.
     """
     directions = np.array([_directions(dimension) for dimension in range(dimensions)])

@@ -8,7 +8,7 @@ reel, end 3 the far end.
 import numpy as np
 from numpy.typing import ArrayLike
 
-from estune.core.quantities import FloatArray, Numbers, checked_array, scalar_or_array
+from estune.core.quantities import Numbers, checked_array, scalar_or_array
 
 
 def gravity_force_N(
@@ -35,7 +35,9 @@ def gravity_force_N(
         "length_m", length_m, "m", least=0.0
     )
     V_1 = checked_array("tension_1z_N", tension_1z_N, "N")
-    return _limited(weight, V_1, checked_array("tension_1_N", tension_1_N, "N"))
+    T_1 = checked_array("tension_1_N", tension_1_N, "N")
+    cosine = np.clip(V_1, -np.abs(T_1), np.abs(T_1)) / np.where(T_1 > 0.0, T_1, 1.0)
+    return scalar_or_array(np.asarray(np.where(T_1 > 0.0, -cosine, 1.0) * weight))
 
 
 def gravity_force_by_position_N(
@@ -69,10 +71,4 @@ def gravity_force_by_position_N(
     # Multiplied by |T_1|/(mu g ds), to avoid dividing by a tension of zero.
     share = np.divide(z, s, out=np.zeros(np.broadcast(z, s).shape), where=s > 0.0)
     V_1 = share * (T_1 + 0.5 * w * z) - 0.5 * w * s
-    return _limited(w * s, V_1, T_1)
-
-
-def _limited(weight: FloatArray, V_1: FloatArray, T_1: FloatArray) -> Numbers:
-    """`-weight V_1/T_1` within plus and minus the weight; the weight without tension."""
-    cosine = np.clip(V_1, -np.abs(T_1), np.abs(T_1)) / np.where(T_1 > 0.0, T_1, 1.0)
-    return scalar_or_array(np.asarray(np.where(T_1 > 0.0, -cosine, 1.0) * weight))
+    return gravity_force_N(w, s, tension_1z_N=V_1, tension_1_N=T_1)

@@ -170,20 +170,6 @@ def step(
     return HybridState(position, tension, in_tension), effort
 
 
-def parallel_step(
-    c: HybridCoefficients, state: HybridState, signals: HybridSignals, in_tension: Selection
-) -> tuple[HybridState, Signal]:
-    """One sample without hand-over: both controllers run in parallel and S selects an effort.
-
-    The reference for (36) and (37), not for use on a reel: the integral of the inactive controller
-    winds up, and a switch releases it.
-    """
-    r_p, y_p, r_t, y_t = signals
-    position, s_p, _ = pidf_step(c.position, state.position, r_p, y_p)
-    tension, s_t, _ = pidf_step(c.tension, state.tension, r_t, y_t)
-    return HybridState(position, tension, in_tension), _either(in_tension, s_t, s_p)
-
-
 def _either(choice: Selection, yes: Signal, no: Signal) -> Signal:
     """`yes` if chosen, else `no`; for one selection, or one for each reel."""
     if isinstance(choice, bool):

@@ -95,21 +95,6 @@ def _proportional(log: LoopLog) -> float:
     return abs(sum(float(effort @ error) for effort, error in moves)) / max(power, 1e-300)
 
 
-def without(stretch: Stretch, bad: BoolArray, sampling_Hz: float) -> list[Stretch]:
-    """The parts of a stretch beside the samples marked, those that are long enough."""
-    return [
-        Stretch(
-            stretch.log,
-            stretch.start_s + rows.start / sampling_Hz,
-            stretch.setpoint[rows],
-            stretch.measurement[rows],
-            None if stretch.effort is None else stretch.effort[rows],
-        )
-        for rows in _runs(~bad)
-        if rows.stop - rows.start >= SHORTEST
-    ]
-
-
 def _stretch(name: str, part: Columns, rows: slice) -> Stretch:
     effort = part["effort"][rows] if "effort" in part else None
     start_s = float(part["time"][rows.start])

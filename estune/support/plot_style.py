@@ -8,7 +8,6 @@ grey.
 
 from contextlib import AbstractContextManager
 from io import BytesIO
-from typing import Any
 
 from matplotlib import rc_context
 from matplotlib.axes import Axes
@@ -20,13 +19,6 @@ from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 BLACK, GREY, LIGHT = "#222222", "#7a7a7a", "#d9d9d9"
 BLUE, VERMILION, GREEN, ORANGE, PURPLE = "#0072b2", "#d55e00", "#009e73", "#b87d00", "#cc79a7"
 
-FOUR: tuple[dict[str, Any], ...] = (
-    {"color": BLUE, "linestyle": "-", "linewidth": 1.2},
-    {"color": GREEN, "linestyle": (0, (5, 1.2)), "linewidth": 1.2},
-    {"color": PURPLE, "linestyle": (0, (1.5, 0.9)), "linewidth": 1.2},
-    {"color": VERMILION, "linestyle": (0, (6, 1.5, 1.5, 1.5)), "linewidth": 1.2},
-)
-"""Styles of four curves; the dashes distinguish them in grey."""
 WIDTH_in = 7.2
 
 _DECADE = 10.0

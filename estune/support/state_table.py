@@ -4,7 +4,6 @@ All state machines of estune have this form. The functions differ in what they t
 which each machine says; the first line of their docstring is the text of the printed table.
 """
 
-import inspect
 from collections.abc import Callable, Mapping, Sequence
 from enum import Enum
 from types import MappingProxyType
@@ -64,10 +63,3 @@ def described(sentence: str) -> Callable[[_AnyF], _AnyF]:
         return function
 
     return decorate
-
-
-def sentence_of(cell: Callable[..., Any] | str) -> str:
-    """What a cell does, or why it does nothing, in a sentence."""
-    if not isinstance(cell, str):
-        return (inspect.getdoc(cell) or "").split("\n")[0]
-    return f"{cell[:1].upper()}{cell[1:]}." if cell == IMPOSSIBLE else f"Refused: {cell}."

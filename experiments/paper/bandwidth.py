@@ -10,9 +10,10 @@ from matplotlib.ticker import StrMethodFormatter
 from scipy.stats import linregress
 
 from estune.core.quantities import FloatArray
-from estune.support.plot_style import FOUR, finish, legend, stacked
+from estune.support.plot_style import finish, legend, stacked
 from experiments.paper import PaperFigure
 from experiments.paper.cable import string_frequency_Hz
+from experiments.paper.curves import FOUR
 from experiments.paper.identify import (
     FrequencyResponse,
     SecondOrderFit,

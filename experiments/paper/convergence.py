@@ -8,8 +8,9 @@ from scipy.stats import f_oneway
 
 import estune
 from estune.core.quantities import FloatArray
-from estune.support.plot_style import FOUR, finish, legend, stacked
+from estune.support.plot_style import finish, legend, stacked
 from experiments.paper import PaperFigure
+from experiments.paper.curves import FOUR
 from experiments.paper.identify.conditions import LENGTHS_m
 from plants.models.reel import Reel
 

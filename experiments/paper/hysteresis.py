@@ -4,8 +4,9 @@ import math
 
 from matplotlib.figure import Figure
 
-from estune.support.plot_style import FOUR, finish, legend, stacked
+from estune.support.plot_style import finish, legend, stacked
 from experiments.paper import PaperFigure
+from experiments.paper.curves import FOUR
 from experiments.paper.two_reels import (
     Eyelet,
     HysteresisLoop,

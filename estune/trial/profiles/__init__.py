@@ -8,7 +8,7 @@ In a closed loop the setpoint is followed by the controller. In an open loop it 
 the current loop: current = setpoint / newtons per ampere, within the rig's limits of effort.
 """
 
-from typing import Annotated, Any, Literal, TypeAlias, get_args
+from typing import Annotated, Any, Literal, TypeAlias
 
 from estune.trial.profiles.excitations import ChirpProfile, StaircaseProfile, TriangleProfile
 from estune.trial.profiles.load_step import LoadStepProfile
@@ -18,7 +18,6 @@ from estune.trial.profiles.step import StepProfile
 
 __all__ = [
     "MOST_LINES",
-    "PROFILES",
     "AnyProfile",
     "ChirpProfile",
     "Kind",
@@ -54,5 +53,3 @@ AnyProfile: TypeAlias = (
 )
 Profile: TypeAlias = Annotated[AnyProfile, _ByKind()]
 """Any profile."""
-
-PROFILES: tuple[type[AnyProfile], ...] = get_args(AnyProfile)

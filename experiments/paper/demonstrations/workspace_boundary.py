@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from estune.core.gains import Gains
 from estune.core.pidf import PidfState, coefficients, state_at_rest
+from estune.core.pidf import step as pidf_step
 from estune.core.quantities import FloatArray
 from estune.reel import hybrid
 from estune.reel.friction import StribeckFriction
@@ -57,6 +58,23 @@ def run_boundary(trial: BoundaryTrial) -> tuple[BoundaryTraces, BoundaryTraces]:
     return _run(trial, hand_over=True), _run(trial, hand_over=False)
 
 
+def parallel_step(
+    c: hybrid.HybridCoefficients,
+    state: hybrid.HybridState,
+    signals: hybrid.HybridSignals,
+    in_tension: hybrid.Selection,
+) -> tuple[hybrid.HybridState, FloatArray]:
+    """One sample without hand-over: both controllers run in parallel and S selects an effort.
+
+    The integral of the inactive controller winds up, and a switch releases it.
+    """
+    r_p, y_p, r_t, y_t = signals
+    position, s_p, _ = pidf_step(c.position, state.position, r_p, y_p)
+    tension, s_t, _ = pidf_step(c.tension, state.tension, r_t, y_t)
+    effort = np.where(in_tension, np.asarray(s_t), np.asarray(s_p))
+    return hybrid.HybridState(position, tension, in_tension), effort
+
+
 def _run(trial: BoundaryTrial, *, hand_over: bool) -> BoundaryTraces:
     reel, bench = trial.platform.reel, trial.platform
     c = hybrid.HybridCoefficients(
@@ -67,7 +85,7 @@ def _run(trial: BoundaryTrial, *, hand_over: bool) -> BoundaryTraces:
     wound = reel.drum_radius_m * x.angle_rad
     hold = wound - trial.boundary_m
     state = hybrid.HybridState(PidfState(T, hold, wound), state_at_rest(T, T), in_tension=True)
-    advance = hybrid.step if hand_over else hybrid.parallel_step
+    advance = hybrid.step if hand_over else parallel_step
     times = np.arange(round(trial.duration_s * reel.sampling_Hz)) / reel.sampling_Hz
     noise = np.random.default_rng(trial.seed).normal(0.0, reel.gauge_noise_N, times.size)
     count = 2.0 * math.pi / reel.encoder_counts
