@@ -16,6 +16,7 @@ from estune.run.journal import Journal
 from estune.support.user import user_at_host
 from estune.web.board import Board
 from estune.web.endpoint_views import EndpointViews
+from estune.web.run_folder import RunFolder
 from estune.web.server import PageServer
 from estune.web.views import View, folder_views, rig_view, run_view
 from tests.serve_rig import served
@@ -94,7 +95,7 @@ def test_page_of_a_run_follows_it_in_both_forms_without_faults(chromium, run):
 def test_page_of_a_rig_shows_the_run_that_is_under_way_there(chromium, run):
     rig, _, folder = run
     server = PageServer(lambda: [view])
-    view = rig_view(rig.endpoint, "reel", runs=folder)
+    view = rig_view(rig.endpoint, "reel", runs=RunFolder(folder))
     try:
         with opened(chromium, server.address) as page:
             expect(page.locator("#facts")).to_contain_text("left")
@@ -162,7 +163,7 @@ def test_one_page_lists_all_on_this_machine_and_marks_what_has_gone(
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))  # where listeners are noted
     runs = tmp_path / "runs"
     tune(ArithmeticRig(), trials=2, run="first", folder=runs, watch=None)
-    here, listed = EndpointViews(local_endpoints, runs=runs), folder_views(runs)
+    here, listed = EndpointViews(local_endpoints, runs=RunFolder(runs)), folder_views(RunFolder(runs))
     server = PageServer(lambda: [*here(), *listed()], may_command=True)
     try:
         with (
@@ -230,7 +231,7 @@ def test_list_of_runs_is_sorted_and_filtered_by_keyboard(chromium, tmp_path):
         shutil.copytree(tmp_path / "first", tmp_path / name)
         with Journal.open(tmp_path / name, write=True) as journal:
             journal.note(created_at=f"{begun}T12:00:00+00:00")
-    server = PageServer(folder_views(tmp_path))
+    server = PageServer(folder_views(RunFolder(tmp_path)))
     with opened(chromium, server.address) as page:
         links = page.locator("#views tbody a")
         expect(links).to_have_text(["new", "first", "old"])

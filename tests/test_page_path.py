@@ -9,6 +9,7 @@ from playwright.sync_api import expect
 from estune.errors import InvalidInput, RigError
 from estune.remote import zenoh
 from estune.support.user import user_at_host
+from estune.web.run_folder import RunFolder
 from estune.web.server import PageServer
 from estune.web.views import rig_view
 from tests.serve_rig import served
@@ -21,7 +22,7 @@ pytestmark = needs_browser
 def emulated(tmp_path):
     """A simulated reel in a process of its own, and the server of its page."""
     with served("paced simulated") as rig:
-        view = rig_view(rig.endpoint, "reel", runs=tmp_path)
+        view = rig_view(rig.endpoint, "reel", runs=RunFolder(tmp_path))
         server = PageServer(lambda: [view], may_command=True)
         try:
             yield rig, server, tmp_path

@@ -21,6 +21,7 @@ from estune.run.labels import (
     write_labels,
 )
 from estune.web.listed_run import ListedRun
+from estune.web.run_folder import RunFolder
 from estune.web.server import PageServer
 from estune.web.views import folder_views
 from tests.support_browser import needs_browser, opened, serious
@@ -41,7 +42,7 @@ def runs(tmp_path):
 @needs_browser
 def test_runs_are_laid_over_each_other_labelled_and_deleted_by_keyboard(chromium, runs):
     (runs / "first" / NUMBERS).write_text('{"rise_time_s": 0.0303, "overshoot": 0.05, "Ms": 1.6}')
-    server = PageServer(folder_views(runs), may_command=True)
+    server = PageServer(folder_views(RunFolder(runs)), may_command=True)
     try:
         with opened(chromium, server.address) as page:
             row = page.locator("#views tbody tr", has_text="first")
@@ -80,7 +81,7 @@ def test_runs_are_laid_over_each_other_labelled_and_deleted_by_keyboard(chromium
 
 @needs_browser
 def test_list_that_changes_leaves_the_focus_where_it_is_and_sorts(chromium, runs):
-    server = PageServer(folder_views(runs))
+    server = PageServer(folder_views(RunFolder(runs)))
     try:
         with opened(chromium, server.address) as page:
             box = page.get_by_label("Lay first over the shown run")
@@ -97,7 +98,7 @@ def test_list_that_changes_leaves_the_focus_where_it_is_and_sorts(chromium, runs
 
 
 def test_labels_and_deletion_are_refused_without_the_key_and_without_the_name(runs):
-    server = PageServer(folder_views(runs), may_command=True)
+    server = PageServer(folder_views(RunFolder(runs)), may_command=True)
     key = server.address.partition("#key=")[2]
     try:
         for token, arguments, status in (
@@ -120,7 +121,7 @@ def test_labels_and_deletion_are_refused_without_the_key_and_without_the_name(ru
 
 
 def test_a_run_that_is_being_written_is_not_deleted(runs):
-    (view, *_) = [view for view in folder_views(runs)() if view.name == "first"]
+    (view, *_) = [view for view in folder_views(RunFolder(runs))() if view.name == "first"]
     with (
         Journal.open(runs / "first", write=True),
         pytest.raises(InvalidInput, match="stop it first"),
@@ -166,7 +167,7 @@ def test_listing_leaves_nothing_beside_a_finished_run_and_follows_a_running_one(
 
 def test_page_that_has_the_list_is_not_sent_it_again(runs, monkeypatch):
     monkeypatch.setattr("estune.web.server.LIST_S", 0.0)
-    server = PageServer(folder_views(runs))
+    server = PageServer(folder_views(RunFolder(runs)))
 
     def ask(tag: str) -> tuple[int, str, bytes]:
         link = http.client.HTTPConnection("127.0.0.1", server.port)
@@ -195,7 +196,7 @@ def test_many_runs_are_drawn_in_part_until_all_are_asked_for_and_filtered_as_a_w
 ):
     for n in range(110):
         shutil.copytree(runs / "first", runs / f"copy {n}")
-    server = PageServer(folder_views(runs))
+    server = PageServer(folder_views(RunFolder(runs)))
     try:
         with opened(chromium, server.address) as page:
             rows = page.locator("#views tbody tr")

@@ -18,9 +18,11 @@ from estune.remote.zenoh import connect
 from estune.run.journal import Journal
 from estune.support.user import user_at_host
 from estune.web.board import Board, Seen
+from estune.web.history import HISTORY_MAX
 from estune.web.reader import Reader
 from estune.web.rig_reader import RigReader
-from estune.web.run_reader import HISTORY_MAX, RunReader
+from estune.web.run_folder import RunFolder
+from estune.web.run_reader import RunReader
 from estune.web.server import FOLDERS, PageServer
 from estune.web.views import View, folder_views, run_view
 from tests.serve_rig import served
@@ -249,7 +251,7 @@ def test_long_history_is_thinned_to_the_best_and_worst_of_each_stretch(run, tmp_
 
 
 def test_page_open_for_days_is_sent_a_thinned_history_now_and_then(tmp_path, monkeypatch):
-    monkeypatch.setattr("estune.web.run_reader.HISTORY_MAX", 10)
+    monkeypatch.setattr("estune.web.history.HISTORY_MAX", 10)
     board, page, lengths = Board(), Follower(), []
     readers = []
 
@@ -309,7 +311,7 @@ def test_damaged_and_missing_journals_are_shown_as_faults_and_left_as_they_are(r
 
 
 def test_folder_lists_its_runs_and_those_begun_later(run, tmp_path):
-    views = folder_views(tmp_path)
+    views = folder_views(RunFolder(tmp_path))
     assert views() == []
     shutil.copytree(run.folder, tmp_path / "copy")
     assert [view.name for view in views()] == ["copy"]

@@ -14,6 +14,7 @@ from estune.run.journal import FILE_NAME, RUNS
 from estune.run.targets import is_endpoint
 
 if TYPE_CHECKING:
+    from estune.web.run_folder import RunFolder
     from estune.web.views import Views
 
 PORT = 8765
@@ -45,18 +46,22 @@ def watch(
             contains the key that commands need.
         allow_remote: Serve the page to other machines; whoever reaches it can read it.
         security: Credentials file, if a rig or daemon requires authentication.
-        folder: Folder of runs: those that are shown by default, and in which a run is looked for
-            by its name, and the run under way on a rig.
+        folder: Folder of runs: those that are shown by default and of the rigs, and in which a run
+            is looked for by its name.
     """
-    from estune.web.server import PageServer  # noqa: PLC0415  slow to import
+    from estune.web.run_folder import RunFolder  # noqa: PLC0415  slow to import
+    from estune.web.server import PageServer  # noqa: PLC0415  as above
+    from estune.web.views import folder_views  # noqa: PLC0415  as above
 
-    credentials = security_from(security)
+    credentials, runs = security_from(security), RunFolder(folder)
     with ExitStack() as ends:
-        sources = (
-            [_source(one, rig, credentials, folder, ends, alone=len(what) == 1) for one in what]
-            if what
-            else _all_here(credentials, rig, folder, ends)
-        )
+        alone = len(what) == 1
+        sources = [_source(one, rig, credentials, runs, ends, alone=alone) for one in what]
+        if not what:
+            sources.append(_all_here(credentials, rig, runs, ends))
+        listed = any(Path(one).resolve() == folder.resolve() for one in what)
+        if not listed and (not what or any(map(is_endpoint, what))):  # they stand below their rig
+            sources.append(folder_views(runs, credentials))
         server = PageServer(
             lambda: [view for views in sources for view in views()],
             host=host,
@@ -70,36 +75,42 @@ def watch(
 
 
 def _source(
-    what: str, rig: str | None, security: Security, folder: Path, ends: ExitStack, *, alone: bool
+    what: str,
+    rig: str | None,
+    security: Security,
+    runs: "RunFolder",
+    ends: ExitStack,
+    *,
+    alone: bool,
 ) -> "Views":
     from estune.web import views  # noqa: PLC0415  slow to import
+    from estune.web.run_folder import RunFolder  # noqa: PLC0415  as above
 
     if is_endpoint(what):
-        return _at_endpoint(what, rig, security, folder, ends, alone=alone)
+        return _at_endpoint(what, rig, security, runs, ends, alone=alone)
     path = Path(what)
     if path.is_dir() and not (path / FILE_NAME).is_file():
-        return views.folder_views(path, security)
-    one = [views.run_view(find_run(what, folder), security)]
+        return views.folder_views(RunFolder(path), security)
+    one = [views.run_view(find_run(what, runs.path), security)]
     return lambda: one
 
 
-def _all_here(security: Security, rig: str | None, folder: Path, ends: ExitStack) -> "list[Views]":
-    """All rigs and daemons of this user on this machine, and the runs of a folder."""
+def _all_here(security: Security, rig: str | None, runs: "RunFolder", ends: ExitStack) -> "Views":
+    """All rigs and daemons of this user on this machine."""
     from estune.remote.zenoh.local_endpoints import local_endpoints  # noqa: PLC0415  slow to import
     from estune.web.endpoint_views import EndpointViews  # noqa: PLC0415  as above
-    from estune.web.views import folder_views  # noqa: PLC0415  as above
 
-    here = EndpointViews(local_endpoints, security, runs=folder, rig=rig)
+    here = EndpointViews(local_endpoints, security, runs=runs, rig=rig)
     ends.callback(here.close)
     here.read()
-    return [here, folder_views(folder, security)]
+    return here
 
 
 def _at_endpoint(
     endpoint: str,
     rig: str | None,
     security: Security,
-    folder: Path,
+    runs: "RunFolder",
     ends: ExitStack,
     *,
     alone: bool,
@@ -108,7 +119,7 @@ def _at_endpoint(
     from estune.web.endpoint_views import EndpointViews  # noqa: PLC0415  slow to import
 
     check_endpoint(endpoint)
-    there = EndpointViews(lambda: (endpoint,), security, runs=folder, rig=rig, named_alone=alone)
+    there = EndpointViews(lambda: (endpoint,), security, runs=runs, rig=rig, named_alone=alone)
     ends.callback(there.close)
     there.read()
     found = there()

@@ -20,7 +20,8 @@ def serve_page(
     Raises:
         InvalidInput: the port is taken.
     """
-    from estune.web.server import PageServer  # noqa: PLC0415  slow to import
+    from estune.web.run_folder import RunFolder  # noqa: PLC0415  slow to import
+    from estune.web.server import PageServer  # noqa: PLC0415  as above
     from estune.web.views import daemon_view  # noqa: PLC0415  as above
 
     views = [
@@ -28,7 +29,7 @@ def serve_page(
             rig.name,
             supervised[rig.name],
             target=rig.target,
-            runs=config.state / rig.name / RUNS,
+            runs=RunFolder(config.state / rig.name / RUNS),
             security=security,
         )
         for rig in config.rig

@@ -15,7 +15,7 @@ import secrets
 import threading
 from collections import OrderedDict, deque
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from datetime import UTC, datetime
 from functools import reduce
 from pathlib import Path
@@ -136,6 +136,12 @@ class MemoryLedger(_RigFacts):
         """Entry of a trial."""
         return self._entries.get(trial_id, NOTHING)
 
+    @property
+    def last(self) -> str:
+        """The youngest trial; empty without any."""
+        with self._lock:
+            return next(reversed(self._entries), "")
+
     def note(self, trial_id: str, digest: str, *events: TrialEvent) -> TrialState:
         """Applies events to a trial, and returns its state.
 
@@ -224,6 +230,14 @@ class FileLedger(_RigFacts):
             return NOTHING
         digest, state, frame, error, sentence = rows[0]
         return LedgerEntry(digest, TrialState(state), frame, error, sentence)
+
+    @property
+    def last(self) -> str:
+        """The youngest trial; empty without any, or while the file cannot be read."""
+        with suppress(RigError), _as_rig_error():
+            rows = self._reader.rows("SELECT trial_id FROM trial ORDER BY sequence DESC LIMIT 1")
+            return str(rows[0][0]) if rows else ""
+        return ""
 
     def note(self, trial_id: str, digest: str, *events: TrialEvent) -> TrialState:
         """Applies events to a trial; returns its state once it would survive a power cut.

@@ -119,8 +119,7 @@ def _session(session: Session, entries: list[JournalEntry], journal: Journal) ->
     excited = [e for e in others if e.phase is Phase.EXCITE]
     session = replace(
         session,
-        number=len(counted),
-        baseline=tuple(e.cost for e in others if e.phase is Phase.BASELINE),
+        tally=session.tally.after((e.phase, e.outcome, e.cost) for e in entries if e.outcome),
         search_trials=len(search),
         excitations=tuple(e.number for e in excited if e.outcome is not Outcome.DECLINED),
         excitation_refused=any(e.outcome is Outcome.DECLINED for e in excited),
@@ -133,14 +132,9 @@ def _session(session: Session, entries: list[JournalEntry], journal: Journal) ->
         point = session.plan.tuner.space.point_of(best.gains)
         state = session.tuner_state._replace(best_point=point, best_cost=best.cost)
         session = replace(session, tuner_state=state)
-    declined = sum(e.outcome is Outcome.DECLINED for e in counted)
-    censored = len(search) - len(safe)
-    censored += sum(_censored(session, e) for e in others)
     choice, confirmation = journal.fact("compared") or ((), ())
     return replace(
         session,
-        unsafe=censored - declined,
-        declined=declined,
         choice=_repeats(session, [e for e in others if e.phase is Phase.CHOOSE], choice),
         confirmation=_repeats(session, _confirming(session, others), confirmation),
     )

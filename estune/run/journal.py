@@ -233,6 +233,13 @@ class Journal(Closing):
                 entries.append(JournalEntry(n, attempt, name, _PHASES[phase], gains, *ending))
         return entries
 
+    def ended_at(self, last: int = 1) -> list[datetime]:
+        """When the last trials ended, in their order."""
+        rows = self._file.rows(
+            "SELECT told_at FROM trial WHERE told_at IS NOT NULL ORDER BY rowid DESC LIMIT ?", last
+        )
+        return [datetime.fromisoformat(at) for (at,) in reversed(rows)]
+
     def record(self, trial_id: str) -> "TrialRecord":
         """The record of one trial.
 

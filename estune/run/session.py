@@ -13,9 +13,10 @@ restores the session and all later proposals, bit for bit unless `estune.run.rec
 """
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from statistics import fmean
-from typing import Any
+from typing import Any, NamedTuple, Self
 
 from estune.core.comparison import InterleavedRepeats
 from estune.core.gains import Gains
@@ -39,6 +40,47 @@ CONSECUTIVE_CENSORED_MAX = 12
 """Consecutive unsafe or declined trials that end the search."""
 
 
+class Tally(NamedTuple):
+    """What the trials of a run count up to, whatever its tuner.
+
+    Attributes:
+        eta_max_given: The cost above which a trial is unsafe, where the plan gives one.
+        number: Trials that count: all but void ones.
+        unsafe: Unsafe trials, in any phase.
+        declined: Declined trials.
+        baseline: Costs of the initial gains.
+    """
+
+    eta_max_given: float | None
+    number: int = 0
+    unsafe: int = 0
+    declined: int = 0
+    baseline: tuple[float, ...] = ()
+
+    @property
+    def eta_max(self) -> float:
+        """The cost above which a trial is unsafe; infinite until there is a baseline."""
+        if self.eta_max_given is not None:
+            return self.eta_max_given
+        return UNSAFE_RATIO * fmean(self.baseline) if self.baseline else math.inf
+
+    def after(self, trials: Iterable[tuple[Phase, Outcome, float]]) -> Self:
+        """The tally after further trials, each by its phase, outcome and cost."""
+        number, unsafe, declined, baseline = self[1:]
+        eta_max = self.eta_max  # once, and after each cost of the initial gains: runs are long
+        for phase, outcome, cost in trials:
+            if outcome is not Outcome.DONE and outcome.is_void:
+                continue
+            number += 1
+            declined += outcome is Outcome.DECLINED
+            if is_unsafe(phase, outcome, cost, eta_max):
+                unsafe += 1
+            elif phase is Phase.BASELINE and outcome is Outcome.DONE:
+                baseline = (*baseline, cost)
+                eta_max = self._replace(baseline=baseline).eta_max
+        return self._replace(number=number, unsafe=unsafe, declined=declined, baseline=baseline)
+
+
 @dataclass(frozen=True, slots=True)
 class Session:
     """Immutable state of a run; `after_trial` returns its successor.
@@ -46,14 +88,11 @@ class Session:
     Attributes:
         plan: Plan of the run.
         tuner_state: The tuner's own state.
-        number: Number of the next trial.
+        tally: What the trials count up to; its number is that of the next trial.
         attempt: Void attempts of the next trial.
         search_trials: Completed search trials.
-        unsafe: Unsafe trials, in any phase.
-        declined: Declined trials.
         consecutive_censored: Search trials since the last safe one, unsafe or declined.
         consecutive_settled: Last search trials with a remaining improvement below the tolerance.
-        baseline: Costs of the initial gains.
         excitation: The trial that excites the loop next; None for a step trial.
         excitations: Numbers of the completed trials of this kind.
         excitation_refused: Whether the rig refused one: it is not asked for another.
@@ -66,14 +105,11 @@ class Session:
 
     plan: Plan
     tuner_state: Any
-    number: int = 0
+    tally: Tally
     attempt: int = 0
     search_trials: int = 0
-    unsafe: int = 0
-    declined: int = 0
     consecutive_censored: int = 0
     consecutive_settled: int = 0
-    baseline: tuple[float, ...] = ()
     excitation: ExcitationTrial | None = None
     excitations: tuple[int, ...] = ()
     excitation_refused: bool = False
@@ -81,6 +117,26 @@ class Session:
     choice: InterleavedRepeats | None = None
     confirmation: InterleavedRepeats | None = None
     failure: str = ""
+
+    @property
+    def number(self) -> int:
+        """Number of the next trial."""
+        return self.tally.number
+
+    @property
+    def unsafe(self) -> int:
+        """Unsafe trials, in any phase."""
+        return self.tally.unsafe
+
+    @property
+    def declined(self) -> int:
+        """Declined trials."""
+        return self.tally.declined
+
+    @property
+    def baseline(self) -> tuple[float, ...]:
+        """Costs of the initial gains."""
+        return self.tally.baseline
 
     @property
     def phase(self) -> Phase | None:
@@ -100,9 +156,7 @@ class Session:
     @property
     def eta_max(self) -> float:
         """The cost above which a trial is unsafe; infinite until there is a baseline."""
-        if self.plan.eta_max is not None:
-            return self.plan.eta_max
-        return UNSAFE_RATIO * fmean(self.baseline) if self.baseline else math.inf
+        return self.tally.eta_max
 
     @property
     def trials_left(self) -> int:
@@ -133,7 +187,7 @@ class Session:
 
 def new_session(plan: Plan) -> Session:
     """The session before its first trial."""
-    return Session(plan, plan.tuner.start())
+    return Session(plan, plan.tuner.start(), Tally(plan.eta_max))
 
 
 def next_request(session: Session) -> TrialRequest | None:
@@ -203,11 +257,10 @@ def after_trial(
     phase = session.phase
     assert phase is not None  # noqa: S101  a trial was asked for
     censored = not is_safe(phase, outcome, cost, session.eta_max)
-    changed: dict[str, Any]
+    changed: dict[str, Any] = {}
     if phase is Phase.BASELINE and censored:
         changed = {"failure": _unsafe_start(session, outcome, cost, reason)}
     elif phase is Phase.BASELINE:
-        changed = {"baseline": (*session.baseline, cost)}
         if isinstance(session.plan.tuner, RecordUsingTuner):
             told = Observation(cost, margin=margin, record=record)
             changed["tuner_state"] = session.plan.tuner.tell_start(session.tuner_state, told)
@@ -230,12 +283,7 @@ def after_trial(
         confirmation = session.confirmation.with_cost(math.inf if censored else cost)
         changed = {"confirmation": extended(confirmation, session.plan)}
     return replace(
-        session,
-        number=session.number + 1,
-        attempt=0,
-        unsafe=session.unsafe + is_unsafe(phase, outcome, cost, session.eta_max),
-        declined=session.declined + (outcome is Outcome.DECLINED),
-        **changed,
+        session, tally=session.tally.after([(phase, outcome, cost)]), attempt=0, **changed
     )
 
 

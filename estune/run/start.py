@@ -121,7 +121,7 @@ def model_start(rig: RigDescription, trial: StepTrial, limits: RobustnessLimits)
     gains = _all_above_zero(model_gains(rig.linear_model, rig.controller), trial)
     records: list[LoopRecord] = []
     for _ in range(ROUNDS):
-        records.append(_simulated_step(plant, trial, gains))
+        records.append(simulated_step(plant, trial, gains))
         fit = fit_loop(records, rig.controller.sampling_Hz, trial.cost.settling_time_s)
         gains = _optimum(fit, trial, limits, gains)
     return KnownStart(gains, "the gains of the optimum of the rig's linear model")
@@ -154,7 +154,7 @@ def _optimum(fit: LoopFit, trial: StepTrial, limits: RobustnessLimits, at: Gains
     return Gains(**dict(zip(GAIN_NAMES, values, strict=True)))
 
 
-def _simulated_step(plant: SampledPlant, trial: StepTrial, gains: Gains) -> LoopRecord:
+def simulated_step(plant: SampledPlant, trial: StepTrial, gains: Gains) -> LoopRecord:
     """The step trial on a linear plant at rest, without limits, as deviations from the preload."""
     c, state = pidf.coefficients(trial.controller, gains), pidf.state_at_rest(0.0, 0.0)
     x = np.zeros(plant.C.size)

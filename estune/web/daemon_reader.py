@@ -2,7 +2,7 @@
 
 import dataclasses
 import secrets
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import Any
 
 from estune.core.gains import Gains
@@ -23,21 +23,14 @@ class DaemonReader(Reader):
     Args:
         board: The board.
         supervised: The supervision, of this process or of another.
-        on_run: Called with the name of the present tuning run.
     """
 
     source = "daemon"
     every_s = 0.25
 
-    def __init__(
-        self,
-        board: Board,
-        supervised: Supervised,
-        on_run: Callable[[str], None] = lambda _: None,
-    ) -> None:
+    def __init__(self, board: Board, supervised: Supervised) -> None:
         super().__init__(board)
         self._supervised = supervised
-        self._on_run = on_run
         self._last_event = -1
         self._checks = -1
 
@@ -45,7 +38,6 @@ class DaemonReader(Reader):
         """Reads the status, and events and check trials where there are new ones."""
         status = self._supervised.status()
         self.board.put("daemon", _shown(status))
-        self._on_run(status.run)
         limit = EVENTS_MAX
         events = self._supervised.events(Request(self._last_event, limit)).events
         if events:

@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Iterable
 from datetime import datetime
-from pathlib import Path
 
 from estune.errors import EstuneError
 from estune.remote.security import OPEN, Security
@@ -10,6 +9,7 @@ from estune.remote.zenoh.daemon_service import DaemonClient
 from estune.remote.zenoh.discovery import EndpointPresences
 from estune.web.board import Board
 from estune.web.reader import Reader
+from estune.web.run_folder import RunFolder
 from estune.web.views import RemoteSupervision, View, daemon_view, rig_view
 
 CONNECT_S = 1.0
@@ -24,7 +24,7 @@ class EndpointViews(Reader):
     Args:
         endpoints: The endpoints now.
         security: Credentials for all of them.
-        runs: Folder of runs, in which the run under way on a rig is looked for.
+        runs: Folder of runs, in which those of a rig are looked for.
         rig: The one rig that is shown; all by default.
         named_alone: Whether a view has the rig's name alone; else with its endpoint.
     """
@@ -37,7 +37,7 @@ class EndpointViews(Reader):
         endpoints: Callable[[], Iterable[str]],
         security: Security = OPEN,
         *,
-        runs: Path | None = None,
+        runs: RunFolder | None = None,
         rig: str | None = None,
         named_alone: bool = False,
     ) -> None:
@@ -116,7 +116,9 @@ class EndpointViews(Reader):
             if endpoint not in self._clients:
                 self._clients[endpoint] = DaemonClient(endpoint, security=self._security)
             supervision = RemoteSupervision(self._clients[endpoint], rig)
-            view = daemon_view(rig, supervision, target=target, security=self._security)
+            view = daemon_view(
+                rig, supervision, target=target, runs=self._runs, security=self._security
+            )
         else:
             view = rig_view(endpoint, rig, self._security, runs=self._runs)
         if not self._named_alone:

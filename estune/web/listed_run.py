@@ -2,6 +2,7 @@
 
 import os
 from contextlib import suppress
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -9,6 +10,7 @@ from estune.errors import EstuneError
 from estune.run.journal import FILE_NAME, Journal, being_written
 from estune.run.labels import LABELS, NUMBERS, ListedNumbers, read_labels, read_numbers
 from estune.run.phase import Phase
+from estune.run.targets import is_endpoint
 from estune.trial import Outcome
 
 _COMPARED = (Phase.BASELINE, Phase.SEARCH)
@@ -21,15 +23,31 @@ class ListedRun:
         folder: The run.
 
     Attributes:
-        target: Where its trials are made, as of the last row; empty before, or if unreadable.
+        folder: The run.
+        target: Where its trials are made, as of the last row; empty before, if unreadable, or
+            where an object was given.
+        last_at: When its last trial ended, or it began, as of the last row.
+        took_s: Time from its begin until then, s.
     """
 
     def __init__(self, folder: Path) -> None:
         self.target = ""
-        self._folder = folder
+        self.folder = folder
+        self.last_at = datetime.min.replace(tzinfo=UTC)
+        self.took_s = 0.0
         names = (FILE_NAME, f"{FILE_NAME}-wal", LABELS, NUMBERS)
         self._files = [os.path.join(folder, name) for name in names]  # noqa: PTH118  10 times faster
         self._read: tuple[tuple[int, ...], dict[str, Any]] = (), {}
+
+    @property
+    def is_of_rig(self) -> bool:
+        """Whether its trials were made on a rig, as far as is known, not on a named model."""
+        return not self.target or is_endpoint(self.target)
+
+    @property
+    def is_running(self) -> bool:
+        """Whether a process is making its trials."""
+        return bool(self.row().get("state") == "running")
 
     def row(self) -> dict[str, Any]:
         """Rig, time of the begin, state, trials, costs, response, tags and note.
@@ -40,7 +58,7 @@ class ListedRun:
         if stamp != self._read[0]:
             self._read = stamp, self._row()
         row = self._read[1]
-        if row.get("state") == "running" and not being_written(self._folder):
+        if row.get("state") == "running" and not being_written(self.folder):
             return row | {"state": "interrupted"}
         return row
 
@@ -54,20 +72,24 @@ class ListedRun:
 
     def _row(self) -> dict[str, Any]:
         try:
-            with Journal.open(self._folder, briefly=True) as journal:
+            with Journal.open(self.folder, briefly=True) as journal:
                 entries = [e for e in journal.entries() if e.outcome is not None]
                 status, begun = str(journal.fact("status")), journal.fact("created_at")
                 rig = journal.fact("rig")["name"]
-                self.target = str(journal.fact("target"))
+                self.target = journal.fact("target") or ""
+                ended = journal.ended_at()
         except EstuneError as error:
             return {"state": f"unreadable: {error}"}
+        begun_at = datetime.fromisoformat(begun).astimezone()
+        self.last_at = ended[-1] if ended else begun_at
+        self.took_s = (self.last_at - begun_at).total_seconds()
         done = [e for e in entries if e.outcome is Outcome.DONE and e.phase in _COMPARED]
         baseline = [e.cost for e in done if e.phase is Phase.BASELINE]
         shown = ListedNumbers(
             start_cost=sum(baseline) / len(baseline) if baseline else None,
             cost=min((e.cost for e in done), default=None),
         )
-        stored = read_numbers(self._folder)._asdict().items()
+        stored = read_numbers(self.folder)._asdict().items()
         numbers = shown._replace(**{name: x for name, x in stored if x is not None})
         return {
             "rig": rig,
@@ -75,5 +97,5 @@ class ListedRun:
             "state": status.partition(":")[0],
             "trials": len(entries),
             **numbers._asdict(),
-            **read_labels(self._folder)._asdict(),
+            **read_labels(self.folder)._asdict(),
         }

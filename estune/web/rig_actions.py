@@ -8,7 +8,7 @@ import signal
 import subprocess
 import sys
 import threading
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from datetime import datetime
 from pathlib import Path
@@ -19,19 +19,17 @@ from estune.core.gains import GAIN_NAMES, Gains
 from estune.errors import EstuneError, InvalidInput, RigError
 from estune.remote.zenoh import RemoteRig
 from estune.run.journal import FILE_NAME, being_written
-from estune.run.toml_tables import COST, LIMITS, SEARCH, STEP
 from estune.support.quantity_text import time_text
 from estune.trial import Outcome, RigDescription, TrialRecord, TrialRequest
 from estune.trial.scoring import cost_of, metrics_of
 from estune.web.board import Board
+from estune.web.history import curve
 from estune.web.run_actions import note_action
-from estune.web.run_reader import curve
+from estune.web.tuning_form import read_settings
 
 Arguments = Mapping[str, Any]
-FORM = (("Search", SEARCH), ("Limits", LIMITS), ("Step", STEP), ("Cost", COST))
-"""Settings of a tuning, by the group of the form."""
-NAMES = {"preset": "--cost"}
-"""Settings whose option is not their name."""
+TRIED = "try-"
+"""Begin of the trial id of gains that are tried once; no run is made of it."""
 _END_WITHIN_S = 10.0
 
 
@@ -75,15 +73,15 @@ class RigActions:
 
         def act(rig: RemoteRig) -> str:
             before = rig.describe()
-            run = f"page-{datetime.now().astimezone():%Y%m%d-%H%M%S}"
+            run = f"{TRIED}{datetime.now().astimezone():%Y%m%d-%H%M%S}"
             record = rig.run(TrialRequest(run, 0, gains, before.step))
             after = rig.describe().gains
-            self.board.put(
-                "curve.tried", curve(record, before) | {"gains": list(gains.as_tuple())}
-            )
+            measured = _measured(record, before)
+            tried = {"gains": list(gains.as_tuple()), "measured": measured}
+            self.board.put("curve.tried", curve(record, before) | tried)
             if after != before.gains:
                 raise RigError(f"the rig runs {after}, not its gains from before: {before.gains}")
-            return f"{_sentence(record, before)}; the rig has its live gains again"
+            return f"{measured}; the rig has its live gains again"
 
         return self._noted_action("try", who, gains, act)
 
@@ -114,11 +112,14 @@ class RigActions:
 
     def tune(self, who: str, given: Arguments) -> str:
         """Starts a tuning with the settings of a form; empty ones are the rig's or the default."""
-        options = list(_options(given.get("settings") or {}))
+        settings = read_settings(given.get("settings") or {})
+        if self.may_tune:
+            with self.connect(who) as rig:
+                settings.check(rig.describe())
         run = f"page-{datetime.now().astimezone():%Y%m%d-%H%M%S}"
         named = ("--run", run, "--folder", str(self.folder), "--rig", self.rig)
-        self._start("tune", self.endpoint, *named, "--quiet", *options)
-        return self._note("tune", who, f"run {run} begins {' '.join(options)}".strip())
+        self._start("tune", self.endpoint, *named, "--quiet", *settings.options)
+        return self._note("tune", who, f"run {run} begins {' '.join(settings.options)}".strip())
 
     def resume(self, who: str, given: Arguments) -> str:
         """Continues a run that was stopped or interrupted."""
@@ -202,29 +203,6 @@ class RigActions:
         return sentence
 
 
-def form() -> list[dict[str, Any]]:
-    """The settings of a tuning for a form, from their one declaration."""
-    return [
-        {"title": title, "settings": [m.to_json() for m in group.members if m.name != "bounds"]}
-        for title, group in FORM
-    ]
-
-
-def _options(settings: Mapping[str, Any]) -> Iterator[str]:
-    """Settings as options of `estune tune`, which checks their values.
-
-    Raises:
-        InvalidInput: there is no such setting.
-    """
-    known = {m["name"] for group in form() for m in group["settings"]}
-    for name, value in settings.items():
-        if name not in known:
-            raise InvalidInput(f"there is no setting {name!r}; one of: {', '.join(sorted(known))}")
-        if str(value).strip():
-            option = NAMES.get(name, f"--{name.replace('_', '-')}")
-            yield f"{option}={str(value).strip()}"
-
-
 def _gains(given: Any) -> Gains:
     try:
         return Gains(*(float(given[name]) for name in GAIN_NAMES))
@@ -232,7 +210,7 @@ def _gains(given: Any) -> Gains:
         raise InvalidInput(f"give a number for each of {', '.join(GAIN_NAMES)}") from error
 
 
-def _sentence(record: TrialRecord, rig: RigDescription) -> str:
+def _measured(record: TrialRecord, rig: RigDescription) -> str:
     """How a trial went."""
     if record.outcome is not Outcome.DONE:
         return f"the trial ended early: {record.reason or record.outcome}"
@@ -240,4 +218,4 @@ def _sentence(record: TrialRecord, rig: RigDescription) -> str:
     shown = cost_of(record, rig.step, cost, rig.newtons_per_ampere)
     response = metrics_of(record, rig.step)
     rise = time_text(response.rise_time_s) if response.rise_time_s > 0.0 else "not reached"
-    return f"trial done: cost {shown:.3g}, rise {rise}, overshoot {response.overshoot:.1%}"
+    return f"cost {shown:.3g}, rise {rise}, overshoot {response.overshoot:.1%}"

@@ -9,8 +9,11 @@ from contextlib import suppress
 
 from estune.errors import EstuneError, RigError
 from estune.remote.zenoh import RemoteRig
-from estune.trial import Telemetry
+from estune.support.quantity_text import time_text
+from estune.trial import RigDescription, Telemetry
 from estune.web.board import Board
+from estune.web.history import gain_labels
+from estune.web.predicted import by_linear_model
 from estune.web.reader import Reader
 
 SAMPLES_PER_S = 200.0
@@ -21,6 +24,21 @@ SHOWN_EVERY_S = 1.0
 """Least time between the beginnings of two trials whose samples are shown; no eye sees more."""
 _DESCRIBED_EVERY = 8
 """Readings of the status between two of the description."""
+
+
+def in_words(rig: RigDescription) -> str:
+    """A rig in two sentences: what it controls, and its suggested trial."""
+    kind = "A simulated rig" if rig.simulated else "A rig"
+    rate, step, limits = rig.controller.sampling_Hz, rig.step, rig.limits
+    what = f"controls {rig.measurement_name} by {rig.command_name}, {rate:g} times a second"
+    final = rig.measured(step.preload_N + step.step_N)
+    time = time_text(step.duration_s)
+    trial = f"A trial steps from {step.preload_N:g} to {final} and takes {time}"
+    ends = limits.tension_min_N, limits.tension_max_N
+    if math.isfinite(ends[0]) and math.isfinite(ends[1]):
+        trial += f"; setpoints from {ends[0]:g} to {rig.measured(ends[1])} are allowed"
+    more = f" Software: {rig.software}." if rig.software else ""
+    return f"{kind} that {what}. {trial}.{more}"
 
 
 def run_of(trial_id: str) -> str:
@@ -37,7 +55,6 @@ class RigReader(Reader):
         run: The run whose trials alone are shown; empty for all trials.
         is_wanted: Whether the rig is to be read now. A finished run has no rig: what moves there
             belongs to another run.
-        on_run: Called with the run of each trial that is seen.
     """
 
     source = "rig"
@@ -50,13 +67,12 @@ class RigReader(Reader):
         *,
         run: str = "",
         is_wanted: Callable[[], bool] = lambda: True,
-        on_run: Callable[[str], None] = lambda _: None,
     ) -> None:
         super().__init__(board)
         self._connect = connect
         self._run = run
         self._is_wanted = is_wanted
-        self._on_run = on_run
+        self._described: RigDescription | None = None
         self._rig: RemoteRig | None = None
         self._readings = 0
 
@@ -68,36 +84,46 @@ class RigReader(Reader):
         if self._rig is None:
             self._rig = self._connect()
             self._readings = 0
-            arguments = self._rig, self.board, self._run, self._on_run
+            arguments = self._rig, self.board, self._run
             threading.Thread(target=_follow, args=arguments, name="samples", daemon=True).start()
-        status = self._rig.status()
+        status = self._rig.status(with_last=True)
         if not is_wanted and not status.latched:  # an emergency stop that ended a run is shown
             self.release()
             self.board.put("rig", None)
             return
-        if status.trial_id:
-            self._on_run(run_of(status.trial_id))
+        if not status.holder:
+            self.board.put("live", None)  # the record of the trial is shown then
         shown = dataclasses.asdict(status) | {"sentence": status.mode.sentence}
         self.board.put("rig", shown)
         if self._readings % _DESCRIBED_EVERY == 0:
-            rig = self._rig.describe()
-            limits, settings = rig.limits, rig.controller
-            self.board.put(
-                "description",
-                {
-                    "name": rig.name,
-                    "gains": list(rig.gains.as_tuple()),
-                    "measurement": rig.measurement,
-                    "command": rig.command,
-                    "measurement_limits": [limits.tension_min_N, limits.tension_max_N],
-                    "command_limits": [settings.output_min_N, settings.output_max_N],
-                    "per_ampere": rig.newtons_per_ampere,
-                    "step_at_s": rig.step.step_at_s,
-                    "duration_s": rig.step.duration_s,
-                    "simulated": rig.simulated,
-                },
-            )
+            self._show_description(self._rig.describe())
         self._readings += 1
+
+    def _show_description(self, rig: RigDescription) -> None:
+        """Shows the rig, and what its own model predicts of its live gains."""
+        if rig == self._described:
+            return
+        self._described = rig
+        limits, settings = rig.limits, rig.controller
+        self.board.put(
+            "description",
+            {
+                "name": rig.name,
+                "text": in_words(rig),
+                "gains": list(rig.gains.as_tuple()),
+                "gain_labels": gain_labels(rig),
+                "measurement": rig.measurement,
+                "command": rig.command,
+                "measurement_limits": [limits.tension_min_N, limits.tension_max_N],
+                "command_limits": [settings.output_min_N, settings.output_max_N],
+                "per_ampere": rig.newtons_per_ampere,
+                "step_at_s": rig.step.step_at_s,
+                "duration_s": rig.step.duration_s,
+                "simulated": rig.simulated,
+            },
+        )
+        predicted = by_linear_model(rig)
+        self.board.put("predicted.rig", predicted and predicted.to_json())
 
     def estop(self, reason: str) -> str:
         """Brings the rig to its safe state; returns once the rig has answered.
@@ -121,7 +147,13 @@ class RigReader(Reader):
                 rig.close()
 
 
-def _follow(rig: RemoteRig, board: Board, run: str, on_run: Callable[[str], None]) -> None:
+def number_of(trial_id: str) -> int | None:
+    """The number of a trial in its run; None of an id that is not of this program."""
+    digits = trial_id.rpartition("-")[2].partition(".")[0]
+    return int(digits) if digits.isdecimal() else None
+
+
+def _follow(rig: RemoteRig, board: Board, run: str) -> None:
     """Puts the samples of each trial on the board, thinned, until the rig is closed.
 
     Of a run, if one is given, the trials of others are passed over.
@@ -133,13 +165,13 @@ def _follow(rig: RemoteRig, board: Board, run: str, on_run: Callable[[str], None
             if run and run_of(batch.trial_id) != run:
                 continue
             if restart:
-                on_run(run_of(batch.trial_id))
                 is_soon = time.monotonic() - begun_s < SHOWN_EVERY_S
                 if is_soon or batch.trial_id == passed_over:
                     passed_over = batch.trial_id
                     continue
                 trial_id, kept, begun_s = batch.trial_id, 0, time.monotonic()
-                board.put("live", {"trial_id": trial_id})
+                about = {"run": run_of(trial_id), "number": number_of(trial_id)}
+                board.put("live", {"trial_id": trial_id} | about)
             rows = _rows(batch)[: max(SAMPLES_MAX - kept, 0)]
             kept += len(rows)
             if rows or restart:

@@ -1,47 +1,41 @@
-"""A run's journal on the board: trials, curves, what comes next, and the result."""
+"""The run that a page shows, by its journal alone: trials, curves, what comes next, the result."""
 
 import math
 import shlex
 import shutil
 import time
-from collections import Counter, deque
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
-from itertools import pairwise
 from pathlib import Path
-from statistics import fmean, median
+from statistics import fmean
 from typing import Any
-
-import numpy as np
 
 from estune import api
 from estune.core.comparison import repeatability
 from estune.core.gains import GAIN_NAMES
-from estune.core.quantities import FloatArray
 from estune.errors import EstuneError
 from estune.run import loop, snapshot
 from estune.run.journal import Journal, JournalEntry, being_written
 from estune.run.phase import Phase
 from estune.run.planning import description_from_json, plan_from_json
-from estune.run.session import UNSAFE_RATIO, Session, is_safe, predict_next
-from estune.support.quantity_text import axis_label
-from estune.trial import Outcome, RigDescription, TrialRecord
+from estune.run.session import Session, Tally, predict_next
+from estune.trial import RigDescription
 from estune.tuners import tuner_space
+from estune.web import history
 from estune.web.board import Board
 from estune.web.reader import Reader
+from estune.web.result_view import LivePrediction, shown_result
 
-HISTORY_MAX = 4000
-"""Trials of the past that a page is sent: of more, the best and the worst of each stretch."""
 REPLAYED_MAX = 500
 """Trials without a snapshot up to which the tuner's own state is restored."""
-POINTS_MAX = 1500
-"""Points of a curve."""
 LATEST_S = 1.0
 """Least time between two records that are read; what is faster is seen in the live samples."""
-_PHASES = tuple(Phase)
-_OF_ONE_RUN = ("result", "expected", "curve.start", "curve.best", "curve.latest", "curve.tuned")
+_OF_ONE_RUN = (
+    *("run", "state", "result", "expected", "predicted.run"),
+    *(f"curve.{name}" for name in ("start", "best", "latest", "tuned")),
+)
 _TIMES = 20
-"""Trials whose durations give the time left."""
+"""Trials whose ends give the time that one takes."""
 
 
 class RunReader(Reader):
@@ -49,7 +43,7 @@ class RunReader(Reader):
 
     Args:
         board: The board.
-        folder: The run.
+        choose: The run to show now, or None; a run, to show that one alone.
         predict: Whether to restore the tuner's state, for what it expects; not in a process that
             has other work.
     """
@@ -57,269 +51,243 @@ class RunReader(Reader):
     source = "run"
     every_s = 0.1
 
-    def __init__(self, board: Board, folder: Path, *, predict: bool = True) -> None:
+    def __init__(
+        self, board: Board, choose: Path | Callable[[], Path | None], *, predict: bool = True
+    ) -> None:
         super().__init__(board)
-        self._folder = folder
+        self._choose = (lambda: choose) if isinstance(choose, Path) else choose
         self._predict = predict
-        self._journal: Journal | None = None
-        self._rig: RigDescription | None = None
-        self._tuning: loop.TuningRun | None = None
-        self._plan: dict[str, Any] = {}
-        self._entries: list[JournalEntry] = []
-        self._baseline: list[float] = []
-        self._unsafe = self._counted = self._rows = 0
-        self._best: JournalEntry | None = None
-        self._status = ""
-        self._changes = self._latest = 0
-        self._latest_at_s = -math.inf
-        self._seen_s: deque[float] = deque(maxlen=_TIMES)
+        self._run: _FollowedRun | None = None
+        self._is_blank = True
 
     def read(self) -> None:
-        """Reads what has been added to the journal."""
-        journal, is_first = self._journal, self._journal is None
-        if journal is not None and journal.changes() == self._changes:
-            self._show_latest(journal)
-            if self._status != "running" or being_written(self._folder):
-                return
-        if journal is None:
-            journal = self._journal = Journal.open(self._folder)
-            self._entries, self._baseline, self._best = [], [], None
-            self._unsafe = self._counted = self._latest = 0
-            self._tuning = None
-            self._plan = journal.fact("plan")
-            self._rig = description_from_json(journal.fact("rig"))
-            for name in _OF_ONE_RUN:  # a board may have shown another run before
+        """Reads what has been added to the run, or begins with another."""
+        folder = self._choose()
+        run = self._run
+        if run is not None and run.folder != folder:
+            self.release()
+            run = None
+        if run is None and not self._is_blank:
+            for name in _OF_ONE_RUN:
                 self.board.put(name, None)
-            self._show_plan(journal, self._rig)
-        self._changes = journal.changes()
-        listed = journal.entries(skip=len(self._entries))
-        added = [entry for entry in listed if entry.outcome is not None]
-        pending = next((entry for entry in listed if entry.outcome is None), None)
-        status = self._present_status(journal)
-        if not is_first and not added and status == self._status:
+            self.board.extend("trials", [], restart=True)
+            self._is_blank = True
+        if folder is None:
             return
-        self._status = status
-        self._count(added)
-        if added and not is_first:
-            self._seen_s.append(time.monotonic())
-        self._show_trials(journal, added, restart=is_first)
-        self._show_latest(journal)
-        self._show_state(pending)
-        if self._predict:
-            self._show_expectations(journal)
-        if status == "finished":
-            self._show_result()
+        if run is None:
+            run = self._run = _FollowedRun(self.board, folder, predict=self._predict)
+            self._is_blank = False
+        run.read()
 
     def release(self) -> None:
         """Closes the journal."""
-        journal, self._journal = self._journal, None
-        if journal is not None:
-            journal.close()
+        run, self._run = self._run, None
+        if run is not None:
+            run.journal.close()
 
-    def _present_status(self, journal: Journal) -> str:
-        status = str(journal.fact("status"))
-        if status == "running" and not being_written(self._folder):
-            again = f"continue with: estune resume {shlex.quote(str(self._folder))}"
-            trial_bytes = journal.size_bytes() / max(1, len(self._entries))
-            is_full = shutil.disk_usage(self._folder).free < trial_bytes
+
+class _FollowedRun:
+    """One run whose journal is open."""
+
+    def __init__(self, board: Board, folder: Path, *, predict: bool) -> None:
+        self.folder = folder
+        self.journal = Journal.open(folder)
+        self._board = board
+        self._predict = predict
+        self._plan: dict[str, Any] = self.journal.fact("plan")
+        self._rig = description_from_json(self.journal.fact("rig"))
+        self._tally = Tally(self._plan.get("eta_max"))
+        self._entries: list[JournalEntry] = []
+        self._rows = self._latest = 0
+        self._latest_at_s = -LATEST_S
+        self._best: JournalEntry | None = None
+        self._tuning: loop.TuningRun | None = None
+        self._live: LivePrediction | None = None
+        self._status = ""
+        self._changes = -1
+
+    def read(self) -> None:
+        """Reads what has been added since the last time."""
+        if self._live is not None:
+            self._live.update()
+        changes, is_first = self.journal.changes(), not self._status
+        if is_first:
+            self._board.put("run", _about(self.folder, self.journal, self._plan, self._rig))
+        elif changes == self._changes:
+            self._show_latest()
+            if self._status != "running" or being_written(self.folder):
+                return
+        self._changes = changes
+        listed = self.journal.entries(skip=len(self._entries))
+        added = [entry for entry in listed if entry.outcome is not None]
+        pending = next((entry for entry in listed if entry.outcome is None), None)
+        status = self._present_status()
+        if not is_first and not added and status == self._status:
+            return
+        self._status = status
+        self._entries += added
+        self._tally = self._tally.after((e.phase, e.outcome, e.cost) for e in added if e.outcome)
+        self._show_trials(added, restart=is_first)
+        self._show_latest()
+        self._follow_session()
+        self._show_state(pending)
+        if status == "finished":
+            self._show_result()
+
+    def _present_status(self) -> str:
+        status = str(self.journal.fact("status"))
+        if status == "running" and not being_written(self.folder):
+            again = f"continue with: estune resume {shlex.quote(str(self.folder))}"
+            trial_bytes = self.journal.size_bytes() / max(1, len(self._entries))
+            is_full = shutil.disk_usage(self.folder).free < trial_bytes
             full = "the disk is full; make room and " if is_full else ""
             return f"interrupted: its process has ended; {full}{again}"
         return status
 
-    def _count(self, added: Sequence[JournalEntry]) -> None:
-        self._entries += added
-        self._baseline += [
-            entry.cost
-            for entry in added
-            if entry.phase is Phase.BASELINE and entry.outcome is Outcome.DONE
-        ]
-        eta_max = self._eta_max
-        kinds = Counter(_kind(entry, eta_max) for entry in added)
-        self._counted += kinds[DONE] + kinds[UNSAFE]
-        self._unsafe += kinds[UNSAFE]
-
-    def _show_plan(self, journal: Journal, rig: RigDescription) -> None:
-        plan, space = self._plan, tuner_space(self._plan["tuner"])
-        self.board.put(
-            "run",
-            {
-                "name": plan["run"],
-                "folder": str(self._folder),
-                "rig": rig.name,
-                "measurement": rig.measurement,
-                "command": rig.command,
-                "command_limits": [rig.controller.output_min_N, rig.controller.output_max_N],
-                "per_ampere": rig.newtons_per_ampere,
-                "step_at_s": plan["step"]["step_at_s"],
-                "duration_s": plan["step"]["duration_s"],
-                "start": [plan["start"][name] for name in GAIN_NAMES],
-                "bounds": {
-                    name: [low, high]
-                    for name, low, high in zip(space.names, space.low, space.high, strict=True)
-                },
-                "trials_max": plan["trials"],
-                "repeats": plan["repeats"],
-                "created_at": journal.fact("created_at"),
-                "phases": [phase.value for phase in _PHASES],
-                "gains": list(GAIN_NAMES),
-                "gain_labels": [
-                    axis_label(name.removesuffix("_s").replace("_", " "), unit)
-                    for name, unit in rig.gain_units.items()
-                ],
-            },
-        )
-
-    @property
-    def _eta_max(self) -> float:
-        if self._plan.get("eta_max") is not None:
-            return float(self._plan["eta_max"])
-        return UNSAFE_RATIO * fmean(self._baseline) if self._baseline else math.inf
-
-    def _show_trials(
-        self, journal: Journal, added: Sequence[JournalEntry], *, restart: bool
-    ) -> None:
-        eta_max = self._eta_max
-        safe = [e for e in added if e.outcome and is_safe(e.phase, e.outcome, e.cost, eta_max)]
-        if self._rows + len(added) > 2 * HISTORY_MAX:  # a page may be open for days
+    def _show_trials(self, added: Sequence[JournalEntry], *, restart: bool) -> None:
+        eta_max = self._tally.eta_max
+        good = [entry for entry in added if history.is_good(entry, eta_max)]
+        if self._rows + len(added) > 2 * history.HISTORY_MAX:  # a page may be open for days
             added, restart = self._entries, True
-        shown = _thinned(added) if restart else added
+        shown = history.thinned(added) if restart else added
         self._rows = len(shown) + (0 if restart else self._rows)
-        rows = [
-            (e.number, e.cost, _kind(e, eta_max), _PHASES.index(e.phase), *e.gain_values)
-            for e in shown
-        ]
-        self.board.extend("trials", rows, restart=restart)
+        self._board.extend("trials", [history.row(e, eta_max) for e in shown], restart=restart)
         if restart and self._entries:
-            self._put_curve(journal, "start", self._entries[0])
-        searched = [e for e in safe if e.phase in (Phase.BASELINE, Phase.SEARCH)]
-        best = min((*searched, *([self._best] if self._best else ())), key=_cost, default=None)
+            self._put_curve("start", self._entries[0])
+        best = min((*good, *([self._best] if self._best else ())), key=_cost, default=None)
         if best is not None and best is not self._best:
             self._best = best
-            self._put_curve(journal, "best", best)
+            self._put_curve("best", best)
 
-    def _show_latest(self, journal: Journal) -> None:
+    def _show_latest(self) -> None:
         """Shows the latest trial, of fast ones only some."""
-        now_s = time.monotonic()
-        number = len(self._entries)
+        now_s, number = time.monotonic(), len(self._entries)
         if number > self._latest and now_s - self._latest_at_s >= LATEST_S:
             self._latest, self._latest_at_s = number, now_s
-            self._put_curve(journal, "latest", self._entries[-1])
+            self._put_curve("latest", self._entries[-1])
 
-    def _put_curve(self, journal: Journal, name: str, entry: JournalEntry) -> None:
+    def _put_curve(self, name: str, entry: JournalEntry) -> None:
         with suppress(EstuneError):  # the run keeps its latest records only
-            assert self._rig is not None  # noqa: S101  read with the journal
-            record = journal.record(entry.trial_id)
-            self.board.put(f"curve.{name}", curve(record, self._rig) | {"number": entry.number})
+            shown = history.curve(self.journal.record(entry.trial_id), self._rig)
+            self._board.put(f"curve.{name}", shown | {"number": entry.number})
 
     def _show_state(self, pending: JournalEntry | None) -> None:
-        best, baseline = self._best, self._baseline
-        gaps = [later - before for before, later in pairwise(self._seen_s)]
-        self.board.put(
+        tally, best, session = self._tally, self._best, self._session
+        ended = self.journal.ended_at(_TIMES)
+        begun = self.journal.fact("created_at")
+        taken_s = (ended[-1] - ended[0]).total_seconds() if len(ended) > 1 else None
+        left = None if session is None else session.trials_left
+        self._board.put(
             "state",
             {
                 "status": self._status,
                 "phase": pending.phase.value if pending else "",
-                "done": self._counted,
-                "left": self._left(pending),
-                "trial_s": median(gaps) if gaps else None,
-                "unsafe": self._unsafe,
-                "eta_max": self._eta_max,
-                "start_cost": fmean(baseline) if baseline else None,
-                "repeatability": repeatability((tuple(baseline),)) if len(baseline) > 1 else None,
+                "done": tally.number,
+                "left": left,
+                "at_most": session is not None
+                and session.phase in (Phase.BASELINE, Phase.EXCITE, Phase.SEARCH),
+                "trial_s": taken_s and taken_s / (len(ended) - 1),
+                "ended_at": ended[-1].isoformat() if ended else begun,
+                "unsafe": tally.unsafe,
+                "eta_max": tally.eta_max,
+                "start_cost": fmean(tally.baseline) if tally.baseline else None,
+                "repeatability": repeatability((tally.baseline,))
+                if len(tally.baseline) > 1
+                else None,
                 "best": best and {"number": best.number, "cost": best.cost},
-                "best_gains": best and list(best.gain_values),
                 "next": list(pending.gain_values) if pending else None,
+                "text": _search_text(self._board.get("expected"), pending),
             },
         )
 
-    def _left(self, pending: JournalEntry | None) -> int:
-        """Expected number of trials to come."""
-        if pending is None:
-            return 0
-        if self._tuning is not None:
-            return max(self._tuning.session.trials_left, 1)
-        most: int = self._plan["trials"] + 5 * self._plan["repeats"]
-        return max(1, most - self._counted)
+    @property
+    def _session(self) -> Session | None:
+        return None if self._tuning is None else self._tuning.session
 
-    def _show_expectations(self, journal: Journal) -> None:
-        """Expectations of the tuner: remaining improvement, intervals, and the next cost."""
+    def _follow_session(self) -> None:
+        """Follows the session of a run under way, for what its tuner expects."""
+        if self._status == "finished" or not self._predict:
+            self._tuning = None
+            return
         try:
             if self._tuning is None:
-                self._tuning = self._restored(journal)
+                self._tuning = self._restored()
             tuning = self._tuning
             if tuning is None:
                 return
             for entry in self._entries[len(tuning.entries) :]:
-                tuning.session = loop.session_after(tuning, entry, journal)
+                tuning.session = loop.session_after(tuning, entry, self.journal)
                 tuning.entries.append(entry)
         except EstuneError:  # of another version, or of a tuner that is not installed here
             self._predict, self._tuning = False, None
         else:
-            self.board.put("expected", _expected(tuning.session))
+            self._board.put("expected", _expected(tuning.session))
 
-    def _restored(self, journal: Journal) -> loop.TuningRun | None:
+    def _restored(self) -> loop.TuningRun | None:
         plan = plan_from_json(self._plan)
-        assert self._rig is not None  # noqa: S101  read with the journal
-        replayed, _ = snapshot.read(journal, plan, self._entries)
+        replayed, _ = snapshot.read(self.journal, plan, self._entries)
         if len(self._entries) - replayed > REPLAYED_MAX:
             self._predict = False
             return None
-        return loop.replay(plan, self._rig, journal)
+        return loop.replay(plan, self._rig, self.journal)
 
     def _show_result(self) -> None:
+        intervals = {n: (low, high) for n, low, high in self.journal.fact("intervals") or ()}
+        self._board.put("expected", {"remaining": None, "intervals": intervals, "next_cost": None})
         try:
-            result = api.load(self._folder)
+            result = api.load(self.folder)
         except EstuneError as error:  # its trials can be shown all the same
-            shown = {
-                "heading": str(error),
-                "good": False,
-                "tuned": False,
-                "rows": [],
-                "remarks": [],
-            }
-            self.board.put("result", shown)
+            self._board.put("result", {"heading": str(error), "rows": [], "remarks": []})
             return
-        self.board.put(
-            "result",
-            {
-                "heading": result.heading(),
-                "good": result.ending.good,
-                "tuned": result.success,
-                "rows": [list(row) for row in result.rows()],
-                "remarks": list(result.remarks()),
-            },
-        )
+        self._board.put("result", shown_result(result))
+        self._live = LivePrediction(self._board, result)
         if result.tuned_record is not None and result.success:
-            self.board.put("curve.tuned", curve(result.tuned_record, result.rig))
+            self._board.put("curve.tuned", history.curve(result.tuned_record, result.rig))
 
 
-DONE, UNSAFE, VOID = 0, 1, 2
-
-
-def _kind(entry: JournalEntry, eta_max: float) -> int:
-    if entry.outcome is None or entry.outcome.is_void or entry.outcome is Outcome.DECLINED:
-        return VOID
-    return DONE if is_safe(entry.phase, entry.outcome, entry.cost, eta_max) else UNSAFE
+def _about(
+    folder: Path, journal: Journal, plan: dict[str, Any], rig: RigDescription
+) -> dict[str, Any]:
+    """Facts of a run that do not change."""
+    space = tuner_space(plan["tuner"])
+    return {
+        "name": plan["run"],
+        "folder": str(folder),
+        "rig": rig.name,
+        "measurement": rig.measurement,
+        "command": rig.command,
+        "command_limits": [rig.controller.output_min_N, rig.controller.output_max_N],
+        "per_ampere": rig.newtons_per_ampere,
+        "step_at_s": plan["step"]["step_at_s"],
+        "duration_s": plan["step"]["duration_s"],
+        "bounds": {
+            name: [low, high]
+            for name, low, high in zip(space.names, space.low, space.high, strict=True)
+        },
+        "created_at": journal.fact("created_at"),
+        "gains": list(GAIN_NAMES),
+        "gain_labels": history.gain_labels(rig),
+    }
 
 
 def _cost(entry: JournalEntry) -> float:
     return entry.cost
 
 
-def _thinned(entries: Sequence[JournalEntry]) -> Sequence[JournalEntry]:
-    """At most about `HISTORY_MAX` trials: the best and worst of each stretch, and the last."""
-    if len(entries) <= HISTORY_MAX:
-        return entries
-    size = math.ceil(2 * len(entries) / HISTORY_MAX)
-    kept: list[JournalEntry] = []
-    for begin in range(0, len(entries), size):
-        stretch = sorted(entries[begin : begin + size], key=_rank)
-        kept += sorted({stretch[0], stretch[-1]})
-    return kept if kept[-1] == entries[-1] else [*kept, entries[-1]]
-
-
-def _rank(entry: JournalEntry) -> float:
-    return entry.cost if math.isfinite(entry.cost) else math.inf
+def _search_text(expected: dict[str, Any] | None, pending: JournalEntry | None) -> str:
+    """What is expected of the search, in sentences."""
+    known = expected or {"remaining": None, "next_cost": None}
+    parts = [f"Phase: {pending.phase}."] if pending else []
+    if known["remaining"] is not None:
+        share = f"{100.0 * known['remaining']:.2g} %"
+        parts.append(f"At most {share} of the cost is expected to be left to gain.")
+    if pending:
+        gains = ", ".join(f"{value:.4g}" for value in pending.gain_values)
+        parts.append(f"The next trial runs P, I, D, filter = {gains}.")
+    if pending and known["next_cost"]:
+        low, _, high = (math.inf if x is None else x for x in known["next_cost"])
+        parts.append(f"Its cost is expected between {low:.3g} and {high:.3g}.")
+    return " ".join((*parts, "The grey band is the noise about the best cost."))
 
 
 def _expected(session: Session) -> dict[str, Any]:
@@ -330,23 +298,4 @@ def _expected(session: Session) -> dict[str, Any]:
         "remaining": estimate and estimate.remaining_improvement,
         "intervals": dict(zip(names, estimate.intervals, strict=True)) if estimate else {},
         "next_cost": prediction and [prediction.low, prediction.cost, prediction.high],
-        "explored": prediction and prediction.explored,
     }
-
-
-def curve(record: TrialRecord, rig: RigDescription) -> dict[str, Any]:
-    """Time, setpoint, measurement and command of a record, thinned to `POINTS_MAX`."""
-    every = max(1, math.ceil(record.time_s.size / POINTS_MAX))
-    columns = {
-        "t": record.time_s,
-        "r": record.setpoint_N,
-        "y": record.tension_N,
-        "u": record.current_A * rig.newtons_per_ampere,
-    }
-    return {name: _rounded(column[::every]) for name, column in columns.items()}
-
-
-def _rounded(values: FloatArray) -> list[float]:
-    """Values with six digits of the largest."""
-    largest = float(np.abs(values[np.isfinite(values)]).max(initial=1e-300))
-    return list(np.round(values, 5 - math.floor(math.log10(largest))).tolist())

@@ -19,7 +19,7 @@ from estune.support.user import user_at_host
 from estune.web.board import Seen, to_json
 from estune.web.daemon_reader import daemon_row
 from estune.web.http_service import HEADERS, HttpService, body_of
-from estune.web.rig_actions import form
+from estune.web.tuning_form import FormFault
 from estune.web.views import View, Views
 
 UPDATE_S = 0.1
@@ -72,7 +72,7 @@ class PageServer:
             Route("/api/views", self._list),
             Route("/api/events", self._events),
             Route("/api/tuning", self._tuning),
-            Route("/api/form", _form),
+            Route("/api/form", self._form),
             Route("/api/command", self._command, methods=["POST"]),
         ]
         self._http = HttpService(
@@ -148,6 +148,12 @@ class PageServer:
         text = await run_in_threadpool(view.tuning.text)
         return Response(text, media_type="application/json", headers=HEADERS)
 
+    async def _form(self, request: Request) -> Response:
+        view = await self._view(request.query_params.get("view", ""))
+        if view is None:
+            return Response("there is no such view", 404)
+        return JSONResponse(await run_in_threadpool(view.form), headers=HEADERS)
+
     async def _stream(self, view: View) -> AsyncIterator[str]:
         """Server-sent events: what changed, and a beat with the age of the data."""
         self._pages += 1
@@ -156,7 +162,7 @@ class PageServer:
             allowed = sorted(view.commands) if self._http.key else []
             yield f"event: hello\ndata: {to_json({'kind': view.kind, 'commands': allowed})}\n\n"
             while not self._http.is_ending:
-                text, seen = view.board.changes(seen)
+                text, seen = view.changes(seen)
                 if text:
                     yield f"data: {text}\n\n"
                 if waited_s >= BEAT_S:
@@ -188,12 +194,10 @@ class PageServer:
             name = client if client not in _LOCAL else user_at_host()
             sentence = await run_in_threadpool(execute, f"{name} on the live page", given)
         except EstuneError as error:
-            return JSONResponse({"done": False, "sentence": str(error)}, 409, headers=HEADERS)
+            fields = error.fields if isinstance(error, FormFault) else {}
+            refused = {"done": False, "sentence": str(error), "fields": fields}
+            return JSONResponse(refused, 409, headers=HEADERS)
         return JSONResponse({"done": True, "sentence": sentence}, headers=HEADERS)
-
-
-async def _form(_request: Request) -> Response:
-    return JSONResponse(form(), headers=HEADERS)
 
 
 def _row(view: View, summary: dict[str, Any]) -> dict[str, Any]:

@@ -1,6 +1,7 @@
 """Data of the tuning page: the loop identified from a run, anew when there are more trials."""
 
 import threading
+from collections.abc import Callable
 from pathlib import Path
 
 from estune import api
@@ -14,21 +15,21 @@ TRIALS_MAX = 2000
 
 
 class TuningSource:
-    """The data of one run's tuning page; any thread may ask.
+    """The data of a tuning page; any thread may ask.
 
-    Attributes:
-        folder: The run; None where there is none.
+    Args:
+        choose: The run that is shown now; None where there is none.
     """
 
-    def __init__(self, folder: Path | None = None) -> None:
-        self.folder = folder
+    def __init__(self, choose: Callable[[], Path | None] = lambda: None) -> None:
+        self._choose = choose
         self._lock = threading.Lock()
         self._made: tuple[Path | None, int, str] = None, -1, ""
         self._text = ""
 
     def text(self) -> str:
         """The data as JSON: `{"data": ..., "reason": ...}`, one of them empty."""
-        folder = self.folder
+        folder = self._choose()
         if folder is None:
             return _without("there is no run whose records show the loop; tune this rig first")
         with self._lock:

@@ -1,6 +1,5 @@
 """Views of a server: runs, rigs and supervised rigs, each with a board and its readers."""
 
-import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from functools import partial
@@ -21,22 +20,23 @@ from estune.remote.messages.daemon import (
 from estune.remote.security import OPEN, Security
 from estune.remote.zenoh import RemoteRig, connect
 from estune.remote.zenoh.daemon_service import DaemonClient, Supervised
-from estune.run.journal import FILE_NAME, Journal
+from estune.run.journal import Journal
 from estune.run.targets import is_endpoint
-from estune.web.board import Board
+from estune.web.banner import show_banner
+from estune.web.board import Board, Seen
 from estune.web.daemon_reader import DaemonReader
 from estune.web.listed_run import ListedRun
 from estune.web.reader import Reader
-from estune.web.rig_actions import RigActions
-from estune.web.rig_reader import RigReader
+from estune.web.rig_actions import TRIED, RigActions
+from estune.web.rig_reader import RigReader, run_of
 from estune.web.run_actions import run_actions
+from estune.web.run_folder import RunFolder
 from estune.web.run_reader import RunReader
+from estune.web.tuning_form import form
 from estune.web.tuning_source import TuningSource
 
 LINK_S = 2.0
 """Time that a rig has to answer before the page says that there is no link, s."""
-RUNS_MAX = 2000
-"""Newest runs of a folder that are listed."""
 
 Execute = Callable[[str, Mapping[str, Any]], str]
 """Executes a command for somebody named, with its arguments; returns what is being done."""
@@ -53,6 +53,7 @@ class View:
         tuning: What its tuning page shows.
         gone: Since when it is no longer there, in words; empty while it is.
         summary: What the list of views shows of it beside its state.
+        earlier: Earlier runs of the rig.
     """
 
     def __init__(
@@ -66,16 +67,22 @@ class View:
         tuning: TuningSource | None = None,
         actions: RigActions | None = None,
         summary: Callable[[], dict[str, Any]] = dict,
+        earlier: Callable[[], Sequence[ListedRun]] = tuple,
     ) -> None:
         self.name = name
         self.summary = summary
         self.gone = ""
+        self._earlier = earlier
         self._actions = actions
         self.tuning = tuning or TuningSource()
         self.kind = kind
         self.board = board
         self.commands = dict(commands or {})
         self._readers = list(readers)
+
+    def form(self) -> dict[str, Any]:
+        """The form that starts a tuning."""
+        return form(self.board.get("description"), self._earlier())
 
     def look(self) -> None:
         """Has all of it read for a while."""
@@ -88,13 +95,10 @@ class View:
             for reader in self._readers[:1]:
                 reader.look()
 
-    def replace(self, old: Reader | None, new: Reader) -> None:
-        """Has a reader in the place of another."""
-        if old is None:
-            self._readers.append(new)
-        else:
-            self._readers[self._readers.index(old)] = new
-            old.end()
+    def changes(self, seen: Seen) -> tuple[str, Seen]:
+        """Changes of the board that a page has not been sent yet, with what they come to."""
+        show_banner(self.board, self.kind)
+        return self.board.changes(seen)
 
     def close(self) -> None:
         """Ends the readers, and a tuning that was started on the page."""
@@ -108,15 +112,15 @@ Views = Callable[[], Sequence[View]]
 """The views that there are now; the same objects each time."""
 
 
-def run_view(folder: Path, security: Security = OPEN) -> View:
+def run_view(listed: ListedRun | Path, security: Security = OPEN) -> View:
     """A run, with the rig at the endpoint it was made on."""
-    board = Board()
+    listed = ListedRun(listed) if isinstance(listed, Path) else listed
+    board, folder = Board(), listed.folder
     readers: list[Reader] = [RunReader(board, folder)]
     actions = None
-    listed = ListedRun(folder)
     row = listed.row()
     target, rig = listed.target, str(row.get("rig", ""))
-    if not target:  # opened again, it says why, or has just begun
+    if "rig" not in row:  # opened again, it says why, or has just begun
         with Journal.open(folder) as journal:
             target, rig = journal.fact("target"), journal.fact("rig")["name"]
     commands: dict[str, Execute] = run_actions(folder, rig)
@@ -134,45 +138,34 @@ def run_view(folder: Path, security: Security = OPEN) -> View:
         board,
         readers,
         commands=commands,
-        tuning=TuningSource(folder),
+        tuning=TuningSource(lambda: folder),
         actions=actions,
         summary=listed.row,
     )
 
 
-def folder_views(folder: Path, security: Security = OPEN) -> Views:
+def folder_views(runs: RunFolder, security: Security = OPEN) -> Views:
     """The newest runs of a folder, also those that are begun later."""
     kept: dict[Path, View] = {}
 
     def views() -> list[View]:
-        newest = _newest_runs(folder)
-        for path in newest:
+        newest = {listed.folder: listed for listed in runs.newest()}
+        for path, listed in newest.items():
             if path not in kept:
                 with suppress(JournalError):  # half-copied, or just being begun: tried again
-                    kept[path] = run_view(path, security)
+                    kept[path] = run_view(listed, security)
         for path in kept.keys() - set(newest):  # deleted meanwhile
             kept.pop(path).close()
-        return [kept.get(path) or _unreadable(path) for path in newest]
+        return [kept.get(path) or _unreadable(listed) for path, listed in newest.items()]
 
     return views
 
 
-def _newest_runs(folder: Path) -> list[Path]:
-    """At most `RUNS_MAX` runs of a folder, the one written last first."""
-    written: dict[str, float] = {}
-    with suppress(FileNotFoundError), os.scandir(folder) as entries:
-        for entry in entries:
-            with suppress(OSError):
-                written[entry.path] = Path(entry.path, FILE_NAME).stat().st_ctime
-    newest = sorted(written, key=lambda path: written[path], reverse=True)
-    return [Path(path) for path in newest[:RUNS_MAX]]
-
-
-def _unreadable(folder: Path) -> View:
+def _unreadable(listed: ListedRun) -> View:
     """A run whose journal cannot be read; the page says why."""
     board = Board()
-    summary = ListedRun(folder).row
-    return View(folder.name, "run", board, [RunReader(board, folder)], summary=summary)
+    reader = RunReader(board, listed.folder)
+    return View(listed.folder.name, "run", board, [reader], summary=listed.row)
 
 
 def _is_running(board: Board) -> bool:
@@ -182,9 +175,9 @@ def _is_running(board: Board) -> bool:
 
 
 def rig_view(
-    endpoint: str, rig: str, security: Security = OPEN, *, runs: Path | None = None
+    endpoint: str, rig: str, security: Security = OPEN, *, runs: RunFolder | None = None
 ) -> View:
-    """A rig at an endpoint, with the run whose trials it does where that is in a folder here.
+    """A rig at an endpoint, with its newest run.
 
     Args:
         endpoint: Endpoint of the rig.
@@ -193,20 +186,21 @@ def rig_view(
         runs: Folder of runs; None where there is none.
     """
     board = Board()
-    follow = _Follower(runs, rig)
-    reader = RigReader(board, _connecting(endpoint, rig, security), on_run=follow)
+    reader = RigReader(board, _connecting(endpoint, rig, security))
     commands: dict[str, Execute] = {"estop": _stopping(reader)}
     actions = None
+    newest = NewestRun(board, runs, rig, _run_of_status)
     if runs is not None:
-        actions = _actions(board, endpoint, rig, security, runs)
+        actions = _actions(board, endpoint, rig, security, runs.path)
         commands |= actions.commands()
-    follow.view = View(
-        *(rig, "rig", board, [reader]),
+    return View(
+        *(rig, "rig", board, [reader, RunReader(board, newest)]),
         commands=commands,
         actions=actions,
+        tuning=TuningSource(newest),
         summary=lambda: {"rig": rig},
+        earlier=newest.listed,
     )
-    return follow.view
 
 
 def _stopping(reader: RigReader) -> Execute:
@@ -222,41 +216,58 @@ def _actions(board: Board, endpoint: str, rig: str, security: Security, runs: Pa
     return RigActions(connect_for, board, endpoint, rig, runs, may_tune=security is OPEN)
 
 
-class _Follower:
-    """Shows the run under way on the page of its rig.
+def _run_of_status(board: Board) -> tuple[str, bool]:
+    """The run that a rig says holds it, or held it last, and whether its trial is under way."""
+    rig = board.get("rig") or {"trial_id": "", "last": ""}
+    return run_of(rig["trial_id"] or rig["last"]), bool(rig["trial_id"])
 
-    Attributes:
-        view: The page's view; set once it is made.
+
+def _run_of_daemon(board: Board) -> tuple[str, bool]:
+    """The run that a daemon says is under way."""
+    daemon = board.get("daemon") or {"run": ""}
+    return daemon["run"], bool(daemon["run"])
+
+
+class NewestRun:
+    """The newest run of a rig, whatever started it, and whenever.
+
+    That is the one under way, else the one that the rig last ran a trial of, else the one whose
+    last trial is the youngest. A run elsewhere is named on the board, under `elsewhere`.
+
+    Args:
+        board: The board of the rig.
+        runs: Folder of runs; None where there is none.
+        rig: Name of the rig.
+        said: The run that the rig or its daemon names on the board, and whether it is under way.
     """
 
-    view: View
-
-    def __init__(self, runs: Path | None, rig: str) -> None:
+    def __init__(
+        self,
+        board: Board,
+        runs: RunFolder | None,
+        rig: str,
+        said: Callable[[Board], tuple[str, bool]],
+    ) -> None:
+        self._board = board
         self._runs = runs
         self._rig = rig
-        self._shown: tuple[str, Reader | None] = "", None
+        self._said = said
 
-    def __call__(self, run: str) -> None:
-        """Shows this run from now on; one that is not in the folder is named only."""
-        name, reader = self._shown
-        if not run or run == name:
-            return
-        folder = None if self._runs is None else self._runs / run
-        if folder is None or not (folder / FILE_NAME).is_file() or not self._is_of_rig(folder):
-            self.view.board.put("elsewhere", run)
-            return
-        following = RunReader(self.view.board, folder)
-        self.view.tuning.folder = folder
-        self.view.replace(reader, following)
-        self._shown = run, following
-        self.view.board.put("elsewhere", "")
+    def listed(self) -> list[ListedRun]:
+        """The runs of the rig in the folder, newest first."""
+        return [] if self._runs is None else self._runs.of_rig(self._rig)
 
-    def _is_of_rig(self, folder: Path) -> bool:
-        try:
-            with Journal.open(folder) as journal:
-                return bool(journal.fact("rig")["name"] == self._rig)
-        except JournalError:  # just being begun: tried again with its next trial
-            return False
+    def __call__(self) -> Path | None:
+        """The run; None if there is none in the folder."""
+        said, is_under_way = self._said(self._board)
+        listed = self.listed()
+        named = next((run for run in listed if run.folder.name == said), None)
+        running = next((run for run in listed if run.is_running), None)
+        is_elsewhere = named is None and not said.startswith(TRIED)
+        self._board.put("elsewhere", said if is_elsewhere else "")
+        first = named if is_under_way else running or named
+        newest = [*([first] if first else []), *listed]
+        return newest[0].folder if newest else None
 
 
 def _connecting(endpoint: str, rig: str, security: Security) -> Callable[[], RemoteRig]:
@@ -276,7 +287,7 @@ def daemon_view(
     supervised: Supervised,
     *,
     target: str = "",
-    runs: Path | None = None,
+    runs: RunFolder | None = None,
     security: Security = OPEN,
 ) -> View:
     """A rig that a daemon supervises.
@@ -289,19 +300,9 @@ def daemon_view(
         security: Credentials for the rig.
     """
     board = Board()
-    shown: dict[str, Reader] = {}
-
-    def follow(run: str) -> None:
-        if runs is None or not (runs / run / FILE_NAME).is_file() or run in shown:
-            return
-        old = next(iter(shown.values()), None)
-        shown.clear()
-        shown[run] = RunReader(board, runs / run, predict=False)
-        view.replace(old, shown[run])
-        view.tuning.folder = runs / run
-
-    reader = DaemonReader(board, supervised, follow)
-    readers: list[Reader] = [reader]
+    reader = DaemonReader(board, supervised)
+    newest = NewestRun(board, runs, rig, _run_of_daemon)
+    readers: list[Reader] = [reader, RunReader(board, newest, predict=False)]
     commands: dict[str, Execute] = {
         verb: lambda who, _given, verb=verb: reader.command(verb, who)  # type: ignore[misc]
         for verb in DAEMON_VERBS
@@ -310,8 +311,12 @@ def daemon_view(
         samples = RigReader(board, _connecting(target, rig, security))
         readers.append(samples)
         commands["estop"] = _stopping(samples)
-    view = View(rig, "daemon", board, readers, commands=commands, summary=lambda: {"rig": rig})
-    return view
+    return View(
+        *(rig, "daemon", board, readers),
+        commands=commands,
+        tuning=TuningSource(newest),
+        summary=lambda: {"rig": rig},
+    )
 
 
 class RemoteSupervision:

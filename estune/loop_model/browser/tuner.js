@@ -14,8 +14,8 @@ const short = (x, digits = 3) => (x == null || Number.isNaN(x) ? "-" : Number.is
 const percent = (x) => `${(100 * x).toFixed(1)} %`;
 
 export class Tuner {
-  // `data` is as of estune.run.results.tuning_data; `live` are the gains to compare with, `act`
-  // sends a command to the rig where that is allowed.
+  // `data` is as of estune.run.results.tuning_data; `live` are the gains to compare with, `act` has
+  // what may be done with the rig: `try` gains, and `apply` them once that is confirmed.
   constructor(container, data, live = null, act = null) {
     this.act = act;
     this.data = data;
@@ -104,8 +104,9 @@ export class Tuner {
       button("Optimum for these limits", () => this.move(() => this.solve({}))), this.compare,
       button("Copy gains", () => this.copy()), this.form);
     if (this.act)
-      this.buttons.append(button("Try these gains once", () => this.act("try", { gains: this.gains })),
-        button("Apply\u2026", () => this.confirmed() && this.act("apply", { gains: this.gains, instead_of: this.base })));
+      this.buttons.append(button("Try these gains once", () => this.act.try(this.gains)),
+        (this.apply = button("Make these gains live\u2026", () => this.act.apply({ gains: { ...this.gains }, rows: this.rows, heads: [this.baseName, "these gains"],
+          limits: `Predicted to keep Ms at most ${short(this.limits.Ms)} and overshoot at most ${percent(this.limits.overshoot)}.` }))));
     this.numbers = make("table", {});
     this.cells = [];
     const figures = make("div", { className: "grid" });
@@ -188,6 +189,10 @@ export class Tuner {
     this.broken = own.y === null || over.Ms || over.overshoot || over.effort;
     Object.values(this.sliders).forEach((show) => show());
     this.showNumbers(own, base, { Ms, overshoot, effort, over });
+    if (this.apply) {
+      this.apply.disabled = own.y === null || over.Ms || over.overshoot;
+      this.apply.title = this.apply.disabled ? "Not offered: the model predicts that these gains break a limit." : "";
+    }
     this.every = full ? 1 : Math.ceil(this.time.length / COARSE);
     this.draw(own, others, parts);
   }
@@ -229,6 +234,7 @@ export class Tuner {
       ["largest move of the command", `${short(largest(base))} ${unit}`, `${short(effort)} ${unit}${over.effort ? ", at its limit" : ""}`, over.effort],
       ["cost", short(base.cost), short(own.cost)],
     ];
+    this.rows = rows.map((row) => row.slice(0, 3));
     if (!this.cells.length) {
       const cell = (tag, properties) => make(tag, properties), heads = [this.baseName, "these gains"];
       this.heads = heads.map((textContent) => cell("th", { textContent, scope: "col" }));
@@ -284,17 +290,6 @@ export class Tuner {
 
   resampled({ every, ...one }, name) {
     return Array.from(this.time, (_, k) => (k % every ? null : one[name][k / every] ?? null));
-  }
-
-  // Whether somebody agrees to make the gains live, seeing what changes and which limits break.
-  confirmed() {
-    if (this.baseName !== "live gains") {
-      this.said.textContent = "the rig's live gains are not known yet: without a link nothing can be applied";
-      return false;
-    }
-    const lines = NAMES.map((name) => `${this.data.labels[name]}: ${short(this.base[name], 4)} \u2192 ${short(this.gains[name], 4)}`);
-    const warning = this.broken ? "\n\nThe model predicts that these gains break a limit." : "";
-    return confirm(`Make these gains live on the rig?\n\n${lines.join("\n")}${warning}`);
   }
 
   async copy() {

@@ -23,6 +23,7 @@ from estune.remote.messages.codec import (
 from estune.remote.messages.commands import VERBS, Inquire, digest
 from estune.remote.messages.keys import ANY_RIG, VERSION, Keys, Presence, check_name, choose
 from estune.remote.messages.replies import (
+    LAST,
     Answer,
     Description,
     Failure,
@@ -38,6 +39,7 @@ __all__ = [
     "ANY_RIG",
     "COMMAND_MAX_BYTES",
     "HOLDER_MAX",
+    "LAST",
     "LIVE_MAX_SAMPLES",
     "VERBS",
     "VERSION",

@@ -58,6 +58,7 @@ class Status(Message):
         ended: Number of trials ended since the rig started.
         holder: Holder of the lease, or empty.
         latched: Reason of the emergency stop; empty if there was none, or it was cleared.
+        last: The youngest trial of the ledger; absent unless the query asked for it.
     """
 
     max_bytes: ClassVar[int] = ANSWER_MAX_BYTES
@@ -67,6 +68,11 @@ class Status(Message):
     ended: int
     holder: str
     latched: str
+    last: Annotated[str, omitted_if("")] = ""
+
+
+LAST = b"last"
+"""Payload of a query of the status that asks for the youngest trial, too."""
 
 
 @dataclass(frozen=True, slots=True)

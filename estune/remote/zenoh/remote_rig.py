@@ -90,10 +90,10 @@ class RemoteRig(Closing):
         """Properties of the rig, with its live gains."""
         return self._connection.describe().rig
 
-    def status(self) -> Status:
-        """Current state of the rig, and its lease holder."""
-        key = self._connection.keys.status
-        return messages.decode(Status, self._connection.query_until_answered(lambda: key, b""))
+    def status(self, *, with_last: bool = False) -> Status:
+        """Current state of the rig, and its lease holder; where it says so, its last trial."""
+        key, asked = self._connection.keys.status, messages.LAST if with_last else b""
+        return messages.decode(Status, self._connection.query_until_answered(lambda: key, asked))
 
     def run(self, request: TrialRequest) -> TrialRecord:
         """Runs one trial, or returns the record of it if that trial id has run before.

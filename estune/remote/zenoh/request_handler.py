@@ -254,8 +254,8 @@ class RequestHandler(MessageDispatcher):
             return found
         return messages.encode_part(found, inquiry.offset, most or len(found))
 
-    def status(self) -> Status:
-        """Current state of the rig."""
+    def status(self, asked: bytes = b"") -> Status:
+        """Current state of the rig; with its youngest trial, if that is asked for."""
         with self._shared.lock:
             state = self._shared.state
         return Status(
@@ -265,6 +265,7 @@ class RequestHandler(MessageDispatcher):
             ended=state.ended,
             holder="" if state.lease is None else state.lease.holder,
             latched=state.latched,
+            last=self._ledger.last if asked == messages.LAST else "",
         )
 
     def describe(self) -> Description:

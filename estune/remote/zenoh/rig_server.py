@@ -167,7 +167,11 @@ class RigServer(Closing):
 
             handler.query(answer, reply)
 
-        session.serve(keys.status, lambda _, reply: handler.query(handler.status, reply), queries)
+        session.serve(
+            keys.status,
+            lambda asked, reply: handler.query(partial(handler.status, asked), reply),
+            queries,
+        )
         session.serve(
             keys.describe, lambda _, reply: handler.query(handler.describe, reply), queries
         )

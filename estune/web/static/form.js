@@ -1,33 +1,58 @@
-// A form for the settings of a tuning, made from their declaration; what is left empty is the rig's.
+// The form that starts a tuning, made by the server, and the question before gains are made live.
 
 import { make } from "./charts.js";
 
-function field({ name, type, choices, unit, help, otherwise }) {
+const dialog = document.getElementById("form");
+const button = (textContent, properties) => make("button", { textContent, ...properties });
+
+function field({ name, label, choices, is_number, help, otherwise, is_open }) {
   const id = `setting-${name}`;
   const input = choices.length
     ? make("select", { id, name }, new Option(`${otherwise} (default)`, ""), ...choices.map((one) => new Option(one, one)))
-    : make("input", { id, name, placeholder: otherwise, inputMode: type === "str" ? "text" : "decimal", autocomplete: "off" });
+    : make("input", { id, name, placeholder: otherwise, value: is_open ? otherwise : "", inputMode: is_number ? "decimal" : "text", autocomplete: "off" });
   input.setAttribute("aria-describedby", `${id}-help`);
-  const words = name.replace(/_(N|s|deg)$/, "").replaceAll("_", " ");
-  return make("div", { className: "field" }, make("label", { htmlFor: id }, unit && unit !== "N" ? `${words}, ${unit}` : words), input,
+  return make("div", { className: "field" }, make("label", { htmlFor: id }, label), input,
     make("small", { id: `${id}-help`, className: "soft", textContent: help }));
 }
 
-// Opens the form; `start` is called with the settings that were given.
-export async function openForm(start) {
-  const dialog = document.getElementById("form");
-  const groups = await (await fetch("api/form")).json();
-  const fieldset = ({ title, settings }, n) => make("details", { open: n < 2 }, make("summary", {}, title), ...settings.map(field));
-  const form = make("form", { method: "dialog" }, make("h2", { id: "form-title", textContent: "Start a tuning" }),
+// Opens the form of a view; `start` sends the settings that were given, and comes back with the answer.
+export async function openForm(view, start) {
+  const { open, more, expected } = await (await fetch(`api/form?view=${encodeURIComponent(view)}`)).json();
+  const said = make("p", { className: "wrong" }), cancel = button("Cancel", { type: "button" });
+  said.setAttribute("role", "alert");
+  const form = make("form", {}, make("h2", { id: "form-title", textContent: "Start a tuning" }),
+    make("p", { textContent: expected }),
     make("p", { className: "soft", textContent: "The rig will move. Each trial uses temporary gains; the rig then restores its live ones." }),
-    ...groups.map(fieldset),
-    make("div", { className: "buttons" }, make("button", { value: "start", textContent: "Start" }), make("button", { value: "", textContent: "Cancel", formNoValidate: true })));
+    ...open.map(field),
+    make("details", {}, make("summary", {}, "More"),
+      ...more.map(({ title, settings }) => make("fieldset", {}, make("legend", { textContent: title }), ...settings.map(field)))),
+    said, make("div", { className: "buttons" }, button("Start", { className: "primary" }), cancel));
+  cancel.addEventListener("click", () => dialog.close());
+  form.addEventListener("submit", async (event) => {
+    event.preventDefault();
+    form.querySelectorAll(".wrong").forEach((one) => (one === said ? said.replaceChildren() : one.remove()));
+    const { done, sentence, fields = {} } = await start(Object.fromEntries([...new FormData(form)].filter(([, value]) => value.trim())));
+    if (done) return dialog.close();
+    for (const [name, why] of Object.entries(fields)) {
+      const input = form.elements[name];
+      input.after(make("small", { className: "wrong", textContent: why }));
+      input.closest("details")?.setAttribute("open", "");
+      input.focus();
+    }
+    if (!Object.keys(fields).length) said.textContent = sentence;
+  });
   dialog.replaceChildren(form);
-  dialog.onclose = () => {
-    if (dialog.returnValue !== "start") return;
-    const given = [...new FormData(form)].filter(([, value]) => value.trim());
-    start(Object.fromEntries(given));
-  };
+  dialog.showModal();
+}
+
+// Whether somebody agrees that gains become live, seeing what changes; rows are [label, before, after].
+export function confirmGains(gains, heads, rows, notes) {
+  const table = (head, lines) => make("table", {}, make("tr", {}, ...head.map((textContent) => make("th", { textContent, scope: "col" }))),
+    ...lines.map(([name, ...cells]) => make("tr", {}, make("th", { textContent: name, scope: "row" }), ...cells.map((textContent) => make("td", { textContent })))));
+  dialog.replaceChildren(make("form", { method: "dialog" }, make("h2", { id: "form-title", textContent: "Make these gains live on the rig?" }),
+    table(["gain", "live now", "new"], gains), table(["response", ...heads], rows), ...notes.map((textContent) => make("p", { textContent })),
+    make("div", { className: "buttons" }, button("Make live", { value: "yes", className: "primary" }), button("Cancel", { value: "" }))));
   dialog.returnValue = "";
   dialog.showModal();
+  return new Promise((resolve) => { dialog.onclose = () => resolve(dialog.returnValue === "yes"); });
 }

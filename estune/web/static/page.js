@@ -1,13 +1,13 @@
 // The page: follows one view by server-sent events, and draws what has changed.
 
-import { make } from "./charts.js";
-import { openForm } from "./form.js";
+import { confirmGains, openForm } from "./form.js";
 import { LabelForm } from "./labels.js";
 import { RunTable } from "./runs.js";
 import { Sections } from "./sections.js";
 import { TuningSection } from "./tuning.js";
 
 const STALE_S = 1.5; // the rig is read four times a second
+const SPOKEN_MS = 15000;
 const AGAIN_S = 10; // a stream that is silent for so long is opened anew: the computer has slept
 const $ = (id) => document.getElementById(id);
 const key = new URLSearchParams(location.hash.slice(1)).get("key") ?? sessionStorage.getItem("key");
@@ -55,90 +55,35 @@ function open(name) {
   document.title = `${name} - estune`;
 }
 
-// The state in a word, its reason, and whether the data are up to date.
-function judge(values) {
-  const { rig, daemon, state } = values;
-  const ofRun = kind === "run" && state;
-  const silent_s = (performance.now() - beat.at) / 1000;
-  const ages = Object.fromEntries(Object.entries(beat.ages).map(([k, s]) => [k, s + silent_s]));
-  if (stream.readyState !== EventSource.OPEN || silent_s > STALE_S)
-    return { word: "page disconnected", stale: true, age: silent_s,
-      reason: "The page's server does not answer; what is shown is out of date." };
-  for (const source of ["daemon", "rig", "run"]) {
-    const fault = values[`fault.${source}`];
-    const silent = source !== "run" && ages[source] > STALE_S;
-    if (!fault && !silent) continue;
-    if (source === "rig" && ofRun && state.status !== "running") continue; // the journal is enough
-    if (source === "run" && kind !== "run") continue;
-    return { word: `no link to the ${source}`, stale: true, age: ages[source],
-      reason: fault || `The ${source} has not answered for ${ages[source].toFixed(1)} s.` };
-  }
-  const age = Math.max(0, ...Object.values(ages));
-  if (rig?.latched) return { word: "emergency stop", bad: true, age, reason: rig.latched };
-  if (daemon)
-    return { word: daemon.mode, age, bad: Boolean(daemon.trouble),
-      good: daemon.live && !daemon.paused, reason: daemon.trouble || daemon.paused || daemon.sentence };
-  if (ofRun && state.status !== "running") {
-    const [word, reason = ""] = state.status.split(/:(.*)/s);
-    return { word, ended: true, bad: word === "failed" || word === "interrupted", reason: reason.trim() };
-  }
-  if (state?.status === "running") // between fast trials the rig's own mode would flicker
-    return { word: rig?.mode === "aborting" ? "aborting" : "running", good: true, age,
-      reason: state.phase && `phase: ${state.phase}` };
-  if (rig) return { word: rig.mode, age, good: rig.mode === "running", reason: rig.sentence };
-  return { word: "connecting", age, reason: "" };
-}
-
+// The state as the server says it, unless the server does not answer.
 function showState() {
   if (!shown) return;
-  const values = shown.values, now = judge(values);
-  const chip = $("state");
-  text(chip, now.word);
-  chip.className = `chip ${now.stale ? "stale" : now.bad ? "no" : now.good ? "yes" : ""}`;
-  text($("reason"), now.reason ?? "");
-  const age = now.ended ? "" : now.age === undefined || Number.isNaN(now.age) ? "no data yet"
-    : now.age < STALE_S ? "up to date" : `data ${duration(now.age)} old`;
-  text($("age"), age);
-  $("age").className = `age ${now.stale ? "stale" : ""}`;
-  document.querySelector("header").classList.toggle("stale-data", Boolean(now.stale));
+  const v = shown.values, silent_s = (performance.now() - beat.at) / 1000;
+  const lost = stream.readyState !== EventSource.OPEN || silent_s > STALE_S;
+  const now = lost ? { word: "page disconnected", tone: "stale", sentence: "The page's server does not answer; what is shown is out of date." }
+    : v.banner ?? { word: "connecting", tone: "", sentence: "" };
+  const age = lost ? silent_s : now.ended ? 0 : Math.max(0, ...Object.values(beat.ages)) + silent_s;
+  text($("state"), now.word);
+  $("state").className = `chip ${now.tone}`;
+  for (const id of ["reason", "more"]) text($(id), now.sentence);
+  $("more").className = now.tone;
+  $("more").hidden = !["no", "stale"].includes(now.tone) && $("reason").offsetWidth > 0 && $("reason").scrollWidth <= $("reason").clientWidth;
+  text($("age"), age < STALE_S ? "" : `data ${duration(age)} old`);
+  document.body.classList.toggle("stale-data", now.tone === "stale");
+  const running = v.state?.status === "running", kept = (name) => document.querySelector(`button[data-command="${name}"]`) ?? {};
   $("estop").hidden = !allowed.includes("estop") || Boolean(now.ended);
-  const reset = document.querySelector('button[data-command="reset"]');
-  if (reset) reset.hidden = !values.rig?.latched;
-  const stop = document.querySelector('button[data-command="stop"]');
-  if (stop && kind === "rig") stop.disabled = !values.rig?.holder && values.state?.status !== "running";
-  showFacts(values);
-  confirm(values);
-}
-
-export function duration(seconds) {
-  if (seconds < 90) return `${Math.round(seconds)} s`;
-  if (seconds < 5400) return `${Math.round(seconds / 60)} min`;
-  return `${(seconds / 3600).toFixed(1)} h`;
-}
-
-function showFacts({ rig, description, daemon, state, run, elsewhere }) {
-  const gains = (g) => g?.map((x) => Number(x.toPrecision(4))).join(", ");
-  const facts = [];
-  if (rig) facts.push(["held by", rig.holder || "nobody"]);
-  const live = daemon ? daemon.gains[daemon.live] : description?.gains;
-  if (live) facts.push([`live gains${daemon?.live ? ` (${daemon.live})` : ""}: P, I, D, filter`, gains(live)]);
-  if (daemon && !daemon.live) facts.push(["live gains", "not confirmed by the rig"]);
-  if (daemon?.margins) facts.push(["margins in service", daemon.margins]);
-  if (daemon?.run) facts.push(["run", `${daemon.run}, ${daemon.trials} of ${daemon.trials_max}`]);
-  if (state) {
-    if (kind === "rig" && run) facts.push(["run", `${run.name}, ${state.status.split(":")[0]}`]);
-    facts.push(["trials", state.status === "running" ? `${state.done} done, about ${state.left} left` : `${state.status === "finished" ? "all " : ""}${state.done} done`]);
-    if (state.status === "running" && state.trial_s && state.left) facts.push(["time left", `about ${duration(state.trial_s * state.left)}`]);
-    facts.push(["unsafe trials", String(state.unsafe)]);
-    if (state.best) facts.push(["best cost", `${state.best.cost.toPrecision(4)} in trial ${state.best.number}`]);
+  kept("reset").hidden = !v.rig?.latched;
+  if (kind === "rig") {
+    kept("stop").hidden = !running;
+    kept("tune").hidden = running || !v.rig;
+  } else if (kind === "run") {
+    kept("stop").hidden = !running;
+    kept("resume").hidden = running || v.state?.status === "finished";
   }
-  if (elsewhere && rig?.holder) facts.push(["run", `${elsewhere}; its journal is not in this folder, so cost and search are not shown`]);
-  if (run && !rig) facts.push(["rig", run.rig]);
-  const list = $("facts"), content = JSON.stringify(facts);
-  if (list.dataset.shown === content) return;
-  list.dataset.shown = content;
-  list.replaceChildren(...facts.map(([name, value]) => make("div", {}, make("dt", { textContent: name }), make("dd", { textContent: value }))));
+  confirm(v);
 }
+
+const duration = (seconds) => (seconds < 90 ? `${Math.round(seconds)} s` : seconds < 5400 ? `${Math.round(seconds / 60)} min` : `${(seconds / 3600).toFixed(1)} h`);
 
 // What the rig must show before a command counts as done.
 const applied = (daemon, gains) => daemon.home === gains && daemon.live === gains
@@ -152,11 +97,19 @@ const DONE = {
   resume: ({ daemon }) => !daemon.paused && "supervision has resumed",
   stop: ({ daemon }) => daemon.mode === "stopped" && "the supervision has ended",
 };
-let pending = null;
+let pending = null, spoken;
 
+// Says what came of a command, for a while: the state stands at the top.
+function say(sentence) {
+  text($("answer"), sentence);
+  clearTimeout(spoken);
+  if (!pending) spoken = setTimeout(() => text($("answer"), ""), SPOKEN_MS);
+}
+
+// Sends a command; what came of it is said, and comes back.
 async function command(name, given) {
   pending = null;
-  text($("answer"), `${name}: sent, not confirmed yet`);
+  say(`${name}: sent, not confirmed yet`);
   let answer;
   try {
     const reply = await fetch("api/command", {
@@ -169,20 +122,33 @@ async function command(name, given) {
     answer = { done: false, sentence: "the page's server does not answer" };
     if (name === "estop") answer.sentence += ": the rig must be taken as not stopped; cut its power";
   }
-  if (!answer.done) text($("answer"), `${name}: not done: ${answer.sentence}`);
-  else if (kind === "daemon" || name === "estop") {
-    text($("answer"), `${name}: ${answer.sentence}; waiting for the rig to confirm`);
+  if (answer.done && (kind === "daemon" || name === "estop")) {
     pending = name;
-  } else text($("answer"), `${name}: ${answer.sentence}`); // the server has asked the rig
+    say(`${name}: ${answer.sentence}; waiting for the rig to confirm`);
+  } else say(`${name}: ${answer.done ? "" : "not done: "}${answer.sentence}`); // the server has asked the rig
   if (answer.done && ["label", "delete"].includes(name)) list();
+  return answer;
 }
 
 function confirm(values) {
   const sentence = pending && DONE[pending](values);
   if (!sentence) return;
-  text($("answer"), `${pending}: done; ${sentence}`);
+  const name = pending;
   pending = null;
+  say(`${name}: done; ${sentence}`);
 }
+
+// Makes gains live once somebody has agreed, seeing what changes and within which limits.
+async function apply({ gains, heads, rows, limits }) {
+  const { description: about, "curve.tried": tried } = shown.values;
+  if (!about) return say("apply: the rig's live gains are not known: without a link nothing can be applied");
+  const names = Object.keys(gains), instead_of = Object.fromEntries(names.map((name, n) => [name, about.gains[n]]));
+  const number = (x) => Number(x.toPrecision(4)).toString();
+  const measured = tried && names.every((name, n) => tried.gains[n] === gains[name]) ? `Measured in one trial: ${tried.measured}.` : "";
+  const changed = names.map((name, n) => [about.gain_labels[n], number(instead_of[name]), number(gains[name])]);
+  if (await confirmGains(changed, heads, rows, [measured, limits].filter(Boolean))) command("apply", { gains, instead_of });
+}
+$("offer").addEventListener("click", () => apply({ heads: ["initial gains", "tuned gains"], ...shown.values.result.offer }));
 
 function showCommands() {
   $("commands").hidden = !allowed.length;
@@ -192,15 +158,17 @@ function showCommands() {
     const button = document.createElement("button");
     button.textContent = label(name);
     button.dataset.command = name;
+    button.className = name === "tune" ? "primary" : "";
     button.addEventListener("click", () => {
       if (name === "delete") {
         if (window.confirm(`Delete run ${view} with all of its trials? This cannot be undone.`)) command(name, { confirmed: view });
-      } else if (kind !== "daemon" && name === "tune") openForm((settings) => command("tune", { settings }));
+      } else if (kind !== "daemon" && name === "tune") openForm(view, (settings) => command("tune", { settings }));
       else command(name, name === "resume" && kind === "run" ? { run: view } : undefined);
     });
     return button;
   }));
-  tuning.act = kind !== "daemon" && allowed.includes("try") ? command : null;
+  tuning.act = kind !== "daemon" && allowed.includes("try") ? { try: (gains) => command("try", { gains }), apply } : null;
+  shown.mayApply = allowed.includes("apply");
 }
 const BUTTONS = { tune: "Start a tuning\u2026", stop: "Stop the tuning", resume: "Resume this run", reset: "Reset the emergency stop", delete: "Delete this run\u2026" };
 $("estop").addEventListener("click", () => command("estop"));
@@ -216,6 +184,9 @@ async function list() {
   }
   const names = answer.views.map((one) => one.name);
   runs.show(answer.views, view);
+  const rigs = answer.views.filter((one) => one.kind !== "run").length, nav = $("views"), main = document.querySelector("main");
+  if (rigs === 1 && main.lastElementChild !== nav) main.append(nav); // earlier runs below their rig
+  else if (rigs !== 1 && nav.previousElementSibling !== $("more")) $("more").after(nav);
   if (stream && (stream.readyState === EventSource.CLOSED || silent_s > AGAIN_S)) open(view);
   labels.show(answer.views.find((one) => one.name === view), allowed);
   const wanted = new URLSearchParams(location.search).get("view");
@@ -223,7 +194,7 @@ async function list() {
     open(names.includes(wanted) ? wanted : names[0]);
     list();
   } else if (!names.length) {
-    text($("reason"), answer.fault || "There is no run in this folder yet.");
+    text($("more"), answer.fault || "There is no run in this folder yet.");
   }
 }
 

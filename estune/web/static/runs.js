@@ -9,7 +9,7 @@ export const LAID_OVER_MAX = 5;
 const DRAWN_MAX = 100; // rows until all are asked for: a table of 1000 takes a browser half a second
 const texts = new WeakMap(), { compare } = new Intl.Collator();
 const COLUMNS = [
-  ["name", "name", (x) => x], ["state", "state", (x) => x], ["kind", "kind", (x) => x], ["rig", "rig", (x) => x ?? ""],
+  ["name", "name", (x) => x], ["state", "state", (x, { ending }) => ending ?? x], ["kind", "kind", (x) => x], ["rig", "rig", (x) => x ?? ""],
   ["begun", "begun", (x) => (x ? new Date(x).toLocaleString() : "")], ["trials", "trials", (x) => x ?? ""],
   ["rise_time_s", "rise", time],
   ["overshoot", "overshoot", (x) => (x == null ? "" : `${(100 * x).toFixed(1)} %`)], ["Ms", "Ms", (x, { Ms_interval: ends }) => (x == null ? "" : `${x.toFixed(2)}${ends ? ` (${ends.map((end) => end?.toFixed(2) ?? "\u221e").join(" to ")})` : ""}`)],
@@ -40,11 +40,12 @@ export class RunTable {
     }), make("th", { scope: "col", textContent: "lay over" }));
   }
 
-  // New rows, of which one is shown on the page.
-  show(rows, current) {
-    if (rows === this.rows && current === this.current) return;
-    Object.assign(this, { rows, current });
-    $("views").hidden = rows.length < 2;
+  // New rows, of which one is shown on the page: that of a rig stands above the runs of this rig.
+  show(all, current) {
+    if (all === this.rows0 && current === this.current) return;
+    const own = all.find(({ name, kind }) => name === current && kind !== "run");
+    Object.assign(this, { rows0: all, current, rows: own ? all.filter(({ kind, rig }) => kind !== "run" || rig === own.rig) : all });
+    $("views").hidden = all.length < 2;
     this.draw();
   }
 

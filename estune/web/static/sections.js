@@ -33,10 +33,11 @@ export class Sections {
 
   draw() {
     const has = (...names) => names.some((name) => this.changed.has(name));
-    if (has("curve.start", "curve.best", "curve.latest", "curve.tuned", "samples", "live", "other", "description"))
+    if (has("description", "facts", "predicted.rig", "predicted.run", "state")) this.drawAbout();
+    if (has("curve.start", "curve.best", "curve.latest", "curve.tuned", "curve.tried", "samples", "live", "other", "description", "run"))
       this.drawTrial();
     if (has("trials", "state", "expected")) this.drawSearch();
-    if (has("result")) this.values.result ? this.drawResult() : ($("decision").hidden = true);
+    if (has("result", "description", "run")) this.values.result ? this.drawResult() : ($("decision").hidden = true);
     if (has("checks", "daemon")) this.drawChecks();
     if (has("events")) this.drawEvents();
     this.changed.clear();
@@ -57,19 +58,40 @@ export class Sections {
     $("gains").replaceChildren();
   }
 
+  // What the rig is, its live gains, and the response that is predicted of them while nothing moves.
+  drawAbout() {
+    const { description: about, facts = [], state } = this.values, predicted = this.values["predicted.run"] ?? this.values["predicted.rig"];
+    const list = (id, rows) => $(id).replaceChildren(...rows.map(([name, value]) => make("div", {}, make("dt", { textContent: name }), make("dd", { textContent: value }))));
+    list("facts", facts);
+    $("text").hidden = !about;
+    $("live").hidden = !about || state?.status === "running";
+    if ($("live").hidden) return;
+    $("text").textContent = about.text;
+    list("gains-live", [...about.gain_labels.map((name, n) => [name, Number(about.gains[n].toPrecision(4))]), ...(predicted?.cells ?? [])]);
+    $("predicted-by").textContent = predicted ? `Response, Ms and margin are predicted by ${predicted.source}.` : "No model is known that predicts the response with these gains; a tuning identifies one.";
+    $("predicted").hidden = !predicted;
+    if (!predicted) return;
+    const [unit, unit_s] = timeUnit(last(predicted.t));
+    this.chart("predicted", { height: 200, x: `time from the step, ${unit}`, y: about.measurement, label: "Predicted step response with the live gains",
+      series: [{ label: "setpoint", colour: "grey", dash: [6, 4], width: 1 }, { label: "predicted with the live gains", colour: "blue", width: 1.8 }] })
+      .show([predicted.t.map((t) => t / unit_s), predicted.r, predicted.y]);
+  }
+
   drawTrial() {
     const v = this.values, about = v.run ?? v.description;
     if (!about) return;
-    const isEmpty = !this.tables.samples.length && !["start", "best", "latest", "tuned"].some((name) => v[`curve.${name}`]);
+    const isEmpty = !this.tables.samples.length && !["start", "best", "latest", "tuned", "tried"].some((name) => v[`curve.${name}`]);
     $("trial").hidden = isEmpty;
     if (isEmpty) return;
     const others = this.others.filter(({ curve }) => !curve || curve.measurement === about.measurement);
     const curves = [["curve.start", "initial gains"], [v["curve.tuned"] ? "curve.tuned" : "curve.best", v["curve.tuned"] ? "tuned gains" : "best so far"]];
     const samples = this.tables.samples, per = about.per_ampere;
-    const now = v.live
+    const isLive = v.live && !(v.live.run === v.run?.name && v.live.number < (v["curve.latest"]?.number ?? -1)); // a fast run is ahead of it
+    const now = isLive
       ? { t: samples.map((r) => r[0]), r: samples.map((r) => r[1]), y: samples.map((r) => r[2]), u: samples.map((r) => r[3] * per) }
       : v["curve.tuned"] ? undefined : v["curve.latest"]; // which is as good as the tuned one
-    const shown = [...curves.map(([name]) => v[name]), ...others.map((one) => one.curve), now].map((one) => one ?? {});
+    const tried = v["curve.tried"];
+    const shown = [...curves.map(([name]) => v[name]), ...others.map((one) => one.curve), ...(tried ? [tried] : []), now].map((one) => one ?? {});
     const setpoint = now?.t?.length ? now : v["curve.start"] ?? {};
     const step = about.step_at_s ?? 0;
     const [unit, unit_s] = timeUnit(last((v["curve.start"] ?? now ?? {}).t ?? [0]));
@@ -79,7 +101,8 @@ export class Sections {
       { label: "initial gains", colour: "orange", dash: [8, 3] },
       { label: curves[1][1], colour: "green", width: 1.8 },
       ...others.map(({ name }, n) => ({ label: name, colour: n % 2 ? "red" : "purple", dash: [[2, 3], [6, 3], [9, 3, 2, 3]][n >> 1] })),
-      { label: v.live ? "live" : "latest trial", colour: "blue", width: 1.4 },
+      ...(tried ? [{ label: "tried once", colour: "red", dash: [2, 3], width: 1.6 }] : []),
+      { label: isLive ? "live" : "latest trial", colour: "blue", width: 1.4 },
     ];
     const x = `time from the step, ${unit}`;
     const labels = [x, ...series.map((one) => one.label)].join();
@@ -90,7 +113,7 @@ export class Sections {
     const response = this.chart("response", { height: 260, x, y: about.measurement, series,
       label: `${about.measurement} over time: initial gains, best, and the latest trial` });
     const limits = (pair) => (pair ?? []).filter((at) => at !== null && Math.abs(at) < 1e8).map((at) => ({ at, colour: "red", label: "limit" }));
-    const trial = v.live?.trial_id ?? "", ends = about.duration_s ? [-step / unit_s, (about.duration_s - step) / unit_s] : undefined;
+    const trial = isLive ? v.live.trial_id : "", ends = about.duration_s ? [-step / unit_s, (about.duration_s - step) / unit_s] : undefined;
     if (this.held?.trial !== trial || this.held.labels !== labels) this.held = { trial, labels }; // axes hold still within a trial
     this.held.y = held(this.held.y, [setpoint.r, ...shown.map((one) => one.y)]);
     this.held.u = held(this.held.u, shown.map((one) => one.u));
@@ -99,15 +122,15 @@ export class Sections {
     const command = this.chart("command", { height: 200, x, y: about.command, series: series.slice(1),
       label: `${about.command} over time` });
     command.show(joined(shown.map((one) => [shifted(one), one.u])), limits(about.command_limits), { x: ends, y: this.held.u });
-    const number = v.live?.trial_id ?? (v["curve.latest"] ? `trial ${v["curve.latest"].number}` : "");
+    const number = isLive ? `trial ${v.live.number} of ${v.live.run}` : v["curve.latest"] ? `trial ${v["curve.latest"].number}` : "";
     const apart = this.others.filter((one) => !others.includes(one)).map(({ name }) => name).join(", ");
     $("trial-text").textContent = apart ? `${number}; not drawn, for they measure something else: ${apart}` : number;
   }
 
   drawSearch() {
-    const { run, state, expected } = this.values, trials = this.tables.trials;
+    const { run, state } = this.values, trials = this.tables.trials;
+    $("search").hidden = !run || !state;
     if (!run || !state) return;
-    $("search").hidden = false;
     let best = null;
     const safe = [], unsafe = [], so_far = [];
     const top = state.eta_max ?? Math.max(...trials.map((r) => r[1] ?? 0));
@@ -131,20 +154,7 @@ export class Sections {
     const numbers = trials.map((r) => r[0]);
     cost.show([numbers, safe, unsafe, so_far], marks);
     this.drawGains(numbers);
-    $("search-text").textContent = this.expectation(state, expected);
-  }
-
-  expectation(state, expected) {
-    const parts = [state.phase && `Phase: ${state.phase}.`];
-    if (expected?.remaining != null)
-      parts.push(`At most ${(100 * expected.remaining).toPrecision(2)} % of the cost is expected to be left to gain.`);
-    if (state.next) parts.push(`The next trial runs P, I, D, filter = ${state.next.map((x) => Number(x.toPrecision(4))).join(", ")}.`);
-    if (expected?.next_cost) {
-      const [low, , high] = expected.next_cost.map((x) => (x === null ? "\u221e" : Number(x.toPrecision(3))));
-      parts.push(`Its cost is expected between ${low} and ${high}.`);
-    }
-    parts.push("The grey band is the noise about the best cost.");
-    return parts.filter(Boolean).join(" ");
+    $("search-text").textContent = state.text;
   }
 
   drawGains(numbers) {
@@ -175,10 +185,14 @@ export class Sections {
   }
 
   drawResult() {
-    const { heading, good, tuned, rows, remarks } = this.values.result;
+    const { result, run, description: about } = this.values, { heading, good, tuned, rows, remarks, offer } = result;
     $("decision").hidden = false;
+    $("result-of").textContent = run ? `Result of ${run.name}` : "Result";
     $("heading").textContent = heading;
     $("heading").className = `lead ${good ? "yes" : good === false ? "no" : ""}`;
+    const isLive = offer?.gains && about && Object.values(offer.gains).every((x, n) => Math.abs(x - about.gains[n]) <= 1e-9 * Math.abs(x));
+    $("offer").hidden = !this.mayApply || !offer?.gains || !about || isLive;
+    $("offered").textContent = offer?.refused || (isLive ? "These gains are live." : "");
     const heads = ["", "initial gains", ...(tuned ? ["tuned gains"] : [])];
     const line = (tag, cells) => make("tr", {}, ...cells.map((text, n) =>
       make(n ? tag : "th", { textContent: text, ...(!n && text && { scope: "row" }) })));

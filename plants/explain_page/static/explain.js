@@ -12,8 +12,10 @@ if (key) {
 const row = (tag, cells) => make("tr", {}, ...cells.map((cell) => make(tag, {}, cell ?? "")));
 const number = (x) => Number(x.toPrecision(4)).toString();
 
-// The answer to a request; a mistake is shown as a sentence, and nothing comes back.
-async function ask(path, options = {}) {
+// The answer to a request; a mistake is shown as a sentence, and nothing comes back. `refuse` shows
+// one that belongs to what was filled in.
+async function ask(path, options = {}, refuse = (error) => { $("message").textContent = error; }) {
+  $("message").textContent = "";
   let answer;
   try {
     answer = await fetch(path, { ...options, headers: { Authorization: `Bearer ${key}` } });
@@ -22,10 +24,10 @@ async function ask(path, options = {}) {
     return null;
   }
   const content = await answer.json();
-  $("message").textContent = content.error ?? "";
+  if (content.error) refuse(content.error);
   return content.error ? null : content;
 }
-const act = (name, given = {}) => ask(`api/act/${name}`, { method: "POST", body: JSON.stringify(given) });
+const act = (name, given = {}, refuse) => ask(`api/act/${name}`, { method: "POST", body: JSON.stringify(given) }, refuse);
 
 let charts = [], records = null;
 
@@ -108,7 +110,9 @@ async function openForm() {
   const draw = () => {
     const kind = kinds[$("kind").selectedIndex];
     const write = () => {
-      const text = { number: (x) => x, numbers: (x) => `[${x}]`, text: JSON.stringify, flag: (x) => x, toml: (x) => x };
+      const number = (x) => (Number.isFinite(+x) || /^[-+]?inf$/.test(x) ? x.replace(/\.(?!\d)/, ".0") : JSON.stringify(x)); // else the whole file were no TOML
+      const numbers = (x) => `[${x.replace(/^\[|\]$/g, "").split(/[,;\s]+/).filter(Boolean).map(number).join(", ")}]`;
+      const text = { number, numbers, text: JSON.stringify, flag: (x) => x, toml: (x) => x };
       const given = kind.keys.flatMap(({ name, form }) => {
         const value = $(`key-${name}`).value.trim();
         return value ? [`${name} = ${text[form](value)}`] : [];
@@ -128,8 +132,21 @@ async function openForm() {
   draw();
 }
 
-async function useModel(given) {
-  if (await act("model", given)) {
+// Shows what is wrong with a model beside the fields that are named, and the rest above the button.
+function refuseModel(error, form) {
+  form.querySelectorAll(".wrong").forEach((one) => one.remove());
+  const wrong = (textContent) => make("small", { className: "wrong", textContent });
+  for (const line of error.split("\n")) {
+    const [, key, why] = line.match(/\] (\w+): (.*)/) ?? [], input = key && $(`key-${key}`);
+    if (input && form.contains(input)) input.after(wrong(why));
+    else form.querySelector("button").before(wrong(line.replace(/^\S*model\.toml: /, "")));
+  }
+  form.querySelector("input ~ .wrong")?.previousElementSibling.focus();
+}
+
+async function useModel(given, form) {
+  form.querySelectorAll(".wrong").forEach((one) => one.remove());
+  if (await act("model", given, (error) => refuseModel(error, form))) {
     await follow();
     if (records) await read(); // its drum may turn units
   }
@@ -173,9 +190,9 @@ $("folder").addEventListener("submit", async (event) => {
 });
 $("which").addEventListener("change", drawCurves);
 $("mapping").querySelector("form").addEventListener("submit", mapped);
-$("named").addEventListener("submit", (event) => { event.preventDefault(); useModel({ reference: $("reference").value }); });
+$("named").addEventListener("submit", (event) => { event.preventDefault(); useModel({ reference: $("reference").value }, event.target); });
 $("described").addEventListener("toggle", () => { if ($("described").open && !$("kind").length) openForm(); });
-$("described").querySelector("form").addEventListener("submit", (event) => { event.preventDefault(); useModel({ toml: $("toml").value }); });
+$("described").querySelector("form").addEventListener("submit", (event) => { event.preventDefault(); useModel({ toml: $("toml").value }, event.target); });
 $("begin").addEventListener("click", async () => { if (await act("begin")) follow(); });
 $("stop").addEventListener("click", async () => { if (await act("stop")) follow(); });
 $("copy").addEventListener("click", () => navigator.clipboard.writeText($("again").textContent));
