@@ -9,6 +9,7 @@ import estune
 import plants
 from estune.api import tune
 from estune.cli import app
+from estune.cli.tune import finish
 from estune.core.gains import Gains
 from estune.errors import InvalidInput
 from estune.loop_model.claim import Claim
@@ -18,6 +19,7 @@ from estune.run.ending import RunEnding
 from estune.run.limit_verdict import LimitState, limit_verdict, measured_overshoot
 from estune.run.toml_tables import SearchTable
 from estune.trial import TrialRequest
+from estune.web.result_view import shown_result
 from tests.support_runs import ArithmeticRig
 
 
@@ -49,6 +51,16 @@ def test_gains_that_break_a_limit_are_not_called_tuned(free):
 def test_apply_asks_before_gains_that_break_a_limit(free):
     with pytest.raises(InvalidInput, match="--yes"):
         app(["apply", str(free.folder), "plants:reference_reel"])
+
+
+def test_gains_that_break_a_limit_are_offered_neither_in_the_terminal_nor_on_the_page(
+    free, capsys
+):
+    assert finish(free, "tcp/127.0.0.1:7447") == RunEnding.LIMIT_BROKEN.exit_code
+    assert "make live" not in capsys.readouterr().out
+    offer = shown_result(free)["offer"]
+    assert offer.keys() == {"refused"}
+    assert "overshoot" in offer["refused"]
 
 
 def test_comparison_puts_first_what_may_be_used(tmp_path):

@@ -60,7 +60,7 @@ AXES = """async (batches) => {
   const { Sections } = await import("./static/sections.js");
   const sections = new Sections(), drawn = [];
   const description = { measurement: "tension, N", command: "effort, N",
-    per_ampere: 20, step_at_s: 0.2, duration_s: 1,
+    gains: [], gain_labels: [], per_ampere: 20, step_at_s: 0.2, duration_s: 1,
     measurement_limits: [null, null], command_limits: [null, null] };
   sections.take({ values: { description, live: { trial_id: "run-1" } }, tables: {} });
   for (const rows of batches) {
@@ -163,7 +163,8 @@ def test_one_page_lists_all_on_this_machine_and_marks_what_has_gone(
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))  # where listeners are noted
     runs = tmp_path / "runs"
     tune(ArithmeticRig(), trials=2, run="first", folder=runs, watch=None)
-    here, listed = EndpointViews(local_endpoints, runs=RunFolder(runs)), folder_views(RunFolder(runs))
+    folder = RunFolder(runs)
+    here, listed = EndpointViews(local_endpoints, runs=folder), folder_views(folder)
     server = PageServer(lambda: [*here(), *listed()], may_command=True)
     try:
         with (

@@ -13,9 +13,11 @@ from estune.web.run_folder import RunFolder
 from estune.web.server import PageServer
 from estune.web.views import rig_view
 from tests.serve_rig import served
-from tests.support_browser import check_forms, needs_browser, opened
+from tests.support_browser import check_forms, needs_browser, opened, serious
 
 pytestmark = needs_browser
+
+TRIALS = "search at most this many trials"
 
 
 @pytest.fixture
@@ -38,8 +40,8 @@ def test_by_keyboard_alone_a_rig_is_tuned_dragged_tried_and_applied(chromium, em
     ):
         before = there.describe().gains
         page.get_by_role("button", name="Start a tuning").press("Enter")
-        page.get_by_label("trials", exact=True).press_sequentially("8")
-        page.get_by_label("repeats").press_sequentially("2")
+        page.locator("#form summary").press("Enter")
+        page.get_by_label(TRIALS).press_sequentially("8")
         page.get_by_role("button", name="Start", exact=True).press("Enter")
         expect(page.locator("#events")).to_contain_text("the tuning has ended with code")
         page.locator("#tuning summary").press("Enter")
@@ -47,21 +49,26 @@ def test_by_keyboard_alone_a_rig_is_tuned_dragged_tried_and_applied(chromium, em
         shown = page.locator("#tuner output[for=tune-P]").inner_text()
         slider.press("ArrowLeft")
         expect(page.locator("#tuner output[for=tune-P]")).not_to_have_text(shown)
+        page.get_by_role("button", name="Optimum for these limits").press("Enter")
         check_forms(page)
         page.get_by_role("button", name="Try these gains once").press("Enter")
         expect(page.locator("#answer")).to_contain_text("the rig has its live gains again")
         for shown in (page.locator("#answer"), page.get_by_role("button", name="Emergency stop")):
             expect(shown).to_be_in_viewport()
         expect(page.locator("#facts")).not_to_contain_text("not in this folder")
-        expect(page.get_by_role("button", name="Stop the tuning")).to_be_disabled()
+        expect(page.get_by_role("button", name="Stop the tuning")).to_be_hidden()
         assert there.describe().gains == before
-        asked = []
-        page.once("dialog", lambda dialog: (asked.append(dialog.message), dialog.accept()))
-        page.get_by_role("button", name="Apply").press("Enter")
+        page.locator("#tuner").get_by_role("button", name="Make these gains live").press("Enter")
+        asked = page.locator("#form")
+        expect(asked).to_contain_text("Measured in one trial")
+        expect(asked).to_contain_text("Predicted to keep Ms at most 1.6")
+        assert serious(page) == []
+        text = asked.inner_text()
+        page.get_by_role("button", name="Make live", exact=True).press("Enter")
         expect(page.locator("#answer")).to_contain_text("these gains are live")
         after = there.describe().gains
         assert after != before
-        assert f"{before.P:.4g} \u2192 {after.P:.4g}" in asked[0]
+        assert f"{before.P:.4g}\t{after.P:.4g}" in text
     actions = [json.loads(line) for line in (folder / "actions.jsonl").read_text().splitlines()]
     assert [one["action"] for one in actions] == ["tune", "tune", "try", "try", "apply", "apply"]
     assert {one["who"] for one in actions} == {f"{user_at_host()} on the live page", "estune"}
@@ -72,8 +79,9 @@ def test_tuning_stopped_from_the_page_restores_the_rig_and_can_be_resumed(chromi
     with opened(chromium, server.address) as page, zenoh.connect(rig.endpoint) as there:
         before = there.describe().gains
         page.get_by_role("button", name="Start a tuning").click()
-        page.get_by_label("trials", exact=True).fill("400")
-        page.get_by_label("tolerance").fill("0")
+        page.locator("#form summary").click()
+        page.get_by_label(TRIALS).fill("400")
+        page.get_by_label("end when less than this is left to gain").fill("0")
         page.get_by_role("button", name="Start", exact=True).click()
         expect(page.locator("#facts")).to_contain_text("done, about")
         page.get_by_role("button", name="Stop the tuning").click()
@@ -86,7 +94,6 @@ def test_rig_killed_during_a_tuning_is_shown_as_gone_and_refuses_by_a_sentence(c
     rig, server, _ = emulated
     with opened(chromium, server.address) as page:
         page.get_by_role("button", name="Start a tuning").click()
-        page.get_by_label("trials", exact=True).fill("400")
         page.get_by_role("button", name="Start", exact=True).click()
         expect(page.locator("#facts")).to_contain_text("done, about")
         rig.process.kill()

@@ -207,7 +207,8 @@ def finish(
         facts["report"] = result.report(report)
     elif result.folder is not None:
         facts["report"] = command_line("report", result.folder)
-    if (result.ending.is_tuned or result.plan.start_source) and is_endpoint(target):
+    may_use_start = bool(result.plan.start_source) and not result.ending.is_tuned
+    if (result.ending.is_offered or may_use_start) and is_endpoint(target):
         facts["make live"] = command_line("apply", result.folder, target, security=security)
     facts["trials"] = command_line("export", result.folder, "--csv")
     output.show_next({**facts, **(more or {})})

@@ -25,6 +25,11 @@ class RunEnding(StrEnum):
         return self in (RunEnding.TUNED, RunEnding.LIMITS_NOT_SHOWN, RunEnding.LIMIT_BROKEN)
 
     @property
+    def is_offered(self) -> bool:
+        """Whether its gains are offered to be made live: they are better, and break no limit."""
+        return self.is_tuned and self is not RunEnding.LIMIT_BROKEN
+
+    @property
     def good(self) -> bool | None:
         """Whether the ending is shown as good; None is neither good nor bad."""
         bad = (RunEnding.UNSAFE_START, RunEnding.NOT_ROBUST, RunEnding.LIMIT_BROKEN)

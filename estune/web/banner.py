@@ -33,7 +33,7 @@ class Banner(NamedTuple):
 
 def show_banner(board: Board, kind: str) -> None:
     """Puts banner and facts of a view on its board."""
-    names = ("rig", "daemon", "state", "run", "result", "description", "elsewhere")
+    names = ("rig", "daemon", "state", "run", "result", "description", "elsewhere", "begun")
     faults = (f"fault.{source}" for source in _SOURCES)
     values = {name: board.get(name) for name in (*names, *faults)}
     shown = banner(kind, values, board.ages(), datetime.now(UTC))
@@ -70,6 +70,14 @@ def _banners(
         fault = daemon["trouble"]
         tone: Tone = "no" if fault else "yes" if daemon["live"] and not daemon["paused"] else ""
         yield Banner(daemon["mode"], tone, fault or daemon["paused"] or daemon["sentence"])
+    begun, run = values.get("begun"), values.get("run")
+    if begun and (run is None or run["name"] != begun["run"]):  # its journal is not there yet
+        fault = begun["fault"]
+        yield (
+            Banner("not started", "no", fault)
+            if fault
+            else Banner("starting", "yes", "a tuning begins")
+        )
     if kind == "rig" and values.get("fault.run"):
         yield Banner("run not shown", "stale", values["fault.run"])
     if rig and (elsewhere := values.get("elsewhere")):
@@ -81,7 +89,7 @@ def _banners(
         holder = rig["holder"] or "nobody"
         yield Banner(rig["mode"], "yes", f"{rig['sentence']}; held by {holder}")
     if state:
-        yield _ended(state, values.get("result"), now)
+        yield _ended(state, values, now)
     yield Banner(rig["mode"], "", rig["sentence"]) if rig else Banner("connecting")
 
 
@@ -109,8 +117,9 @@ def _of_another(run: str, rig: Mapping[str, Any]) -> Banner:
     return Banner(rig["mode"], "", f"last held by run {run}, {where}")
 
 
-def _ended(state: Mapping[str, Any], result: Mapping[str, Any] | None, now: datetime) -> Banner:
+def _ended(state: Mapping[str, Any], values: Mapping[str, Any], now: datetime) -> Banner:
     """The state after a run: how it ended, and when."""
+    result, about = values.get("result"), values.get("description")
     word, _, reason = (part.strip() for part in state["status"].partition(":"))
     ended = ago(state["ended_at"], now)
     if word != "finished":
@@ -118,10 +127,12 @@ def _ended(state: Mapping[str, Any], result: Mapping[str, Any] | None, now: date
         return Banner(word, tone, "; ".join(filter(None, (ended, reason))))
     if result is None:
         return Banner("finished", "", ended)
-    ending, good = result.get("ending", "finished"), result.get("good")
-    better = "its gains are better than the initial ones" if result.get("tuned") else ""
+    ending, good, offer = (result.get(name) for name in ("ending", "good", "offer"))
     tone = "yes" if good else "no" if good is False else ""
-    return Banner(_WORDS.get(ending, ending), tone, "; ".join(filter(None, (ended, better))))
+    if about and offer and "gains" in offer:
+        is_live = list(offer["gains"].values()) == about["gains"]
+        ended += "; its gains are live" if is_live else "; its gains are not live"
+    return Banner(_WORDS.get(ending, ending or "finished"), tone, ended)
 
 
 _WORDS = {

@@ -6,7 +6,6 @@ from typing import Any
 from estune.core.gains import GAIN_NAMES, Gains
 from estune.loop_model.intervals import Interval
 from estune.loop_model.optimum import RobustnessLimits
-from estune.run.ending import RunEnding
 from estune.run.results.result import TuneResult
 from estune.run.results.summary import share_text
 from estune.web.board import Board
@@ -32,13 +31,12 @@ def _offer(result: TuneResult) -> dict[str, Any] | None:
         return None
     limits = result.limits
     reason = limits.reason if limits is not None else ""
-    if result.ending is RunEnding.LIMIT_BROKEN:
+    if not result.ending.is_offered:
         return {"refused": f"Not offered to be made live: {reason}."}
     margins = result.claim.margins
     predicted = "-" if margins is None else _percent(margins.overshoot)
-    rows = [list(row) for row in result.rows() if row.label not in _GAIN_ROWS]
-    at = next((n for n, row in enumerate(rows) if row[0] == "overshoot"), 0)
-    rows.insert(at + 1, ["overshoot (predicted)", "-", predicted])
+    rows = [list(row) for row in result.rows() if row.label in _COMPARED]
+    rows.insert(_COMPARED.index("overshoot") + 1, ["overshoot (predicted)", "-", predicted])
     kept = f"Not shown to be kept: {reason}." if reason else "All are kept."
     return {
         "refused": "",
@@ -48,7 +46,11 @@ def _offer(result: TuneResult) -> dict[str, Any] | None:
     }
 
 
-_GAIN_ROWS = ("P", "I", "D", "setpoint filter")
+_COMPARED = (
+    *("cost η", "rise time", "settling time (2 %)", "overshoot"),
+    *("sensitivity Ms (records)", "phase margin (records)"),
+)
+"""Rows of the result that stand beside the gains; they are there in every result."""
 
 
 def limits_text(limits: RobustnessLimits) -> str:

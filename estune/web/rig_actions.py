@@ -118,7 +118,7 @@ class RigActions:
                 settings.check(rig.describe())
         run = f"page-{datetime.now().astimezone():%Y%m%d-%H%M%S}"
         named = ("--run", run, "--folder", str(self.folder), "--rig", self.rig)
-        self._start("tune", self.endpoint, *named, "--quiet", *settings.options)
+        self._start(run, "tune", self.endpoint, *named, "--quiet", *settings.options)
         return self._note("tune", who, f"run {run} begins {' '.join(settings.options)}".strip())
 
     def resume(self, who: str, given: Arguments) -> str:
@@ -128,7 +128,7 @@ class RigActions:
             raise InvalidInput(f"there is no run {given.get('run')!r} in {self.folder}")
         if being_written(folder):
             raise InvalidInput(f"run {folder.name} is running already")
-        self._start("resume", str(folder), "--quiet")
+        self._start(folder.name, "resume", str(folder), "--quiet")
         return self._note("resume", who, f"run {folder.name} continues")
 
     def stop(self, who: str, _given: Arguments) -> str:
@@ -173,7 +173,7 @@ class RigActions:
         finally:
             self._busy.release()
 
-    def _start(self, *words: str) -> None:
+    def _start(self, run: str, *words: str) -> None:
         if not self.may_tune:
             raise InvalidInput(
                 "this rig needs credentials; start the tuning in a terminal: estune tune "
@@ -186,13 +186,15 @@ class RigActions:
         self._tuning = subprocess.Popen(  # noqa: S603  our own interpreter and module
             *(command,), stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True
         )
-        threading.Thread(target=self._follow, args=(self._tuning,), daemon=True).start()
+        self.board.put("begun", {"run": run, "fault": ""})
+        threading.Thread(target=self._follow, args=(run, self._tuning), daemon=True).start()
 
-    def _follow(self, process: "subprocess.Popen[str]") -> None:
+    def _follow(self, run: str, process: "subprocess.Popen[str]") -> None:
         """Notes how a tuning ended, with the last line that it printed if it failed."""
         _, text = process.communicate()
         lines = [line.strip() for line in text.splitlines() if line.strip()]
         why = f": {lines[-1]}" if lines and process.returncode else ""
+        self.board.put("begun", {"run": run, "fault": lines[-1]} if why else None)
         self._note("tune", "estune", f"the tuning has ended with code {process.returncode}{why}")
 
     def _note(self, name: str, who: str, sentence: str) -> str:

@@ -152,8 +152,8 @@ class _FollowedRun:
         shown = history.thinned(added) if restart else added
         self._rows = len(shown) + (0 if restart else self._rows)
         self._board.extend("trials", [history.row(e, eta_max) for e in shown], restart=restart)
-        if restart and self._entries:
-            self._put_curve("start", self._entries[0])
+        if added and len(self._entries) == len(added):
+            self._put_curve("start", added[0])
         best = min((*good, *([self._best] if self._best else ())), key=_cost, default=None)
         if best is not None and best is not self._best:
             self._best = best
@@ -184,8 +184,7 @@ class _FollowedRun:
                 "phase": pending.phase.value if pending else "",
                 "done": tally.number,
                 "left": left,
-                "at_most": session is not None
-                and session.phase in (Phase.BASELINE, Phase.EXCITE, Phase.SEARCH),
+                "at_most": session is not None and session.phase in (Phase.BASELINE, Phase.SEARCH),
                 "trial_s": taken_s and taken_s / (len(ended) - 1),
                 "ended_at": ended[-1].isoformat() if ended else begun,
                 "unsafe": tally.unsafe,

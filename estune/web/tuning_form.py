@@ -4,7 +4,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from statistics import median
 from typing import Any, NamedTuple, TypeVar
 
-from estune.core.setting import Declared
+from estune.core.setting import Bounds, Declared
 from estune.errors import InvalidInput
 from estune.run.planning import make_plan, suited_step
 from estune.run.toml_tables import (
@@ -131,8 +131,9 @@ def expected(rig: Mapping[str, Any] | None, earlier: Sequence[ListedRun]) -> str
     if rig is None:
         return f"{text}."
     trial_s = rig["duration_s"]
-    ends = " to ".join(duration(count * trial_s) for count in USUAL)
-    return f"{text}; one takes {duration(trial_s)} on this rig, so {ends} in real time."
+    low, high = (duration(count * trial_s) for count in USUAL)
+    low = low.removesuffix(f" {high.rpartition(' ')[2]}")
+    return f"{text}; one takes {duration(trial_s)} here, so {low} to {high} in real time."
 
 
 class TuningSettings(NamedTuple):
@@ -179,9 +180,8 @@ def read_settings(settings: Mapping[str, Any]) -> TuningSettings:
     for name, text in given.items():
         try:
             values[name] = _value(members[name], text)
-        except ValueError:
-            kind = "a whole number" if members[name].kind is int else "a number"
-            faults[name] = f"write {kind} instead of {text!r}"
+        except ValueError as error:
+            faults[name] = str(error)
     search = _table(SearchTable, values, faults)
     step, cost = _table(StepTable, values, faults), _table(CostTable, values, faults)
     if faults or search is None or step is None or cost is None:
@@ -190,12 +190,28 @@ def read_settings(settings: Mapping[str, Any]) -> TuningSettings:
 
 
 def _value(member: Declared, text: str) -> Any:
-    """The value that a text of the form stands for; a bare share is in per cent."""
-    if text == "none" or member.choices or member.kind is str:
+    """The value that a text of the form stands for; a share is in per cent.
+
+    Raises:
+        ValueError: it is none; the message says what to write.
+    """
+    setting = member.setting
+    if (text == "none" and setting.none) or member.choices or member.kind is str:
         return text
-    if member.setting.share:
-        return f"{float(text.removesuffix('%')):g}%"
-    return int(text) if member.kind is int else float(text)
+    bounds, kind = setting.bounds, int if member.kind is int else float
+    if setting.share:
+        names = ("above", "least", "below", "most")
+        ends = {name: getattr(bounds, name) for name in names}
+        bounds = Bounds(**{name: end and 100.0 * end for name, end in ends.items()})
+        text = text.removesuffix("%")
+    what = ", ".join(filter(None, ("a whole number" if kind is int else "a number", bounds.text)))
+    try:
+        value = kind(text)
+    except ValueError:
+        raise ValueError(f"write {what} instead of {text!r}") from None
+    if not bounds.hold(value):
+        raise ValueError(f"write {what}")
+    return f"{value:g}%" if setting.share else value
 
 
 def _table(kind: type[_Table], values: Mapping[str, Any], faults: dict[str, str]) -> _Table | None:

@@ -131,8 +131,9 @@ def improve_model(
         return
     _show(improvement)
     facts: dict[str, object] = {"records": improvement.folder / "data"}
-    if improvement.tuning is not None and is_endpoint(target):
-        facts["make live"] = command_line("apply", improvement.tuning.folder, target)
+    tuning = improvement.tuning
+    if tuning is not None and tuning.ending.is_offered and is_endpoint(target):
+        facts["make live"] = command_line("apply", tuning.folder, target)
     if save is not None:
         facts["model"] = save
         if can_be_tuned(improvement.model):

@@ -71,11 +71,11 @@ export class Tuner {
       return make("div", { className: "slider" }, make("label", { htmlFor: input.id }, label), output, input, tried);
     };
     const byLimits = (change) => (value) => { change(value); this.toSolve = true; };
-    const limits = make("fieldset", {}, make("legend", { textContent: "What the loop is to keep" }),
+    const limits = make("fieldset", {}, make("legend", {}, "What the loop is to keep"),
       slider("Ms", "robustness: largest Ms", 1.2, 2, () => this.limits.Ms, byLimits((v) => (this.limits.Ms = v)), () => this.limits.Ms.toFixed(2)),
       slider("overshoot", "largest overshoot", 0, 0.3, () => this.limits.overshoot, byLimits((v) => (this.limits.overshoot = v)), () => percent(this.limits.overshoot)),
       slider("effort", "weight of the effort", -2, 2, () => this.effort, byLimits((v) => (this.effort = v)), () => `\u00d7 ${short(10 ** this.effort, 2)}`));
-    const gains = make("fieldset", {}, make("legend", { textContent: "Gains" }));
+    const gains = make("fieldset", {}, make("legend", {}, "Gains"));
     for (const name of NAMES) {
       if (!(this.gains[name] > 0)) continue;
       const low = Math.log(d.bounds.low[name] ?? this.gains[name] / 100), high = Math.log(d.bounds.high[name] ?? this.gains[name] * 100);
@@ -127,10 +127,10 @@ export class Tuner {
     this.nyquist = new Nyquist(figure(), 240);
     for (const one of figures.children) this.scrolled.observe(one);
     this.container.classList.add("tuner");
-    this.container.replaceChildren(make("p", { className: "soft", textContent: d.known }),
+    this.container.replaceChildren(make("p", { className: "soft" }, d.known),
       make("div", { className: "sides" }, limits, gains), this.buttons, this.said,
       make("div", { className: "wide" }, this.numbers), figures,
-      make("p", { className: "soft", textContent: "Intervals and shades hold the models that fit the records; what a result claims is wider where the records leave more open. Dots below the sliders: gains that were tried. Amber: a limit is broken. The load is half the step, at the plant's input." }));
+      make("p", { className: "soft" }, "Intervals and shades hold the models that fit the records; what a result claims is wider where the records leave more open. Dots below the sliders: gains that were tried. Amber: a limit is broken. The load is half the step, at the plant's input."));
   }
 
   get weights() {

@@ -3,7 +3,7 @@
 import { make } from "./charts.js";
 
 const dialog = document.getElementById("form");
-const button = (textContent, properties) => make("button", { textContent, ...properties });
+const button = (textContent, properties) => make("button", { ...properties }, textContent);
 
 function field({ name, label, choices, is_number, help, otherwise, is_open }) {
   const id = `setting-${name}`;
@@ -15,17 +15,17 @@ function field({ name, label, choices, is_number, help, otherwise, is_open }) {
     make("small", { id: `${id}-help`, className: "soft", textContent: help }));
 }
 
-// Opens the form of a view; `start` sends the settings that were given, and comes back with the answer.
+// Opens the form of a view; `start` sends the settings, and comes back with the answer.
 export async function openForm(view, start) {
   const { open, more, expected } = await (await fetch(`api/form?view=${encodeURIComponent(view)}`)).json();
   const said = make("p", { className: "wrong" }), cancel = button("Cancel", { type: "button" });
   said.setAttribute("role", "alert");
   const form = make("form", {}, make("h2", { id: "form-title", textContent: "Start a tuning" }),
-    make("p", { textContent: expected }),
-    make("p", { className: "soft", textContent: "The rig will move. Each trial uses temporary gains; the rig then restores its live ones." }),
+    make("p", {}, expected),
+    make("p", { className: "soft" }, "The rig will move. After each trial it restores its live gains."),
     ...open.map(field),
     make("details", {}, make("summary", {}, "More"),
-      ...more.map(({ title, settings }) => make("fieldset", {}, make("legend", { textContent: title }), ...settings.map(field)))),
+      ...more.map(({ title, settings }) => make("fieldset", {}, make("legend", {}, title), ...settings.map(field)))),
     said, make("div", { className: "buttons" }, button("Start", { className: "primary" }), cancel));
   cancel.addEventListener("click", () => dialog.close());
   form.addEventListener("submit", async (event) => {
@@ -35,7 +35,7 @@ export async function openForm(view, start) {
     if (done) return dialog.close();
     for (const [name, why] of Object.entries(fields)) {
       const input = form.elements[name];
-      input.after(make("small", { className: "wrong", textContent: why }));
+      input.after(make("small", { className: "wrong" }, why));
       input.closest("details")?.setAttribute("open", "");
       input.focus();
     }
@@ -45,12 +45,12 @@ export async function openForm(view, start) {
   dialog.showModal();
 }
 
-// Whether somebody agrees that gains become live, seeing what changes; rows are [label, before, after].
+// Whether somebody agrees that gains become live; rows are [label, before, after].
 export function confirmGains(gains, heads, rows, notes) {
-  const table = (head, lines) => make("table", {}, make("tr", {}, ...head.map((textContent) => make("th", { textContent, scope: "col" }))),
-    ...lines.map(([name, ...cells]) => make("tr", {}, make("th", { textContent: name, scope: "row" }), ...cells.map((textContent) => make("td", { textContent })))));
+  const table = (head, lines) => make("table", {}, make("tr", {}, ...head.map((textContent) => make("th", { scope: "col" }, textContent))),
+    ...lines.map(([name, ...cells]) => make("tr", {}, make("th", { scope: "row" }, name), ...cells.map((textContent) => make("td", {}, textContent)))));
   dialog.replaceChildren(make("form", { method: "dialog" }, make("h2", { id: "form-title", textContent: "Make these gains live on the rig?" }),
-    table(["gain", "live now", "new"], gains), table(["response", ...heads], rows), ...notes.map((textContent) => make("p", { textContent })),
+    table(["gain", "live now", "new"], gains), table(["response", ...heads], rows), ...notes.map((textContent) => make("p", {}, textContent)),
     make("div", { className: "buttons" }, button("Make live", { value: "yes", className: "primary" }), button("Cancel", { value: "" }))));
   dialog.returnValue = "";
   dialog.showModal();

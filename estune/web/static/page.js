@@ -60,14 +60,15 @@ function showState() {
   if (!shown) return;
   const v = shown.values, silent_s = (performance.now() - beat.at) / 1000;
   const lost = stream.readyState !== EventSource.OPEN || silent_s > STALE_S;
-  const now = lost ? { word: "page disconnected", tone: "stale", sentence: "The page's server does not answer; what is shown is out of date." }
+  const now = lost ? { word: "page disconnected", tone: "stale", sentence: "The page's server does not answer." }
     : v.banner ?? { word: "connecting", tone: "", sentence: "" };
   const age = lost ? silent_s : now.ended ? 0 : Math.max(0, ...Object.values(beat.ages)) + silent_s;
   text($("state"), now.word);
   $("state").className = `chip ${now.tone}`;
   for (const id of ["reason", "more"]) text($(id), now.sentence);
-  $("more").className = now.tone;
-  $("more").hidden = !["no", "stale"].includes(now.tone) && $("reason").offsetWidth > 0 && $("reason").scrollWidth <= $("reason").clientWidth;
+  $("more").className = ["no", "stale"].includes(now.tone) ? `lead ${now.tone}` : "";
+  const { offsetWidth, scrollWidth } = $("reason"); // none on a telephone
+  $("more").hidden = !$("more").className && offsetWidth > 0 && scrollWidth <= offsetWidth;
   text($("age"), age < STALE_S ? "" : `data ${duration(age)} old`);
   document.body.classList.toggle("stale-data", now.tone === "stale");
   const running = v.state?.status === "running", kept = (name) => document.querySelector(`button[data-command="${name}"]`) ?? {};
@@ -75,7 +76,8 @@ function showState() {
   kept("reset").hidden = !v.rig?.latched;
   if (kind === "rig") {
     kept("stop").hidden = !running;
-    kept("tune").hidden = running || !v.rig;
+    kept("tune").hidden = running || !v.rig || now.word === "starting";
+    kept("tune").className = $("offer").hidden ? "primary" : ""; // one button is the next step
   } else if (kind === "run") {
     kept("stop").hidden = !running;
     kept("resume").hidden = running || v.state?.status === "finished";
@@ -83,17 +85,17 @@ function showState() {
   confirm(v);
 }
 
-const duration = (seconds) => (seconds < 90 ? `${Math.round(seconds)} s` : seconds < 5400 ? `${Math.round(seconds / 60)} min` : `${(seconds / 3600).toFixed(1)} h`);
+const duration = (s) => (s < 90 ? `${Math.round(s)} s` : `${Math.round(s / 60)} min`);
 
 // What the rig must show before a command counts as done.
 const applied = (daemon, gains) => daemon.home === gains && daemon.live === gains
   && !["readying", "waiting", "retrying"].includes(daemon.mode);
-const DONE = {
-  estop: ({ rig }) => rig?.latched && "the rig confirms: it is in its safe state",
-  accept: ({ daemon }) => !daemon.found && applied(daemon, "accepted") && "the rig confirms: the accepted gains are live",
-  reject: ({ daemon }) => !daemon.found && daemon.live && `the rig confirms: the ${daemon.live} gains are live`,
-  revert: ({ daemon }) => applied(daemon, "original") && "the rig confirms: the original gains are live",
-  pause: ({ daemon }) => daemon.paused && daemon.live && `paused; the rig confirms its ${daemon.live} gains`,
+const BY_RIG = "the rig confirms: ", DONE = {
+  estop: ({ rig }) => rig?.latched && `${BY_RIG}it is in its safe state`,
+  accept: ({ daemon }) => !daemon.found && applied(daemon, "accepted") && `${BY_RIG}the accepted gains are live`,
+  reject: ({ daemon }) => !daemon.found && daemon.live && `${BY_RIG}the ${daemon.live} gains are live`,
+  revert: ({ daemon }) => applied(daemon, "original") && `${BY_RIG}the original gains are live`,
+  pause: ({ daemon }) => daemon.paused && daemon.live && `paused; ${BY_RIG}the ${daemon.live} gains are live`,
   resume: ({ daemon }) => !daemon.paused && "supervision has resumed",
   stop: ({ daemon }) => daemon.mode === "stopped" && "the supervision has ended",
 };
@@ -125,7 +127,8 @@ async function command(name, given) {
   if (answer.done && (kind === "daemon" || name === "estop")) {
     pending = name;
     say(`${name}: ${answer.sentence}; waiting for the rig to confirm`);
-  } else say(`${name}: ${answer.done ? "" : "not done: "}${answer.sentence}`); // the server has asked the rig
+  } else if (answer.done && ["tune", "resume"].includes(name)) say(""); // the state says so
+  else say(`${name}: ${answer.done ? "" : "not done: "}${answer.sentence}`); // the server has asked the rig
   if (answer.done && ["label", "delete"].includes(name)) list();
   return answer;
 }
@@ -138,10 +141,10 @@ function confirm(values) {
   say(`${name}: done; ${sentence}`);
 }
 
-// Makes gains live once somebody has agreed, seeing what changes and within which limits.
+// Makes gains live once somebody has agreed, seeing what changes.
 async function apply({ gains, heads, rows, limits }) {
   const { description: about, "curve.tried": tried } = shown.values;
-  if (!about) return say("apply: the rig's live gains are not known: without a link nothing can be applied");
+  if (!about) return say("apply: without a link to the rig nothing can be applied");
   const names = Object.keys(gains), instead_of = Object.fromEntries(names.map((name, n) => [name, about.gains[n]]));
   const number = (x) => Number(x.toPrecision(4)).toString();
   const measured = tried && names.every((name, n) => tried.gains[n] === gains[name]) ? `Measured in one trial: ${tried.measured}.` : "";
@@ -158,7 +161,6 @@ function showCommands() {
     const button = document.createElement("button");
     button.textContent = label(name);
     button.dataset.command = name;
-    button.className = name === "tune" ? "primary" : "";
     button.addEventListener("click", () => {
       if (name === "delete") {
         if (window.confirm(`Delete run ${view} with all of its trials? This cannot be undone.`)) command(name, { confirmed: view });
@@ -184,9 +186,9 @@ async function list() {
   }
   const names = answer.views.map((one) => one.name);
   runs.show(answer.views, view);
-  const rigs = answer.views.filter((one) => one.kind !== "run").length, nav = $("views"), main = document.querySelector("main");
-  if (rigs === 1 && main.lastElementChild !== nav) main.append(nav); // earlier runs below their rig
-  else if (rigs !== 1 && nav.previousElementSibling !== $("more")) $("more").after(nav);
+  const rigs = answer.views.filter((one) => one.kind !== "run").length, nav = $("views");
+  const before = $(rigs === 1 ? "search" : "more"); // earlier runs stand below their rig
+  if (nav.previousElementSibling !== before) before.after(nav);
   if (stream && (stream.readyState === EventSource.CLOSED || silent_s > AGAIN_S)) open(view);
   labels.show(answer.views.find((one) => one.name === view), allowed);
   const wanted = new URLSearchParams(location.search).get("view");

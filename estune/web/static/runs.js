@@ -24,7 +24,7 @@ export class RunTable {
     this.laidOver = new Set();
     this.drawn = new Map(); // rows of the table, each with what it shows
     $("all-views").addEventListener("click", () => {
-      this.all = true;
+      this.isWhole = true;
       this.draw();
       $("views").querySelector("tbody").rows[DRAWN_MAX]?.querySelector("a").focus();
     });
@@ -40,12 +40,15 @@ export class RunTable {
     }), make("th", { scope: "col", textContent: "lay over" }));
   }
 
-  // New rows, of which one is shown on the page: that of a rig stands above the runs of this rig.
+  // New rows, of which one is shown on the page; a rig stands above its runs.
   show(all, current) {
-    if (all === this.rows0 && current === this.current) return;
+    if (all === this.all && current === this.current) return;
     const own = all.find(({ name, kind }) => name === current && kind !== "run");
-    Object.assign(this, { rows0: all, current, rows: own ? all.filter(({ kind, rig }) => kind !== "run" || rig === own.rig) : all });
-    $("views").hidden = all.length < 2;
+    const alone = own?.kind === "rig" && all.filter(({ kind }) => kind !== "run").length < 2;
+    const rows = alone ? all.filter(({ kind, rig }) => kind === "run" && rig === own.rig) : all;
+    Object.assign(this, { all, current, rows });
+    $("views").hidden = alone ? !rows.length : all.length < 2;
+    $("views").querySelector("h2").textContent = alone ? "Runs of this rig" : "Rigs and runs";
     this.draw();
   }
 
@@ -63,12 +66,12 @@ export class RunTable {
     };
     const shown = this.rows.filter((row) => words.every((word) => text(row).includes(word))).sort(order);
     $("views").querySelectorAll("th:has(button)").forEach((th, n) => th.setAttribute("aria-sort", COLUMNS[n][0] !== this.by ? "none" : this.falling ? "descending" : "ascending"));
-    const part = this.all ? shown : shown.slice(0, DRAWN_MAX);
+    const part = this.isWhole ? shown : shown.slice(0, DRAWN_MAX);
     $("all-views").hidden = part.length === shown.length;
     $("all-views").textContent = `Show all ${shown.length}`;
     this.drawn = new Map(part.map((row) => [row.name, this.filled(this.drawn.get(row.name) ?? this.made(row.name), row)]));
     place($("views").querySelector("tbody"), [...this.drawn.values()].map(({ tr }) => tr));
-    const empty = COLUMNS.map(([key]) => this.rows.every((row) => row[key] == null || row[key].length === 0));
+    const told = ["kind", "rig"], empty = COLUMNS.map(([key]) => this.rows.every((row) => row[key] == null || row[key].length === 0 || (told.includes(key) && row[key] === this.rows[0][key])));
     for (const { cells } of $("views").querySelectorAll("tr"))
       empty.forEach((none, n) => { if (cells[n].hidden !== none) cells[n].hidden = none; });
   }

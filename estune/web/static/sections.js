@@ -58,22 +58,22 @@ export class Sections {
     $("gains").replaceChildren();
   }
 
-  // What the rig is, its live gains, and the response that is predicted of them while nothing moves.
+  // What the rig is, its live gains, and what is predicted of them while nothing moves.
   drawAbout() {
     const { description: about, facts = [], state } = this.values, predicted = this.values["predicted.run"] ?? this.values["predicted.rig"];
-    const list = (id, rows) => $(id).replaceChildren(...rows.map(([name, value]) => make("div", {}, make("dt", { textContent: name }), make("dd", { textContent: value }))));
+    const list = (id, rows) => $(id).replaceChildren(...rows.map(([name, value]) => make("div", {}, make("dt", {}, name), make("dd", {}, value))));
     list("facts", facts);
     $("text").hidden = !about;
+    $("text").textContent = about?.text;
     $("live").hidden = !about || state?.status === "running";
     if ($("live").hidden) return;
-    $("text").textContent = about.text;
     list("gains-live", [...about.gain_labels.map((name, n) => [name, Number(about.gains[n].toPrecision(4))]), ...(predicted?.cells ?? [])]);
-    $("predicted-by").textContent = predicted ? `Response, Ms and margin are predicted by ${predicted.source}.` : "No model is known that predicts the response with these gains; a tuning identifies one.";
+    $("predicted-by").textContent = predicted ? `The response with these gains, predicted by ${predicted.source}:` : "No model is known that predicts the response; a tuning identifies one.";
     $("predicted").hidden = !predicted;
     if (!predicted) return;
     const [unit, unit_s] = timeUnit(last(predicted.t));
-    this.chart("predicted", { height: 200, x: `time from the step, ${unit}`, y: about.measurement, label: "Predicted step response with the live gains",
-      series: [{ label: "setpoint", colour: "grey", dash: [6, 4], width: 1 }, { label: "predicted with the live gains", colour: "blue", width: 1.8 }] })
+    this.chart("predicted", { height: 180, x: `time from the step, ${unit}`, y: about.measurement, label: "Predicted step response with the live gains",
+      legend: false, series: [{ label: "setpoint", colour: "grey", dash: [6, 4], width: 1 }, { label: "predicted", colour: "blue", width: 1.8 }] })
       .show([predicted.t.map((t) => t / unit_s), predicted.r, predicted.y]);
   }
 
@@ -122,7 +122,7 @@ export class Sections {
     const command = this.chart("command", { height: 200, x, y: about.command, series: series.slice(1),
       label: `${about.command} over time` });
     command.show(joined(shown.map((one) => [shifted(one), one.u])), limits(about.command_limits), { x: ends, y: this.held.u });
-    const number = isLive ? `trial ${v.live.number} of ${v.live.run}` : v["curve.latest"] ? `trial ${v["curve.latest"].number}` : "";
+    const number = isLive ? `under way, of ${v.live.run}` : v["curve.latest"] ? `trial ${v["curve.latest"].number} of ${v.run?.name}` : "";
     const apart = this.others.filter((one) => !others.includes(one)).map(({ name }) => name).join(", ");
     $("trial-text").textContent = apart ? `${number}; not drawn, for they measure something else: ${apart}` : number;
   }
@@ -197,7 +197,7 @@ export class Sections {
     const line = (tag, cells) => make("tr", {}, ...cells.map((text, n) =>
       make(n ? tag : "th", { textContent: text, ...(!n && text && { scope: "row" }) })));
     $("result").replaceChildren(line("th", heads), ...rows.map((row) => line("td", row.slice(0, heads.length))));
-    $("remarks").replaceChildren(...remarks.map((text) => make("li", { textContent: text })));
+    $("remarks").replaceChildren(...remarks.map((text) => make("li", {}, text)));
   }
 
   drawChecks() {
@@ -218,7 +218,7 @@ export class Sections {
   drawEvents() {
     $("events").hidden = false;
     $("events").querySelector("tbody").replaceChildren(...this.tables.events.slice(-100).reverse().map(([, at, kind, sentence]) =>
-      make("tr", {}, ...[new Date(at).toLocaleString(), kind, sentence].map((text) => make("td", { textContent: text })))));
+      make("tr", {}, ...[new Date(at).toLocaleString(), kind, sentence].map((text) => make("td", {}, text)))));
   }
 
   // Lays the responses of other runs over this one, one after the other: a browser opens few streams.
