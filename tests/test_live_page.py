@@ -236,7 +236,7 @@ def test_list_of_runs_is_sorted_and_filtered_by_keyboard(chromium, tmp_path):
     with opened(chromium, server.address) as page:
         links = page.locator("#views tbody a")
         expect(links).to_have_text(["new", "first", "old"])
-        expect(page.locator("#views tbody tr").first).to_contain_text("finished")
+        expect(page.locator("#views tbody tr").first).to_contain_text("no significant improvement")
         page.get_by_role("button", name="name", exact=True).press("Enter")
         expect(links).to_have_text(["first", "new", "old"])
         page.get_by_role("searchbox").press_sequentially("ol")
