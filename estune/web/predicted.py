@@ -53,8 +53,8 @@ def by_identified_loop(result: TuneResult, gains: Gains, source: str) -> Predict
     plan, rig, fit = result.plan, result.rig, result.identified.fit
     if fit is None:
         return None
-    rest = float(np.mean([one.rest_effort_N for one in result.identified.signals]))
-    trial = replace(step_trial(rig, plan.step, plan.cost), effort_N=rest)
+    rest = float(np.mean([one.rest_effort for one in result.identified.signals]))
+    trial = replace(step_trial(rig, plan.step, plan.cost), rest_effort=rest)
     found = predict(fit.model, trial, gains)
     if not math.isfinite(found.sensitivity):
         return None
@@ -73,7 +73,7 @@ def by_linear_model(rig: RigDescription) -> PredictedResponse | None:
     free = replace(rig.controller, output_min_N=-math.inf, output_max_N=math.inf)
     trial = replace(step_trial(rig, rig.step, cost), controller=free)
     plant = sampled_model(rig.linear_model, rig.controller)
-    response = simulated_step(plant, trial, rig.gains).measurement_N
+    response = simulated_step(plant, trial, rig.gains).measurement
     sensitivity = largest_sensitivity(plant, rig.gains, rig.controller)
     source = "the rig's own linear model, whose accuracy is not known"
     return _response(source, trial, response, sensitivity, shown.phase_margin_deg)
@@ -83,15 +83,15 @@ def _response(
     source: str, trial: StepTrial, response: FloatArray, Ms: float, phase_margin_deg: float
 ) -> PredictedResponse:
     """A response as a deviation, with its numbers."""
-    rate, at, size = trial.controller.sampling_Hz, trial.step.sample, trial.step.size_N
+    rate, at, size = trial.controller.sampling_Hz, trial.step.sample, trial.step.size
     time_s = (np.arange(trial.samples) - at) / rate
     tracked = time_s[: trial.end], response[: trial.end]
     known = step_metrics(*tracked, step_time_s=0.0, initial=0.0, final=size)
     return PredictedResponse(
         source,
         time_s,
-        trial.preload_N + trial.setpoint_N,
-        trial.preload_N + response,
+        trial.preload + trial.setpoint,
+        trial.preload + response,
         {
             "rise time": rise_text(known),
             "overshoot": share_text(known.overshoot),
