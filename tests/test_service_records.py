@@ -235,8 +235,8 @@ def test_command_reads_a_csv_and_writes_report_and_json(busy, tmp_path, capsys):
         ("time_s,wanted,measured,output", "no channel is the setpoint"),
         ("time_s,setpoint_N,measurement_A,output", "same quantity"),
         (
-            "Zeit,setpoint,measurement,output",
-            "no channel is the time; the file has Zeit, setpoint",
+            "when,setpoint,measurement,output",
+            "no channel is the time; .* when: name it, as in --map time=when; or give --sampling",
         ),
     ],
 )

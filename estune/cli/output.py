@@ -14,6 +14,7 @@ from rich.table import Table
 from rich.text import Text
 
 if TYPE_CHECKING:
+    from estune.recordings.issue import DataIssue
     from estune.run.results.result import TuneResult
     from estune.studies.table import StudyTable
 
@@ -48,6 +49,12 @@ def show_result(result: "TuneResult") -> None:
     out.print(table)
     for remark in result.remarks():
         out.print(Text(remark), soft_wrap=True)
+
+
+def show_doubts(issues: Iterable["DataIssue"]) -> None:
+    """Prints what all that follows depends on, each once."""
+    for sentence in dict.fromkeys(i.sentence for i in issues if i.level == "doubt"):
+        console().print(Text.assemble(("doubt  ", "yellow"), sentence), soft_wrap=True)
 
 
 def save_figure(result: "TuneResult") -> Path | None:

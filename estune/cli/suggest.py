@@ -9,7 +9,7 @@ from rich.text import Text
 from estune.cli import output
 from estune.cli.options import NO_LIMITS, LimitOptions
 from estune.cli.stated_controller import stated_controller
-from estune.cli.values import Flag, Values, check_folder_exists, command_line
+from estune.cli.values import Flag, Values, check_folder_exists, command_line, words_from
 from estune.errors import InvalidInput
 from estune.support.quantity_text import time_text
 
@@ -74,7 +74,7 @@ def suggest(
     found = service.suggest(
         records,
         gains=stated.gains,
-        columns=dict(_pairs("--map", map_)),
+        columns=words_from("--map", map_),
         sampling_Hz=sampling_Hz,
         derivative_filter_s=(
             stated.derivative_filter_s if derivative_filter_s is None else derivative_filter_s
@@ -96,34 +96,26 @@ def suggest(
     return found.exit_code
 
 
-def _pairs(option: str, texts: Values) -> list[tuple[str, str]]:
-    pairs = [part.partition("=") for text in texts for part in text.split(",") if part]
-    for name, equals, value in pairs:
-        if not (name and equals and value):
-            raise InvalidInput(f"{option} {name}{equals}{value} is not of the form NAME=VALUE")
-    return [(name.strip(), value.strip()) for name, _, value in pairs]
-
-
 def _form(texts: Values) -> "ControllerForm | None":
     """The form of the controller; None where nothing is said of it.
 
     Raises:
         InvalidInput: there is no such property, or no such value.
     """
-    given = _pairs("--form", texts)
+    given = words_from("--form", texts)
     if not given:
         return None
     from estune.core.controller_form import ControllerForm  # noqa: PLC0415  of no use to other commands
 
     hints = get_type_hints(ControllerForm)
-    for name, value in given:
+    for name, value in given.items():
         if name not in hints:
             raise InvalidInput(f"--form has no {name}; it has {', '.join(hints)}")
         if value not in get_args(hints[name]):
             known = ", ".join(get_args(hints[name]))
             raise InvalidInput(f"--form {name}={value}: give one of {known}")
     # The values were checked against the types above.
-    values: dict[str, Any] = dict(given)
+    values: dict[str, Any] = {**given}
     return ControllerForm(**values)
 
 
@@ -133,6 +125,7 @@ def _written(found: "Suggestion", folder: Path) -> Path | None:
 
 def _show(found: "Suggestion", report: Path | None, trial: Path | None) -> None:
     out = output.console()
+    output.show_doubts(found.issues)
     style = _STYLES.get(found.verdict, "bold yellow")
     out.print(Text(found.heading(), style=style), soft_wrap=True)
     for sentence in found.remarks():
@@ -157,5 +150,7 @@ def _show(found: "Suggestion", report: Path | None, trial: Path | None) -> None:
         facts["next trial"] = "--next FOLDER writes it for estune run-experiment"
     output.show_next(facts)
     for issue in found.issues:
+        if issue.level == "doubt":
+            continue  # said above
         color = "red" if issue.level == "refused" else "yellow"
         out.print(Text.assemble((f"{issue.level}  ", color), str(issue)), soft_wrap=True)

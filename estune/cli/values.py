@@ -2,6 +2,7 @@
 
 import ast
 import os
+import re
 import shlex
 from collections.abc import Iterable
 from pathlib import Path
@@ -90,6 +91,23 @@ def check_folder_exists(option: str, path: Path | None) -> None:
         raise InvalidInput(f"{path} is a folder; give the name of a file in it to {option}")
     if not os.access(path if path.exists() else path.parent, os.W_OK):
         raise InvalidInput(f"{path} cannot be written; give another {option}")
+
+
+_NEXT = re.compile(r",(?=\s*\w+\s*=)")
+"""The comma between two assignments: one within a name stays, as in `Temp, °C`."""
+
+
+def words_from(option: str, texts: Iterable[str]) -> dict[str, str]:
+    """Words written `name=word`, several of them with commas between.
+
+    Raises:
+        InvalidInput: one of them is not of that form.
+    """
+    pairs = [part.partition("=") for text in texts for part in _NEXT.split(text) if part]
+    for name, equals, word in pairs:
+        if not (name and equals and word):
+            raise InvalidInput(f"{option} {name}{equals}{word} is not of the form NAME=VALUE")
+    return {name.strip(): word.strip() for name, _, word in pairs}
 
 
 def numbers_from(texts: Iterable[str]) -> dict[str, float]:

@@ -2,7 +2,7 @@
 
 import difflib
 import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -13,14 +13,18 @@ from pydantic import Field
 from estune.core.quantities import FloatArray
 from estune.errors import InvalidInput
 from estune.recordings.column_names import METADATA, TABLE_COLUMNS
+from estune.recordings.heading import heading
 from estune.recordings.issue import Unusable
 from estune.recordings.raw_file import Channel
+from estune.recordings.time_unit import epoch_unit
 from estune.recordings.units import UNITS, Drum, find_unit, si_factor
 from estune.reel.calibration import CurrentCalibration, GaugeCalibration
 from estune.support.toml_file import TomlTable, read_toml, validate
 
-_WORDS = ("in", "min")
-"""Units that are words, too: `force_in` is no length."""
+_OWN_UNITS = ("setpoint_N", "tension_N", "reference_N", "current_A")
+"""Columns that hold input and output of any plant, in units of its own."""
+_MECHANICAL = ("time", "force", "current", "angle", "length", "torque", "frequency")
+"""Dimensions that are converted, or refused, wherever they stand."""
 _STEMS = {name.partition("_")[0]: name for name in TABLE_COLUMNS}
 
 _DAYS = (*("%Y/%m/%d", "%d.%m.%Y", "%d/%m/%Y", "%m/%d/%Y"), "%d.%m.%y", "%d/%m/%y", "%m/%d/%y")
@@ -143,20 +147,6 @@ class Mapped(NamedTuple):
     time_s: FloatArray | None
 
 
-def find_channel(source: str, channels: Iterable[Channel], column: str) -> Channel | None:
-    """The channel of a name, or the only one whose name ends in it after a dot or a slash.
-
-    Raises:
-        Unusable: several names end so.
-    """
-    by_name = {channel.name: channel for channel in channels}
-    tails = [n for n in by_name if n.endswith(source) and n[: -len(source)].endswith((".", "/"))]
-    if source not in by_name and len(tails) > 1:
-        listed = ", ".join(tails[:4])
-        raise Unusable(f"{source} could be {listed}; give the whole name", column)
-    return by_name.get(source) or (by_name[tails[0]] if tails else None)
-
-
 def map_column(name: str, table: ColumnTable, channel: Channel, drum: Drum) -> Mapped | None:
     """One column in SI units; None where every cell is empty.
 
@@ -171,8 +161,11 @@ def map_column(name: str, table: ColumnTable, channel: Channel, drum: Drum) -> M
         return Mapped(channel.name, "counts", np.nan, calibrated, channel.time_s)
     stem, _, si = name.partition("_")
     unit = _unit(stem, table, channel, si or "") or unit_by_name(table, channel, si, drum)
+    if name == "time_s" and is_bare(table, channel):
+        unit = epoch_unit(channel.values) or unit
     try:
-        factor = si_factor(unit, si, drum) if unit else 1.0
+        own = not (si and unit) or is_own_unit(name, unit, drum)
+        factor = 1.0 if own else si_factor(unit, si, drum)
     except InvalidInput as error:
         raise Unusable(str(error), name) from error
     if table.scale != 1.0 or table.offset != 0.0:
@@ -192,8 +185,22 @@ def _unit(stem: str, table: ColumnTable, channel: Channel, si: str) -> str:
             stem,
         )
     if channel.unit and not (given or stated) and si:
-        raise Unusable(_unknown_unit(channel.unit, channel.name), stem)
+        if f"{stem}_{si}" not in _OWN_UNITS:
+            raise Unusable(_unknown_unit(channel.unit, channel.name), stem)
+        return channel.unit
     return given or stated or ""
+
+
+def is_own_unit(name: str, unit: str, drum: Drum) -> bool:
+    """Whether values are taken as they are, in a unit of the plant: that of no reel."""
+    known = UNITS.get(unit)
+    foreign = known is None or known.dimension not in _MECHANICAL
+    return foreign and name in _OWN_UNITS and drum.radius_m is None
+
+
+def is_bare(table: ColumnTable, channel: Channel) -> bool:
+    """Whether neither the map nor the file says a unit of the channel."""
+    return not (table.unit or channel.unit or heading(channel.name).unit or table.scale != 1.0)
 
 
 def unit_by_name(table: ColumnTable, channel: Channel, si: str, drum: Drum) -> str:
@@ -207,9 +214,8 @@ def unit_by_name(table: ColumnTable, channel: Channel, si: str, drum: Drum) -> s
         si: The record's own unit; empty for a plain number.
         drum: Numbers of the reel, for lengths and torques.
     """
-    ending = channel.name.rpartition("_")[2]
-    unit = find_unit(ending) if "_" in channel.name and ending not in _WORDS else None
-    if unit is None or not si or table.scale != 1.0 or table.offset != 0.0:
+    unit = heading(channel.name).unit
+    if not unit or not si or table.scale != 1.0 or table.offset != 0.0:
         return si
     try:
         si_factor(unit, si, drum)

@@ -5,7 +5,7 @@ from typing import Literal
 
 from estune.errors import InvalidInput
 
-Level = Literal["refused", "warning"]
+Level = Literal["refused", "warning", "doubt"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -13,7 +13,8 @@ class DataIssue:
     """Something that is wrong with a record, or looks wrong.
 
     Attributes:
-        level: `refused` where the record is left out because of it, else `warning`.
+        level: `refused` where the record is left out because of it, `doubt` where all that is said
+            of the record depends on it, which is said first, else `warning`.
         sentence: What is wrong and what to do, one sentence without full stop.
         column: The column, or empty where it is about the whole record.
         row: The first data row it is about, counted from 1, or None.

@@ -4,7 +4,6 @@ The loop may be any: the units are the file's own. What `read_recording` reads a
 a reel.
 """
 
-import re
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import NamedTuple
@@ -13,30 +12,32 @@ import numpy as np
 
 from estune.core.gains import Gains
 from estune.core.quantities import BoolArray
-from estune.recordings.column_map import ColumnTable, find_channel, map_column
+from estune.recordings.channel_search import (
+    EFFORTS,
+    MEASUREMENTS,
+    SETPOINTS,
+    TIMES,
+    by_usual_name,
+    find_channel,
+    not_found,
+    unused,
+)
+from estune.recordings.column_map import ColumnTable, is_bare, map_column
+from estune.recordings.heading import heading, nearest
 from estune.recordings.issue import DataIssue, Unusable
 from estune.recordings.metadata import Metadata, metadata_beside
 from estune.recordings.raw_file import Channel, RawFile, read_raw
+from estune.recordings.time_unit import time_doubt
 from estune.recordings.timing import Columns, evened
 from estune.recordings.units import NO_DRUM, UNITS, find_unit
 
 NAMES = {
-    "time": ("time", "t", "timestamp", "stamp", "seconds"),
-    "setpoint": ("setpoint", "sp", "reference", "ref", "target", "desired", "r"),
-    "measurement": (
-        *("measurement", "measured", "pv", "process value", "process variable", "actual"),
-        *("feedback", "tension", "temperature", "speed", "velocity", "position", "angle", "y"),
-    ),
-    "effort": (
-        *("effort", "output", "out", "op", "co", "mv", "control", "control output"),
-        *("controller output", "control effort", "manipulated variable", "u"),
-        *("duty", "duty cycle", "pwm", "valve"),
-    ),
+    "time": TIMES,
+    "setpoint": SETPOINTS,
+    "measurement": MEASUREMENTS,
+    "effort": EFFORTS,
 }
 """Names of channels, without unit, by which each column is found; the first that fits."""
-
-_BRACKETED = re.compile(r"\s*[\[(][^\[\]()]*[\])]\s*$")
-"""What stands in brackets at the end of a name: its unit, whichever it is."""
 
 COLUMNS = tuple(NAMES)
 """Columns of a log; effort may be missing, time where the rate is stated."""
@@ -87,20 +88,21 @@ def read_loop_log(
     raw, given = read_raw(path), sources or {}
     metadata = Metadata(raw.metadata or metadata_beside(path))
     rate = sampling_Hz or metadata.number("sampling_Hz", above=0.0)
-    channels = {c: ch for c in COLUMNS if (ch := _channel(raw, c, given.get(c)))}
+    channels = _channels(raw, given)
     for column in ("setpoint", "measurement"):
         if column not in channels:
-            remedy = f"name it, as in --map {column}=NAME"
-            raise Unusable(f"no channel is the {column}; the file has {_listed(raw)}: {remedy}")
+            left = unused(raw.channels, channels) or raw.channels
+            raise Unusable(not_found(column, left, NAMES[column]))
     channels, kept = _complete_rows(channels)
     values = {c: _values(c, channel) for c, channel in channels.items()}
+    doubts = () if rate else tuple(_doubts(channels, values))
     time_s = values.pop("time", None)
     if time_s is None:
         if rate is None:
-            raise Unusable(
-                f"no channel is the time; the file has {_listed(raw)}: name it, as in "
-                "--map time=NAME, or give --sampling"
+            asked = not_found(
+                "time", unused(raw.channels, channels) or raw.channels, NAMES["time"]
             )
+            raise Unusable(f"{asked}; or give --sampling")
         time_s = np.flatnonzero(kept) / rate
     if time_s.size < FEWEST_SAMPLES:
         raise Unusable(f"the file has {time_s.size} rows; {FEWEST_SAMPLES} or more are needed")
@@ -115,7 +117,7 @@ def read_loop_log(
     if not parts:
         raise Unusable(f"no {FEWEST_SAMPLES} rows in a row are without a gap")
     named = {c: channel.name for c, channel in channels.items()}
-    issues = (*_left_out(kept), *grid.issues, *_without_effort(raw, channels))
+    issues = (*doubts, *_left_out(kept), *grid.issues, *_without_effort(raw, channels))
     return LoopLog(path.name, grid.sampling_Hz, parts, metadata.gains(), named, units, issues)
 
 
@@ -159,39 +161,38 @@ def _without_effort(raw: RawFile, channels: Mapping[str, Channel]) -> Iterator[D
         )
 
 
-def _listed(raw: RawFile) -> str:
-    return ", ".join(channel.name for channel in raw.channels[:LISTED])
+def _channels(raw: RawFile, sources: Mapping[str, str]) -> dict[str, Channel]:
+    """The channel of each column: as the map names it, else by its name among those left."""
+    found: dict[str, Channel] = {}
+    for column, source in sources.items():
+        channel = find_channel(source, raw.channels, column)
+        if channel is None:
+            close = ", ".join(nearest([source], [c.name for c in raw.channels]))
+            raise Unusable(f"there is no {source}; the nearest in the file are {close}", column)
+        found[column] = channel
+    for column in COLUMNS:
+        if column not in found:
+            channel = by_usual_name(unused(raw.channels, found), column, NAMES[column])
+            if channel is not None:
+                found[column] = channel
+    return found
 
 
-def _channel(raw: RawFile, column: str, source: str | None) -> Channel | None:
-    if source:
-        found = find_channel(source, raw.channels, column)
-        if found is None:
-            raise Unusable(f"there is no {source}; the file has {_listed(raw)}", column)
-        return found
-    bare = {channel.name: _bare(channel.name) for channel in raw.channels}
-    for name in NAMES[column]:
-        fitting = [channel for channel in raw.channels if bare[channel.name] == name]
-        if len(fitting) > 1:
-            listed = ", ".join(channel.name for channel in fitting)
-            raise Unusable(f"{listed} could each be the {column}; name it", column)
-        if fitting:
-            return fitting[0]
-    return None
-
-
-def _bare(name: str) -> str:
-    """A channel's name without folder and unit, in small letters."""
-    without = _BRACKETED.sub("", name)  # before the folder: units have a "/"
-    last = without.replace(".", "/").rpartition("/")[2].strip().replace(" ", "_")
-    stem, _, unit = last.rpartition("_")
-    words = stem if stem and (find_unit(unit) or unit == "degC" or not unit.isalnum()) else last
-    return words.replace("_", " ").lower()
+def _doubts(channels: Mapping[str, Channel], values: Columns) -> Iterator[DataIssue]:
+    """A doubt about a time without a unit."""
+    time = channels.get("time")
+    if time is None or time.time_s is not None or not is_bare(ColumnTable(), time):
+        return
+    measured = heading(channels["measurement"].name)
+    unit = UNITS.get(measured.unit)
+    slow = "temp" in measured.key or bool(unit and unit.dimension == "temperature")
+    doubt = time_doubt(time.name, time.values, values["time"], slow=slow)
+    if doubt is not None:
+        yield doubt
 
 
 def _unit(channel: Channel) -> str:
-    stated = channel.unit or channel.name.rpartition("_")[2]
-    return find_unit(stated) or channel.unit
+    return find_unit(channel.unit) or heading(channel.name).unit or channel.unit
 
 
 def _values(column: str, channel: Channel) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
@@ -213,5 +214,6 @@ def _to_one_unit(values: dict[str, np.ndarray], units: dict[str, str]) -> None:
             "map columns of the same quantity",
             "setpoint",
         )
-    values["setpoint"] = values["setpoint"] * (own.factor / wanted.factor)
+    in_si = values["setpoint"] * own.factor + own.offset
+    values["setpoint"] = (in_si - wanted.offset) / wanted.factor
     units["setpoint"] = units["measurement"]

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from estune.core.quantities import FloatArray
 from estune.errors import InvalidInput
+from estune.recordings.heading import heading
 from estune.recordings.issue import Unusable
 from estune.support.plugins import load_plugin, plugins
 
@@ -46,9 +47,14 @@ Reader = Callable[[Path], RawFile]
 BAG = "metadata.yaml"
 """File by which a folder is a ROS 2 bag."""
 
+_NAMED_ONLY = (".txt",)
+"""Endings of files that are read where they are named: in a folder they are notes and logs of
+programs as a rule."""
+
 _OWN = {
     ".csv": "text:read_text",
     ".tsv": "text:read_text",
+    ".txt": "text:read_text",
     ".parquet": "parquet:read_parquet",
     ".mat": "matlab:read_mat",
     ".bag": "ros:read_bag",
@@ -72,7 +78,7 @@ def is_readable(path: Path) -> bool:
     if _is_bag(path.parent):
         return path.name == BAG
     ending = path.suffix.lower()
-    return ending in _OWN or ending in plugins(ENTRY_POINTS)
+    return ending not in _NAMED_ONLY and (ending in _OWN or ending in plugins(ENTRY_POINTS))
 
 
 def _is_bag(folder: Path) -> bool:
@@ -108,7 +114,13 @@ def read_raw(path: Path) -> RawFile:
         ) from error
     if not any(channel.values.size for channel in raw.channels):
         raise Unusable("the file has no rows; record the trial again or remove the file")
-    return raw
+    return raw._replace(channels=tuple(map(_with_unit, raw.channels)))
+
+
+def _with_unit(channel: Channel) -> Channel:
+    """The channel with the unit that stands apart in its name, where its file states no other."""
+    own = heading(channel.name)
+    return channel._replace(unit=own.unit) if own.said and not channel.unit else channel
 
 
 def _reader(path: Path) -> Reader:

@@ -6,18 +6,27 @@ from typing import NamedTuple
 import numpy as np
 
 from estune.core.quantities import FloatArray
+from estune.recordings.channel_search import (
+    TIMES,
+    by_usual_name,
+    find_channel,
+    option,
+)
 from estune.recordings.column_map import (
     AS_NAMED,
     ColumnMap,
     ColumnTable,
     Mapped,
-    find_channel,
+    is_bare,
+    is_own_unit,
     map_column,
 )
 from estune.recordings.column_names import MEASURED, METADATA, TABLE_COLUMNS, suggest_name
+from estune.recordings.heading import heading, nearest
 from estune.recordings.issue import DataIssue, Unusable
 from estune.recordings.metadata import Metadata, metadata_beside
 from estune.recordings.raw_file import Channel, RawFile, read_raw
+from estune.recordings.time_unit import time_doubt
 from estune.recordings.timing import Columns, evened, resampled
 from estune.recordings.units import NO_DRUM, Drum
 from estune.trial.records import COMPENSATION_COLUMNS
@@ -85,21 +94,24 @@ def read_recording(
 def _mapped(
     raw: RawFile, column_map: ColumnMap, drum: Drum
 ) -> tuple[dict[str, Mapped], list[DataIssue]]:
-    mapped, issues = {}, []
+    mapped, issues = {}, list[DataIssue]()
     for name in TABLE_COLUMNS:
         table = column_map.table(name)
-        channel = find_channel(table.from_ or name, raw.channels, name)
+        channel = _channel(raw, name, table)
         if channel is None:
-            if table.from_:
-                raise Unusable(f"there is no {table.from_}; {_listed(raw)}", name)
             continue
-        found = map_column(name, table, channel, drum)
+        try:
+            found = map_column(name, table, channel, drum)
+        except Unusable:
+            if table.from_ or channel.name.endswith(name):
+                raise
+            continue  # of another quantity: it is named below as one that is ignored
         if found is None:
             sentence = "the column is empty; it is taken as missing"
             issues.append(DataIssue("warning", sentence, name))
         else:
             mapped[name] = found
-            issues += _by_name(name, table, channel, found)
+            issues += _by_name(name, table, channel, found, drum)
     used = {m.source for m in mapped.values()}
     left = frozenset(c.name for c in raw.channels) - used
     present = left | mapped.keys()
@@ -107,10 +119,43 @@ def _mapped(
     return mapped, issues + _check_names(present, known, used)
 
 
-def _by_name(name: str, table: ColumnTable, channel: Channel, found: Mapped) -> list[DataIssue]:
-    """What is said of a unit that only the channel's name states."""
+def _channel(raw: RawFile, name: str, table: ColumnTable) -> Channel | None:
+    """The channel of a column: that of the map, or of its name with its unit or another."""
+    if table.from_:
+        found = find_channel(table.from_, raw.channels, name)
+        if found is None:
+            raise Unusable(f"there is no {table.from_}; {_listed(raw)}", name)
+        return found
+    exact = [c for c in raw.channels if c.name == name]
+    tails = exact or [c for c in raw.channels if c.name.endswith((f".{name}", f"/{name}"))]
+    if len(tails) > 1:
+        return find_channel(name, tails, name)
+    if tails:
+        return tails[0]
+    if name == "time_s":
+        return by_usual_name(raw.channels, "time", TIMES)
+    stem = name.partition("_")[0]
+    named = [c for c in raw.channels if heading(c.name).key == stem]
+    return named[0] if len(named) == 1 else None
+
+
+def _by_name(
+    name: str, table: ColumnTable, channel: Channel, found: Mapped, drum: Drum
+) -> list[DataIssue]:
+    """What is said of a unit that only the channel's name states, or nobody."""
     stem, _, si = name.partition("_")
-    if table.unit or channel.unit or found.unit in ("", "counts", si):
+    if name == "time_s":
+        doubt = time_doubt(channel.name, channel.values, found.values)
+        return [doubt] if doubt and is_bare(table, channel) and channel.time_s is None else []
+    if found.unit in ("", "counts", si):
+        if si and not table.from_ and is_bare(table, channel):
+            said = f"{channel.name} has no unit and is read as {si}"
+            return [DataIssue("warning", f"{said}; give --unit {stem}=UNIT if it is not", name)]
+        return []
+    if is_own_unit(name, found.unit, drum):
+        said = f"{channel.name} is in {found.unit} and taken as it is, in units of the plant's own"
+        return [DataIssue("warning", said, name)]
+    if table.unit or channel.unit:
         return []
     said = f"{channel.name} is taken to be in {found.unit}, as its name ends"
     return [DataIssue("warning", f"{said}; give --unit {stem}={si} if it is not", name)]
@@ -135,17 +180,25 @@ def _check_present(columns: dict[str, Mapped], raw: RawFile) -> None:
     if not any(name in columns for name in MEASURED):
         raise Unusable(
             f"there is none of the columns {', '.join(MEASURED)}; {_listed(raw)}: name what was "
-            "measured, as in --map tension=NAME"
+            f"measured, as in {option('tension', _nearest(raw, columns, 'tension', 'force'))}"
         )
     if not {"setpoint_N", "current_A"} & set(columns):
         raise Unusable(
             f"there is neither setpoint_N nor current_A; {_listed(raw)}: name what was commanded, "
-            "as in --map current=NAME"
+            f"as in {option('current', _nearest(raw, columns, 'current', 'command', 'effort'))}"
         )
     for name, m in columns.items():
         if m.values.size < FEWEST_SAMPLES:
             what = f"the file has {m.values.size} rows"
             raise Unusable(f"{what}; {FEWEST_SAMPLES} or more are needed", name)
+
+
+def _nearest(raw: RawFile, columns: dict[str, Mapped], *names: str) -> str:
+    """The free channel whose name is nearest to some names."""
+    taken, times = {m.source for m in columns.values()}, {name.replace(" ", "") for name in TIMES}
+    left = [c.name for c in raw.channels if heading(c.name).key not in times]
+    free = [name for name in left if name not in taken] or left
+    return next(iter(nearest(names, free)), "NAME")
 
 
 def _listed(raw: RawFile) -> str:
@@ -167,7 +220,10 @@ def _clocks(
         own = time.values if shares and time is not None else m.time_s
         if own is None:
             if stated_Hz is None:
-                raise Unusable("there is neither time_s nor sampling_Hz; give one of them")
+                raise Unusable(
+                    "there is neither time_s nor sampling_Hz; name the time, as in --map "
+                    "time=NAME, or give the rate in the metadata"
+                )
             if not issues:
                 sentence = "there is no time column; it is made from sampling_Hz"
                 issues.append(DataIssue("warning", sentence, "time_s"))

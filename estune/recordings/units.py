@@ -2,16 +2,18 @@
 
 import math
 import re
+import unicodedata
 from typing import NamedTuple
 
 from estune.errors import InvalidInput
 
 
 class Unit(NamedTuple):
-    """A unit as a multiple of the SI unit of its dimension."""
+    """A unit by its SI unit: SI value = value x factor + offset."""
 
     dimension: str
     factor: float
+    offset: float = 0.0
 
 
 UNITS = {
@@ -41,15 +43,43 @@ UNITS = {
     "in": Unit("length", 0.0254),
     "Nm": Unit("torque", 1.0),
     "mNm": Unit("torque", 1e-3),
+    "kgfcm": Unit("torque", 0.0980665),
+    "rad/s": Unit("speed", 1.0),
+    "deg/s": Unit("speed", math.pi / 180.0),
+    "rpm": Unit("speed", math.pi / 30.0),
+    "turn/s": Unit("speed", 2.0 * math.pi),
+    "m/s": Unit("velocity", 1.0),
+    "mm/s": Unit("velocity", 1e-3),
+    "km/h": Unit("velocity", 1.0 / 3.6),
+    "V": Unit("voltage", 1.0),
+    "mV": Unit("voltage", 1e-3),
+    "W": Unit("power", 1.0),
+    "kW": Unit("power", 1e3),
+    "Pa": Unit("pressure", 1.0),
+    "kPa": Unit("pressure", 1e3),
+    "mbar": Unit("pressure", 1e2),
+    "bar": Unit("pressure", 1e5),
+    "K": Unit("temperature", 1.0),
+    "degC": Unit("temperature", 1.0, 273.15),
+    "degF": Unit("temperature", 5.0 / 9.0, 459.67 * 5.0 / 9.0),
+    "%": Unit("share", 1e-2),
+    "Hz": Unit("frequency", 1.0),
     "kHz": Unit("frequency", 1e3),
 }
 _SPELLINGS = {
     "sec": "s",
     "second": "s",
     "seconds": "s",
-    "µs": "us",
     "μs": "us",
+    "msec": "ms",
+    "millis": "ms",
+    "milliseconds": "ms",
+    "usec": "us",
+    "micros": "us",
+    "microseconds": "us",
     "minutes": "min",
+    "hours": "h",
+    "hrs": "h",
     "Newton": "N",
     "newton": "N",
     "newtons": "N",
@@ -68,20 +98,50 @@ _SPELLINGS = {
     "turns": "turn",
     "rev": "turn",
     "revs": "turn",
-    "µm": "um",
     "μm": "um",
     "inch": "in",
+    "1/min": "rpm",
+    "min-1": "rpm",
+    "r/min": "rpm",
+    "U/min": "rpm",
+    "rev/min": "rpm",
+    "°/s": "deg/s",
+    "dps": "deg/s",
+    "rps": "turn/s",
+    "rev/s": "turn/s",
+    "turns/s": "turn/s",
+    "volt": "V",
+    "volts": "V",
+    "watt": "W",
+    "watts": "W",
+    "C": "degC",
+    "F": "degF",
+    "°C": "degC",
+    "°F": "degF",
+    "Celsius": "degC",
+    "Fahrenheit": "degF",
+    "Kelvin": "K",
+    "percent": "%",
+    "pct": "%",
+    "kgcm": "kgfcm",
 }
+_BY_LETTERS = {
+    name.lower(): unit for name, unit in {**_SPELLINGS, **{u: u for u in UNITS}}.items()
+}
+"""For words that are written with any capitals, as RPM and Volts; not for the letters of SI."""
 _PRODUCT = re.compile(r"[ .*·⋅]")
+_WORD_LETTERS = 3
+"""Letters from which capitals do not matter: mN and MN differ, RPM and rpm do not."""
 
 
 def find_unit(text: str) -> str | None:
     """The name in `UNITS` of a unit as a file or a user writes it; None where it is not known."""
-    bare = text.strip().strip("[]()").strip()
-    name = _SPELLINGS.get(bare, bare)
-    if name not in UNITS:
-        name = _PRODUCT.sub("", name)  # mN m, mN.m, mN*m
-    return name if name in UNITS else None
+    bare = unicodedata.normalize("NFKC", text).strip().strip("[](){}<>").strip()
+    for name in (bare, _PRODUCT.sub("", bare)):  # mN m, mN.m, mN*m
+        found = _SPELLINGS.get(name, name)
+        if found in UNITS:
+            return found
+    return _BY_LETTERS.get(bare.lower()) if len(bare) >= _WORD_LETTERS else None
 
 
 class Drum(NamedTuple):

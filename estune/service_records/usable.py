@@ -1,10 +1,12 @@
 """Which stretches of logs show a loop in service, and why the others do not."""
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
+from estune.recordings.issue import DataIssue
 from estune.service_records.sources import read_logs
 from estune.service_records.stretches import Stretch, find_stretches
 
@@ -27,20 +29,43 @@ class JudgedStretch(NamedTuple):
     reason: str
 
 
-def judged_stretches(path: Path) -> list[JudgedStretch]:
-    """The stretches of the logs below a path, in their order.
+class JudgedLogs(NamedTuple):
+    """Logs below a path: how they are understood, and which stretches show the loop.
+
+    Attributes:
+        stretches: In the order of the logs.
+        columns: File, column, channel and unit.
+        issues: Files that cannot be used, and what was done to time stamps.
+    """
+
+    stretches: list[JudgedStretch]
+    columns: list[tuple[str, str, str, str]]
+    issues: tuple[DataIssue, ...]
+
+
+def judged_logs(path: Path, sources: Mapping[str, str] | None = None) -> JudgedLogs:
+    """The logs of a loop below a path.
+
+    Args:
+        path: A file, a folder, or a run.
+        sources: Channels of the columns that are not found by their names.
 
     Raises:
         InvalidInput: there is no log of setpoint and measurement.
     """
-    found = list[JudgedStretch]()
-    for log in read_logs(path).logs:
+    read, found = read_logs(path, sources), list[JudgedStretch]()
+    for log in read.logs:
         P = log.gains.P if log.gains is not None else None
         stretches, left_out = find_stretches(log, P)
         parts = [_judged(stretch, log.sampling_Hz) for stretch in stretches]
         parts += [JudgedStretch(*part) for part in left_out]
         found += sorted(parts, key=lambda part: part.start_s)
-    return found
+    columns = [
+        (log.name, column, channel, log.units.get(column, ""))
+        for log in read.logs
+        for column, channel in log.sources.items()
+    ]
+    return JudgedLogs(found, columns, read.issues)
 
 
 def _judged(stretch: Stretch, rate: float) -> JudgedStretch:

@@ -116,6 +116,7 @@ def _show(diagnosis: "Diagnosis") -> None:
     from plants.remedies import text as remedies  # noqa: PLC0415  as above
 
     out = output.console()
+    output.show_doubts(diagnosis.findings)
     out.print(Text(diagnosis.heading(), style=_STYLES.get(diagnosis.verdict, "bold yellow")))
     for text in summary.sentences(diagnosis):
         out.print(Text(text), soft_wrap=True)

@@ -8,13 +8,14 @@ from typing import TYPE_CHECKING, Any, Literal
 from rich.text import Text
 
 from estune.cli import output
-from estune.cli.values import Flag, Values, command_line
+from estune.cli.values import Flag, Values, command_line, words_from
 from estune.errors import InvalidInput
 from plants.commands.columns import Sources, column_map
 
 if TYPE_CHECKING:
     from estune.recordings.issue import DataIssue
-    from estune.service_records.usable import JudgedStretch
+    from estune.recordings.units import Drum
+    from estune.service_records.usable import JudgedLogs, JudgedStretch
     from plants.diagnosis.data.measured_record import MeasuredRecord
     from plants.diagnosis.data.records import ColumnSource
     from plants.explain_page.preview import Preview
@@ -43,7 +44,8 @@ def records(
     Args:
         data: A file or a folder of them: CSV with any separators, Parquet, MATLAB, ROS 1 and 2
             bags, MCAP, TDMS, or runs.
-        map_: Where the columns come from: time=t,current=vir,angle=qm, or a TOML file of them.
+        map_: Where the columns come from: time=t,current=vir,angle=qm, or a TOML file of them; of
+            the log of a loop time=t,setpoint=sp,measurement=pv,effort=out.
         unit: Their units, such as angle=mm,tension=lbf.
         scale: Factors to the unit, such as current=35.15.
         save_map: Write the map as a TOML file, for --map.
@@ -55,23 +57,26 @@ def records(
     Raises:
         InvalidInput: there is no record, or an option cannot be used.
     """
-    from estune.recordings.units import NO_DRUM  # noqa: PLC0415  slow to import
-    from plants.diagnosis.data.records import drum_of, read_measurements  # noqa: PLC0415
+    from plants.diagnosis.data.records import read_measurements  # noqa: PLC0415
     from plants.explain_page.preview import preview, warnings  # noqa: PLC0415  as above
 
-    columns, drum = column_map(map_, unit, scale, save_map), NO_DRUM
-    if model is not None:
-        import plants  # noqa: PLC0415  slow to import
-
-        drum = drum_of(plants.load_model(model))
-    stretches = _stretches(data)
+    of_loop = _of_loop(map_)
+    if of_loop:
+        _show_logs(_logs(data, of_loop), json=json)
+        return
+    columns, drum = column_map(map_, unit, scale, save_map), _drum(model)
+    try:
+        logs = _logs(data, {})
+    except InvalidInput:  # no log of a running loop
+        logs = None
     try:
         contents = read_measurements(data, columns, drum)
     except InvalidInput as error:
-        if not stretches or out is not None:
+        if logs is None or out is not None:
             raise
-        _show_service(stretches, str(error), json=json)
+        _show_logs(logs, str(error), json=json)
         return
+    stretches = logs.stretches if logs else []
     previews = [preview(m) for m in contents.measurements]
     signs = {p.name: warnings(p) for p in previews}
     if out is not None:
@@ -89,6 +94,7 @@ def records(
             }
         )
         return
+    output.show_doubts(contents.findings)
     _show(previews, contents.sources)
     _show_stop(_stop(data))
     _show_doubts(contents.findings, signs)
@@ -101,23 +107,43 @@ def records(
         )
 
 
-def _stretches(data: Path) -> list["JudgedStretch"]:
-    """Stretches of a running loop; none where the data are no such log."""
-    from estune.service_records.usable import judged_stretches  # noqa: PLC0415  slow to import
+def _drum(model: str | None) -> "Drum":
+    """The drum of a model; that of no reel without one."""
+    from estune.recordings.units import NO_DRUM  # noqa: PLC0415  slow to import
 
-    try:
-        return judged_stretches(data)
-    except InvalidInput:
-        return []
+    if model is None:
+        return NO_DRUM
+    import plants  # noqa: PLC0415  slow to import
+    from plants.diagnosis.data.records import drum_of  # noqa: PLC0415  as above
+
+    return drum_of(plants.load_model(model))
 
 
-def _show_service(stretches: list["JudgedStretch"], why: str, *, json: bool) -> None:
+def _of_loop(sources: Iterable[str]) -> dict[str, str]:
+    """The channels of a map that names columns of a loop's log; empty of a record's."""
+    given = [text for text in sources if "=" in text]
+    named = words_from("--map", given)
+    return named if {"measurement", "effort"} & named.keys() else {}
+
+
+def _logs(data: Path, sources: Mapping[str, str]) -> "JudgedLogs":
+    from estune.service_records.usable import judged_logs  # noqa: PLC0415  slow to import
+
+    return judged_logs(data, sources)
+
+
+def _show_logs(logs: "JudgedLogs", why: str = "", *, json: bool) -> None:
     """Shows logs of a loop that are no records of a reel or a drive."""
     if json:
-        output.print_json({"service": stretches, "not_for_explain": why})
+        output.print_json({"service": logs.stretches, "not_for_explain": why})
         return
-    _show_stretches(stretches)
-    _line("warning", f"for estune suggest only: {why}")
+    output.show_doubts(logs.issues)
+    output.show_table(("file", "column", "from", "unit"), logs.columns)
+    print()
+    _show_stretches(logs.stretches)
+    _show_doubts(logs.issues, {})
+    if why:
+        _line("warning", f"for estune suggest only: {why}")
 
 
 def _show_stretches(stretches: list["JudgedStretch"]) -> None:
@@ -186,7 +212,8 @@ def _show(previews: list["Preview"], sources: tuple["ColumnSource", ...]) -> Non
 
 def _show_doubts(findings: Iterable["DataIssue"], signs: Mapping[str, Iterable[str]]) -> None:
     for issue in findings:
-        _line(issue.level, str(issue))
+        if issue.level != "doubt":  # said above
+            _line(issue.level, str(issue))
     for name, sentences in signs.items():
         for sentence in sentences:
             _line("warning", f"{name}: {sentence}")

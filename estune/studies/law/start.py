@@ -69,6 +69,9 @@ def _by_records(
 ) -> KnownStart:
     """The gains that logs of the rig in service recommend."""
     logs = read_logs(folder)
+    doubted = next((issue for issue in logs.issues if issue.level == "doubt"), None)
+    if doubted is not None:  # a rig is not moved by gains that may be a thousand times off
+        raise InvalidInput(f"{doubted}; write the unit into the heading of the log")
     rate = logs.logs[0].sampling_Hz
     if abs(rate / rig.controller.sampling_Hz - 1.0) > RATES_APART:
         raise InvalidInput(
