@@ -45,7 +45,7 @@ AREAS: dict[str, Area] = {
             "estune/remote/state_machine/client.py",
             "estune/remote/zenoh/client_lease.py",
         ),
-        ("link", "state_tables", "request_handler", "link_exchange"),
+        ("client_lease", "link", "state_tables", "request_handler", "link_exchange"),
     ),
     "ledger": Area(
         ("estune/remote/ledger.py", "estune/remote/state_machine/trials.py"),

@@ -1,0 +1,140 @@
+"""The lease of a client: acquired once, renewed in time, forgotten when the rig refuses it."""
+
+import time
+from types import SimpleNamespace
+
+import pytest
+
+from estune.errors import RigError
+from estune.remote import messages
+from estune.remote.messages import Answer
+from estune.remote.messages.commands import Lease
+from estune.remote.state_machine.reply_codes import ReplyCode
+from estune.remote.zenoh import client_lease
+from estune.remote.zenoh.client_lease import ClientLease, LeaseRenewal
+
+PERIOD_S = 0.05
+
+
+class Connection:
+    """A rig that answers with given reply codes, the last of them for ever; renewals wait."""
+
+    name = "reel"
+
+    def __init__(self, *verdicts):
+        self.verdicts, self.asked, self.renewals = list(verdicts), [], []
+
+    def command(self, command):
+        self.asked.append(command)
+        verdict = self.verdicts.pop(0) if len(self.verdicts) > 1 else self.verdicts[0]
+        return Answer(verdict, sentence="held by another")
+
+    def command_key(self, _command):
+        return "key"
+
+    def ask(self, _key, payload, timeout_s):
+        assert timeout_s < 1.0
+        self.asked.append(messages.decode(Lease, payload))
+
+    def send(self, command, receive, _timeout_s):
+        self.renewals.append((time.monotonic(), command, receive))
+
+    def own_reply(self, reply):
+        return reply
+
+    def reply(self, number, verdict):
+        """The rig's reply to a renewal."""
+        self.renewals[number][2](messages.encode(Answer(verdict)))
+
+
+@pytest.fixture
+def renewal(monkeypatch):
+    monkeypatch.setattr(client_lease, "RENEW_S", PERIOD_S)
+    monkeypatch.setattr(client_lease, "AGAIN_S", 0.001)
+    return LeaseRenewal()
+
+
+@pytest.fixture
+def held(renewal):
+    connection = Connection(ReplyCode.ACCEPTED)
+    lease = ClientLease(connection, renewal, "tester")
+    lease.hold()
+    yield SimpleNamespace(lease=lease, connection=connection, renewal=renewal)
+    lease.release()
+
+
+def renewed(connection, number):
+    """Waits for so many renewals."""
+    end_s = time.monotonic() + 20.0
+    while len(connection.renewals) < number:
+        assert time.monotonic() < end_s
+        time.sleep(0.001)
+
+
+def test_lease_is_acquired_once_and_renewed_once_in_a_period(held):
+    begun_s = time.monotonic()
+    renewed(held.connection, 5)
+    took_s = time.monotonic() - begun_s
+    assert len(held.connection.renewals) <= took_s / PERIOD_S + 2.0
+    assert held.lease.hold() == held.lease.token
+    assert held.connection.asked == [Lease("acquire", held.lease.token, "tester")]
+    assert {command for _, command, _ in held.connection.renewals} == {
+        Lease("renew", held.lease.token)
+    }
+
+
+def test_age_of_a_lease_counts_from_the_last_request_that_the_rig_granted(held):
+    acquired_s = held.lease.renewed_s
+    renewed(held.connection, 3)
+    assert held.lease.renewed_s == acquired_s  # nothing has arrived
+    held.connection.reply(2, ReplyCode.ACCEPTED)
+    known_s = held.lease.renewed_s
+    assert acquired_s < known_s <= held.connection.renewals[2][0]
+    held.connection.reply(1, ReplyCode.ACCEPTED)  # late
+    assert held.lease.renewed_s == known_s
+    (age_s,) = held.renewal.ages_s()
+    assert 0.0 < age_s <= time.monotonic() - known_s
+    held.lease.renewed_s -= client_lease.LEASE_S
+    assert not held.renewal.ages_s()
+
+
+def test_lease_that_the_rig_refuses_is_lost_once_and_acquired_anew(held):
+    lost = held.lease.token
+    renewed(held.connection, 2)
+    for number in (0, 1):
+        held.connection.reply(number, ReplyCode.NO_LEASE)
+    assert (held.lease.token, held.lease.losses) == ("", 1)
+    assert held.lease.hold() != lost
+    held.connection.reply(0, ReplyCode.NO_LEASE)  # of the lost one
+    assert (held.lease.hold(), held.lease.losses) == (held.lease.token, 1)
+
+
+def test_released_lease_is_returned_and_renewed_no_more(held):
+    token, thread = held.lease.token, held.renewal._thread
+    held.lease.release()
+    assert held.connection.asked[-1] == Lease("release", token)
+    assert not thread.is_alive()
+    before = len(held.connection.renewals)
+    held.lease.renew()
+    held.lease.release()
+    assert len(held.connection.asked) == 2
+    assert len(held.connection.renewals) == before
+
+
+def test_rig_held_by_another_client_is_asked_again_until_its_lease_can_have_expired(
+    renewal, monkeypatch
+):
+    connection = Connection(ReplyCode.HELD, ReplyCode.HELD, ReplyCode.ACCEPTED)
+    lease = ClientLease(connection, renewal, "tester")
+    assert lease.hold()
+    assert len(connection.asked) == 3
+    lease.release()
+    monkeypatch.setattr(client_lease, "_HELD_WITHIN_S", 0.02)
+    begun_s = time.monotonic()
+    with pytest.raises(RigError, match="held by another"):
+        ClientLease(Connection(ReplyCode.HELD), renewal, "tester").hold()
+    assert time.monotonic() - begun_s >= 0.02
+    refusing = Connection(ReplyCode.REFUSED)
+    with pytest.raises(RigError, match="held by another"):
+        ClientLease(refusing, renewal, "tester").hold()
+    assert len(refusing.asked) == 1
