@@ -79,7 +79,7 @@ def test_cost_in_seconds_depends_on_loop_speed():
 @pytest.mark.equation(35)
 @pytest.mark.parametrize("weight", ["printed", "rising"])
 @pytest.mark.parametrize("time_unit", ["second", "settling_time"])
-@pytest.mark.parametrize("t_s", [0.1, 0.2503])  # on a sample or between two
+@pytest.mark.parametrize("t_s", [0.1, 0.25033])  # on a sample or between two
 @pytest.mark.parametrize("decay", [6.0, 25.0])
 def test_cost_of_an_exponential_error_is_the_closed_form(weight, time_unit, t_s, decay):
     sampling_Hz = 20_000.0
@@ -106,6 +106,22 @@ def test_cost_of_an_exponential_error_is_the_closed_form(weight, time_unit, t_s,
         samples=samples,
     )
     assert eta == pytest.approx(N(decay) / N(4.0 / t_s), rel=1e-5)
+
+
+@pytest.mark.equation(35)
+def test_settling_time_between_two_samples_ends_the_integral_on_the_line_between_them():
+    """Weighted squared errors are straight lines between samples that are far apart."""
+    h, t_s = 0.05, 0.13
+    t = np.arange(21) * h
+    error = np.random.default_rng(0).uniform(0.5, 2.0, t.size)
+    sigmoid = 1.0 / (1.0 + np.exp(np.pi * (t - t_s) / (2.0 * t_s)))
+
+    def N(squared):
+        early, _ = quad(lambda s: np.interp(s, t, sigmoid * squared), 0.0, t_s, points=t[1:3])
+        return np.trapezoid(t * squared, t) + early / t_s
+
+    eta = StepCost(t_s).evaluate(1.0 / h, StepShape(0, 1.0), error, 0.0 * t, 0.0 * t)
+    assert eta == pytest.approx(N(error**2) / N(np.exp(-8.0 * t / t_s)), rel=1e-9)
 
 
 @given(costs, st.floats(1.01, 100.0))

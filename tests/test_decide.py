@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 
 from plants.diagnosis.result import ModelSummary, SearchStep
-from plants.diagnosis.search.conclusion import Conclusion, apart_of, verdict_sentence
+from plants.diagnosis.search.conclusion import Conclusion, apart_of, candidates, verdict_sentence
 from plants.diagnosis.search.decide import decide, probabilities, summed
+from plants.effects import EFFECTS
 
 NOTHING = frozenset[str]()
 
@@ -75,6 +76,13 @@ def test_effect_that_may_not_be_named_leads_where_no_other_explains_the_error():
 def test_second_effect_needs_a_large_share_of_what_the_first_leaves(J, best):
     models = [model("a", 10.0), model("a+b", J, 2)]
     assert decide(base(200.0), models).best == frozenset(best.split("+"))
+
+
+@pytest.mark.parametrize(("J", "best"), [(1.5, {"a"}), (1.7, {"a", "b"})])
+def test_second_effect_is_looked_for_only_where_the_first_leaves_that_something_is_missing(
+    J, best
+):
+    assert decide(base(20.0), [model("a", J), model("a+b", 1.0, 2)]).best == best
 
 
 @pytest.mark.parametrize(("values", "best"), [(2, {"a", "b"}), (5, {"a"})])
@@ -171,6 +179,34 @@ def test_tie_says_how_little_its_predictions_differ():
     conclusion = Conclusion("ambiguous", (), tied=tied, apart=0.2)
     said = verdict_sentence("ambiguous", conclusion, (), steps, "rad")
     assert "coulomb_friction from load_friction, whose predictions of them differ by 0.2" in said
+
+
+def test_candidates_are_listed_best_first_each_with_the_share_that_it_explains():
+    """Of two effects that were fitted, and one that the screening ruled out."""
+    shares = {"backlash": None, "load_friction": 0.5, "coulomb_friction": 0.9}
+    fits = [
+        SimpleNamespace(effects=(EFFECTS[name],), J=1.0 + (1.0 - share) * 100.0)
+        for name, share in shares.items()
+        if share is not None
+    ]
+    declared = {
+        name: SimpleNamespace(effect=EFFECTS[name], screening_R2=share or 0.01)
+        for name, share in shares.items()
+    }
+    models = SimpleNamespace(singles=fits, base=SimpleNamespace(J=101.0))
+    for believed in ((), ("load_friction",)):
+        stage = SimpleNamespace(effects=tuple(EFFECTS[name] for name in believed))
+        found = candidates(
+            SimpleNamespace(declared=declared), models, Conclusion("named", (stage,))
+        )
+        rest = [name for name in ("coulomb_friction", "load_friction") if name not in believed]
+        assert [c.name for c in found] == [*believed, *rest, "backlash"]
+        by_name = {c.name: c for c in found}
+        assert by_name["coulomb_friction"].closure == pytest.approx(0.9)
+        assert by_name["coulomb_friction"].gap == pytest.approx(math.sqrt(11.0))
+        assert "explains 90 % of the error power" in by_name["coulomb_friction"].sentence
+        assert math.isnan(by_name["backlash"].closure)
+        assert "explains 1 % of the residual" in by_name["backlash"].sentence
 
 
 def fitted_with(residuals):

@@ -94,6 +94,14 @@ def test_frames_are_deleted_long_before_trial_ids(kind, tmp_path):
     ledger.close()
 
 
+def test_records_of_several_trials_are_kept_by_default(ledger):
+    """A record of 10 s at 1 kHz takes half a megabyte."""
+    for trial_id in "0123":
+        ledger.note(trial_id, "d", SUBMIT, START)
+        ledger.end(trial_id, bytes(500_000))
+    assert all(ledger.find(trial_id).frame for trial_id in "0123")
+
+
 def test_identity_is_unique(ledger):
     assert ledger.identity not in ("", MemoryLedger().identity)
 

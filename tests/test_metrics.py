@@ -150,6 +150,22 @@ def test_noise_changes_metrics_by_at_most_four_deviations():
     assert metrics.steady_state_error == pytest.approx(0.0, abs=share)
 
 
+def test_noise_raises_an_overshoot_by_less_than_its_deviation():
+    """The largest sample is higher by about three of them."""
+    share, response = 0.004, second_order(0.4)
+    true = measure(response).overshoot
+    found = [measure(noisy(response, share, seed)).overshoot for seed in range(20)]
+    assert np.mean(found) == pytest.approx(true, abs=0.5 * share)
+    assert np.abs(np.subtract(found, true)).max() < 2.0 * share
+
+
+@pytest.mark.parametrize(("down", "name"), [(False, "overshoot"), (True, "undershoot")])
+def test_peak_of_few_samples_is_as_high_as_its_largest(down, name):
+    response = 1.0 - np.exp(-AFTER_s / 0.01)
+    response[1500:1503] += np.array([0.2, 0.4, 0.2]) if not down else [-1.2, -1.4, -1.2]
+    assert getattr(measure(noisy(response, 0.002)), name) == pytest.approx(0.4, abs=0.008)
+
+
 def test_noise_above_the_settling_band_widens_it():
     response = 1.0 - np.exp(-AFTER_s / 0.1)
     share = 0.01  # two deviations are the whole band of 2 %: one sample in twenty is outside

@@ -230,6 +230,15 @@ def test_uncertain_remedy_is_refused_with_the_experiment(tmp_path):
         patch_of(diagnosis)
 
 
+def test_remedy_outside_the_gauge_needs_a_gauge_there():
+    eyelet = {"attenuation": 0.9, "memory_rad": 0.1, "fraction": 0.8, "tension_per_rad_N": 100.0}
+    with (
+        closing(REEL.rig(gains=GAINS)) as rig,
+        pytest.raises(InvalidInput, match="no gauge outside its eyelet"),
+    ):
+        prove(rig, replace(PATCH, tables={"eyelet": eyelet}))
+
+
 def test_number_that_is_not_finite_is_no_remedy():
     with pytest.raises(InvalidInput, match=r"friction\.coulomb_Nm of the remedy is nan"):
         patch(coulomb_Nm=math.nan)

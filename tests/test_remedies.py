@@ -95,6 +95,31 @@ def test_uncertain_friction_is_refused_with_the_experiment_that_helps():
     assert CoulombFriction.excitation in text.sentences(d, (offer,))[0]
 
 
+@pytest.mark.parametrize(("spread", "share"), [(0.02, 0.8), (0.025, 0.75), (0.05, None)])
+def test_a_factor_is_fed_forward_by_how_far_it_is_known_to_be_from_one(spread, share):
+    """An attenuation of 0.9 that is known to 0.045 is a friction of 0.1 known to 45 %."""
+    d = found(EFFECTS["eyelet_friction"](attenuation=0.9))
+    (named,) = d.effects
+    bounds = Interval(0.9, 0.9 - spread, 0.9 + spread, "")
+    named = replace(named, parameters={**named.parameters, "attenuation": bounds})
+    offer = next(
+        o for o in offers_for(replace(d, effects=(named,)), GAINS) if o.place is Place.LOOP
+    )
+    assert bool(offer.refused) is (share is None)
+    assert share is None or offer.tables["eyelet"]["fraction"] == pytest.approx(share)
+
+
+def test_remedy_that_needs_no_share_of_a_number_is_offered_as_declared():
+    effect = EFFECTS["current_saturation"]()
+    declared = type(effect).remedies(SimpleNamespace(**vars(effect)), PlantScale.of(REEL))
+    offered = offers_for(found(effect, spread=0.02), GAINS)
+    tables = {r.title: {n: dict(t) for n, t in r.tables.items()} for r in declared}
+    assert any(tables.values())
+    for offer in offered:
+        assert "fraction" not in str(tables[offer.title])
+        assert {n: dict(t) for n, t in offer.tables.items()} == tables[offer.title]
+
+
 def test_remedy_of_one_of_two_effects_is_told_beside_the_experiment_that_decides():
     d = found(CoulombFriction(0.05), verdict="ambiguous", next_experiment=deciding())
     (told,) = text.sentences(d, offers_for(d, GAINS))

@@ -1,16 +1,18 @@
 """The loop of a run: void trials, interruptions, approval by the operator."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 
 import estune
 from estune.errors import Interrupted, InvalidInput, RigError
 from estune.run import loop
+from estune.run.loop import Stopped
 from estune.trial import GUARD, LATE, Outcome, empty_record
 from estune.tuners.search_space import SearchSpace
 from tests.serve_rig import served
-from tests.support_runs import START, ArithmeticRig, Seer
+from tests.support_runs import START, ArithmeticRig, Seer, description
 from tests.test_journal import begin, resume, trace
 
 
@@ -93,6 +95,11 @@ def test_void_trial_on_simulated_rig_is_repeated(outcome, tmp_path):
     loop.run(whole, ArithmeticRig(simulated=True))
     whole.journal.close()
     assert trace(e for e in run.entries if not e.outcome.is_void) == trace(whole.entries)
+
+
+def test_stopped_run_says_how_to_go_on_where_it_has_a_folder():
+    assert Stopped(description(), None).again == ""
+    assert Stopped(description(), Path("my runs")).again == "estune resume 'my runs'"
 
 
 def test_run_ends_after_consecutive_void_trials(tmp_path):

@@ -10,10 +10,12 @@ without the fault is stopped, and its fault counts as caught: a suite that hangs
 was looked into and changes no behaviour is listed with its reason and left out.
 """
 
+import importlib
+import multiprocessing
 import os
 import resource
 import shutil
-import subprocess
+import signal
 import sys
 import time
 from collections.abc import Iterator, Sequence
@@ -31,6 +33,9 @@ ROOT = Path(__file__).resolve().parents[2]
 LANES = {"day": "not slow", "slow": "slow"}
 MEMORY_BYTES = 4 << 30
 """Memory of a run of tests: a fault in the lease made a search of its states take 7 GB."""
+LIBRARIES = ("casadi", "control", "pydantic", "scipy.stats", "zenoh")
+"""Loaded once, before a process is forked for each run of tests: that takes 3 s of CPU."""
+FORK = multiprocessing.get_context("fork")
 NO_TESTS = 5
 """Exit code of pytest where a lane has no test of these files."""
 
@@ -40,6 +45,7 @@ class Drawn(NamedTuple):
 
     file: str
     fault: Fault
+    source: bytes
 
     @property
     def place(self) -> str:
@@ -49,53 +55,65 @@ class Drawn(NamedTuple):
     @property
     def reason(self) -> str:
         """Why it changes no behaviour; empty where it does, or nobody has looked into it."""
-        lines = (ROOT / self.file).read_text(encoding="utf-8").splitlines()
-        return UNCHANGED.get((lines[self.fault.line - 1].strip(), str(self.fault)), "")
+        line = self.source.decode().splitlines()[self.fault.line - 1].strip()
+        return UNCHANGED.get((line, str(self.fault)), "")
 
 
 class Tree:
     """A copy of the tree, in which faults are put and tests run."""
 
     def __init__(self, folder: Path) -> None:
-        self._folder = folder
+        self.folder = folder
         unused = shutil.ignore_patterns(".*", "__pycache__", "out", "runs")
         shutil.copytree(ROOT, folder, ignore=unused, symlinks=True, dirs_exist_ok=True)
-        self._env = os.environ | {"PYTHONPATH": str(folder)}
 
-    def put(self, drawn: Drawn | None, file: str) -> None:
-        """Puts a fault into a file, or its own text back.
+    def put(self, drawn: Drawn) -> None:
+        """Puts a fault into its file.
 
         Python compiles a file anew whose time differs by a second, which a run of tests takes.
         """
-        source = (ROOT / file).read_bytes()
-        (self._folder / file).write_bytes(drawn.fault.put_into(source) if drawn else source)
+        (self.folder / drawn.file).write_bytes(drawn.fault.put_into(drawn.source))
 
-    def fails(self, tests: Sequence[str], lane: str, within_s: float) -> bool:
-        """Whether a test file fails in a lane, or does not end in time."""
+    def take_out(self, drawn: Drawn) -> None:
+        """Puts the file's own text back."""
+        (self.folder / drawn.file).write_bytes(drawn.source)
+
+    def exit_code(self, tests: Sequence[str], lane: str, within_s: float) -> int | None:
+        """Exit code of test files in a lane; that of a kill where they do not end in time."""
         files = [f"tests/test_{name}.py" for name in tests]
         how = ["-x", "-q", "-p", "no:cacheprovider", "--numprocesses=0", "-m", LANES[lane]]
-        process = subprocess.Popen(  # noqa: S603  the interpreter of these tests
-            [sys.executable, "-m", "pytest", *how, *files],
-            cwd=self._folder,
-            env=self._env,
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.DEVNULL,
-            start_new_session=True,
-        )
-        try:
-            return process.wait(within_s) not in (0, NO_TESTS)
-        except subprocess.TimeoutExpired:
-            os.killpg(process.pid, 9)  # its servers and loops too
-            process.wait()
-            return True
+        process = FORK.Process(target=_run, args=(self.folder, [*how, *files]))
+        process.start()
+        process.join(within_s)
+        if process.exitcode is None:
+            os.killpg(process.ident or 0, signal.SIGKILL)  # its servers and loops too
+            process.join()
+        return process.exitcode
 
 
-def drawn_in(area: Area, number: int, random: Random) -> list[Drawn]:
+def _run(folder: Path, arguments: list[str]) -> None:
+    """Runs tests in a copy of the tree; ends this process with their exit code."""
+    import pytest  # noqa: PLC0415  one of the libraries
+
+    os.setsid()
+    os.chdir(folder)
+    sys.path.insert(0, str(folder))
+    os.environ["PYTHONPATH"] = str(folder)
+    for name in [name for name in sys.modules if name.partition(".")[0] == "experiments"]:
+        del sys.modules[name]  # the copy has its own
+    silent = os.open(os.devnull, os.O_WRONLY)
+    os.dup2(silent, 1)
+    os.dup2(silent, 2)
+    sys.exit(pytest.main(arguments))
+
+
+def drawn_in(root: Path, area: Area, number: int, random: Random) -> list[Drawn]:
     """Faults of an area: kinds in turn, so that no frequent kind crowds out the others."""
     by_kind: dict[str, list[Drawn]] = {}
     for file in area.files:
-        for fault in faults_of((ROOT / file).read_bytes()):
-            by_kind.setdefault(fault.kind, []).append(Drawn(file, fault))
+        source = (root / file).read_bytes()
+        for fault in faults_of(source):
+            by_kind.setdefault(fault.kind, []).append(Drawn(file, fault, source))
     kinds = sorted(by_kind)
     random.shuffle(kinds)
     found: list[Drawn] = []
@@ -114,19 +132,19 @@ def tried(tree: Tree, area: Area, drawn: Sequence[Drawn]) -> Iterator[tuple[Draw
 
     def noticed(lane: str) -> bool:
         if lane not in took:  # before the first fault that this lane has to notice
-            tree.put(None, one.file)
+            tree.take_out(one)
             begun = time.monotonic()
-            if tree.fails(area.tests, lane, 3600.0):
-                raise SystemExit(
-                    f"{lane}: tests of {', '.join(area.tests)} fail without any fault"
-                )
-            took[lane] = time.monotonic() - begun
-        tree.put(one, one.file)
-        return tree.fails(area.tests, lane, 60.0 + 10.0 * took[lane])
+            code = tree.exit_code(area.tests, lane, 3600.0)
+            if code not in (0, NO_TESTS):
+                raise SystemExit(f"tests of {area.tests} fail without a fault, by {lane}")
+            took[lane] = 0.0 if code else time.monotonic() - begun
+        tree.put(one)
+        within_s = 60.0 + 10.0 * took[lane]
+        return took[lane] > 0.0 and tree.exit_code(area.tests, lane, within_s) != 0
 
     for one in drawn:
         yield one, next(filter(noticed, LANES), "not caught")
-        tree.put(None, one.file)
+        tree.take_out(one)
 
 
 def main() -> int:
@@ -140,12 +158,15 @@ def main() -> int:
     names = ["lease"] if options.quick else options.area or list(AREAS)
     rows = []
     counts: dict[str, int] = dict.fromkeys((*LANES, "not caught", "unchanged"), 0)
+    for library in LIBRARIES:
+        importlib.import_module(library)
     resource.setrlimit(resource.RLIMIT_DATA, (MEMORY_BYTES, MEMORY_BYTES))
     with TemporaryDirectory(prefix="small-faults-") as folder:
         tree = Tree(Path(folder))
         for name in names:
             random = Random(f"{options.seed} {name}")  # noqa: S311  no secret
-            drawn = drawn_in(AREAS[name], 2 if options.quick else options.each, random)
+            number = 2 if options.quick else options.each
+            drawn = drawn_in(tree.folder, AREAS[name], number, random)
             told = [(one, "unchanged") for one in drawn if one.reason]
             todo = [one for one in drawn if not one.reason]
             results = (

@@ -25,7 +25,7 @@ AREAS: dict[str, Area] = {
             "estune/tuners/search_space.py",
             "estune/tuners/step_control.py",
         ),
-        ("search_space", "tuner_conformance", "tuners"),
+        ("search_space", "tuners", "result_warnings"),
     ),
     "margins": Area(
         ("estune/core/margins.py", "estune/loop_model/margins.py"),
@@ -37,7 +37,7 @@ AREAS: dict[str, Area] = {
             "estune/trial/record_checks.py",
             "estune/run/limit_verdict.py",
         ),
-        ("profiles", "rigs", "simulated_rig", "ramp", "limit_verdict", "quality"),
+        ("score", "profiles", "limit_verdict", "cost_presets", "daemon_service"),
     ),
     "lease": Area(
         (
@@ -59,7 +59,7 @@ AREAS: dict[str, Area] = {
             "estune/run/failed_trials.py",
             "estune/remote/zenoh/trial_execution.py",
         ),
-        ("machine", "state_tables", "request_handler", "request_handler_stops", "tuning"),
+        ("machine", "tuning", "request_handler", "request_handler_stops", "prove"),
     ),
     "guard": Area(
         ("estune/reel/guard.py", "estune/hardware/guard_watch.py"),

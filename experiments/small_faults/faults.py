@@ -65,7 +65,7 @@ def faults_of(source: bytes) -> list[Fault]:
     """All small faults of a file."""
     places = _Places(source)
     found = [f for node in _nodes(ast.parse(source)) for f in places.faults(node)]
-    return sorted(set(found), key=lambda f: (f.start, f.kind))
+    return sorted(set(found), key=lambda f: (f.start, f.kind, f.new))
 
 
 def _nodes(node: ast.AST) -> Iterator[ast.AST]:
