@@ -128,6 +128,26 @@ class Constants(NamedTuple):
     screened: float = 12_000
     """Residuals over which directions and dependences are compared, of more some: a product over
     so many is known to 1 %. Halved or doubled it changes none of nine answers."""
+    starts: float = 8
+    """Directions of an effect that fits begin from; one more for a phase."""
+    shapes: float = 7
+    """Values tried of a shape; twice as many of a limit, and of a range that the records show."""
+    frequencies: float = 40
+    """Values tried of a frequency: some 10 % apart, a resonance damped as frames are is seen from
+    the next one."""
+    combinations: float = 50
+    """Most combinations of values of shapes; twice as many with a frequency."""
+    spaced: float = 3.0
+    """Largest factor between values of a shape within the range that the records show."""
+    usual_off: float = 15.0
+    """Factor either way of the usual value within which a shape is tried, if nothing shows it."""
+    larger: float = 3.0
+    """Second size tried, in rms of the residual: a nonlinear law's direction depends on it."""
+    scaled_most: float = 30.0
+    """Most times a size that was tried that a fit begins with."""
+    disproportion: float = 0.1
+    """Discount of a limit's share for its not acting in proportion to its level, as the exponent's
+    factor of the squared logarithm of the scale: scaled by ten it counts 0.59."""
     apart: float = 0.3
     """Difference of the logarithms of two frequencies that are worth a start each."""
     alike: float = 0.75

@@ -100,7 +100,7 @@ class Directions:
         limited = bool(self.effect.named(Role.LIMIT))
         directions, usual_change = self._limits() if limited else self._amplitudes()
         directions.sort(key=lambda direction: -direction.share)
-        most = 8 + len(self.phases)  # a period has many local minima
+        most = int(CONSTANTS.starts) + len(self.phases)  # a period has many local minima
         starts = np.array([direction.start for direction in self._apart(directions)[:most]])
         grids = self._grids()
         return ScreeningResult(
@@ -127,7 +127,7 @@ class Directions:
         """Levels of a limit from where it begins to act."""
         name = self.sizes[0]
         p = self.declared[name]
-        levels = np.geomspace(p.low, p.high, 14)
+        levels = np.geomspace(p.low, p.high, 2 * int(CONSTANTS.shapes))
         change = self.context.products(self._changes(self._rows(name, levels))).rms
         # In noise floors; less is rounding.
         acting = np.flatnonzero(change > CONSTANTS.numerics)
@@ -143,7 +143,8 @@ class Directions:
         for n in np.flatnonzero(products.rms > CONSTANTS.numerics).tolist():
             share, weights = products.of(slice(n, n + 1)).explained(only_up=True)
             # A limit does not act in proportion to its level: a weight far from 1 is discounted.
-            fits = math.exp(-0.1 * math.log(max(float(weights[0]), 1e-9)) ** 2)
+            away = math.log(max(float(weights[0]), 1e-9))
+            fits = math.exp(-CONSTANTS.disproportion * away**2)
             directions.append(_Direction(share * fits, rows[n]))
         return directions or [_Direction(0.0, self.without_effect.copy())], float(change.max())
 
@@ -198,10 +199,10 @@ class Directions:
         # At still greater sizes friction holds the drum, and the change is smaller.
         rising = [np.log(np.maximum.accumulate(m[: m.argmax() + 1]) + 1e-12) for m in moved]
         # The direction of a nonlinear law depends on its size.
-        levels = (0.5,) if self.effect.named(Role.FREQUENCY) else (0.5, 3.0)
+        levels = (0.5,) if self.effect.named(Role.FREQUENCY) else (0.5, CONSTANTS.larger)
         sizes: list[dict[str, float]] = []
         for share in levels:
-            wanted = math.log(max(0.3, share * self.context.size))
+            wanted = math.log(max(CONSTANTS.shown, share * self.context.size))
             powers = [np.interp(wanted, change, DECADES[: change.size]) for change in rising]
             tried = {
                 name: float(self._scaled(name, power))
@@ -243,14 +244,15 @@ class Directions:
             weights = np.array([math.hypot(sine, cosine)])
         for name, weight in zip(self.sizes, weights.tolist(), strict=True):
             p, neutral = self.declared[name], self.without_effect[self.column[name]]
-            size = float(np.clip(weight, -30.0, 30.0)) * (tried[name] - neutral)
+            times = min(max(weight, -CONSTANTS.scaled_most), CONSTANTS.scaled_most)
+            size = times * (tried[name] - neutral)
             row[self.column[name]] = min(max(neutral + size, p.low), p.high)
         return row
 
     def _shapes(self) -> list[dict[str, float]]:
         """Combinations of the shapes' values."""
         grids = self._grids()
-        most = 100 if self.effect.named(Role.FREQUENCY) else 50
+        most = CONSTANTS.combinations * (2 if self.effect.named(Role.FREQUENCY) else 1)
         while math.prod(map(len, grids.values())) > most:
             shorter = [name for name in grids if len(grids[name]) > 2]
             cut = min(shorter, key=lambda name: len(grids[name]))
@@ -267,23 +269,22 @@ class Directions:
     def _grid(self, name: str) -> list[float]:
         p = self.declared[name]
         suggested = list(self.effect.guesses(name, self.context.records))
-        usual = float(self.predictor.start[self.column[name]])
+        usual, most = float(self.predictor.start[self.column[name]]), int(CONSTANTS.shapes)
         if p.role is Role.FREQUENCY:
             low, high = max(p.low, self.context.lowest_Hz), min(p.high, self.context.highest_Hz)
-            # Some 10 % apart: a resonance damped as frames are is seen from the next one.
-            return [*suggested, *np.geomspace(low, max(high, low), 40).tolist()]
+            tried = np.geomspace(low, max(high, low), int(CONSTANTS.frequencies))
+            return [*suggested, *tried.tolist()]
         if suggested:
             return suggested
         shown = shown_range(p.unit, self.context.records)
         if shown is not None:
             low, high = (min(max(edge, p.low), p.high) for edge in shown)
-            # No more than a factor of three apart.
-            values = 1 + math.ceil(math.log(max(high / low, 1.0)) / math.log(3.0))
-            return [*np.geomspace(low, high, min(values, 13))]
+            spans = math.ceil(math.log(max(high / low, 1.0)) / math.log(CONSTANTS.spaced))
+            return [*np.geomspace(low, high, min(1 + spans, 2 * most - 1))]
         if p.low > 0.0 and usual > 0.0:
-            low, high = max(p.low, usual / 15.0), min(p.high, usual * 15.0)
-            return [*np.geomspace(low, high, 7)]
-        return [*np.linspace(p.low, p.high, 7)]
+            off = CONSTANTS.usual_off
+            return [*np.geomspace(max(p.low, usual / off), min(p.high, usual * off), most)]
+        return [*np.linspace(p.low, p.high, most)]
 
 
 def shown_range(unit: str, records: RecordScale) -> tuple[float, float] | None:
