@@ -12,7 +12,6 @@ from collections import defaultdict
 from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
-from typing import NamedTuple
 
 ROOT = Path(__file__).parents[1]
 TABLE = ROOT / "docs" / "reference" / "equations.md"
@@ -24,28 +23,21 @@ _HEAD = """# The paper's equations in the code
 
 Written by `./dev python -m tests.equations` from the docstrings and the tests.
 
-| equation | what | where | checked by |
-| --- | --- | --- | --- |
+| equation | where | checked by |
+| --- | --- | --- |
 """
 
 
-class Place(NamedTuple):
-    """A docstring that declares an equation."""
-
-    name: str  # dotted name of the module, class or function
-    title: str  # first line of the docstring
-
-
 @cache
-def implementations() -> dict[int, list[Place]]:
-    """The docstrings that implement each equation; there must be one for each."""
+def implementations() -> dict[int, list[str]]:
+    """Modules, classes or functions that implement each equation; there must be one for each."""
     places = defaultdict(list)
     for path in sorted(p for folder in FOLDERS for p in (ROOT / folder).rglob("*.py")):
         module = ".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__")
         for name, docstring in _docstrings(ast.parse(path.read_text("utf-8")), module):
             for declared in _DECLARED.finditer(docstring):
                 for number in _numbers(declared.group(1)):
-                    places[number].append(Place(name, docstring.strip().splitlines()[0]))
+                    places[number].append(name)
     return dict(places)
 
 
@@ -67,10 +59,7 @@ def table() -> str:
     rows: dict[str, list[int]] = {}
     for number in NUMBERS:
         places, tests = where.get(number, []), checked.get(number, [])
-        # A bar would end the cell, in a formula too.
-        title = places[0].title.rstrip(".").replace("|", "\\|") if places else "missing"
-        names = ", ".join(f"`{place.name}`" for place in places)
-        cells = f"{title} | {names} | {', '.join(f'`{t}`' for t in tests)}"
+        cells = " | ".join(", ".join(f"`{name}`" for name in names) for names in (places, tests))
         rows.setdefault(cells, []).append(number)
     numbered = (f"| {', '.join(f'({n})' for n in ns)} | {cells} |\n" for cells, ns in rows.items())
     return _HEAD + "".join(numbered)

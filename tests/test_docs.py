@@ -11,6 +11,7 @@ from cyclopts import CycloptsError
 
 from estune.cli import run
 from estune.support.documentation import documentation_folder, documentation_pages, write_html
+from tests.page_words import PAGE_MAX, TOTAL_MAX, page_words
 from tests.support_browser import needs_browser, opened, serious
 from tests.support_snippets import check_commands
 
@@ -94,6 +95,12 @@ def test_links_of_installed_pages_lead_to_pages_and_headings(installed):
 def test_index_leads_to_every_page(installed):
     index = (installed / "index.html").read_text("utf-8")
     assert [name for name in PAGES if name != "index" and f'"{name}.html' not in index] == []
+
+
+def test_pages_keep_the_limits_of_words():
+    words = page_words()
+    assert {page: n for page, n in words.items() if n > PAGE_MAX} == {}
+    assert sum(words.values()) <= TOTAL_MAX, "cut what a reader does not need to act or decide"
 
 
 @pytest.mark.parametrize("name", ["README.md", "CONTRIBUTING.md"])
