@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+from estune.cli import run
 from estune.errors import RigError
 from estune.remote import zenoh
 from estune.trial import Outcome, TrialRequest
@@ -19,12 +20,16 @@ COMMAND = [sys.executable, "-m", "estune"]
 ROOT = Path(__file__).parents[1]
 
 
-def call(*arguments, code=0) -> subprocess.CompletedProcess:
-    done = subprocess.run(
-        [*COMMAND, *map(str, arguments)], capture_output=True, text=True, cwd=ROOT, check=False
-    )
-    assert done.returncode == code, done.stderr
-    return done
+@pytest.fixture
+def call(capsys, monkeypatch):
+    """Runs a command in this process, and gives what it printed."""
+    monkeypatch.setattr(signal, "signal", lambda *_: None)
+
+    def told(*arguments, code=0):
+        assert run(list(map(str, arguments))) == code
+        return capsys.readouterr().err
+
+    return told
 
 
 @contextmanager
@@ -79,15 +84,15 @@ def test_serve_hardware_ends_with_its_dead_loop(file):
             rig.describe()
 
 
-def test_serve_hardware_lists_all_faults_of_a_file(file):
+def test_serve_hardware_lists_all_faults_of_a_file(file, call):
     file.write_text(file.read_text().replace("taut_N = 2.0", "taut_kN = 2.0"))
-    told = call("serve-hardware", file, code=2).stderr
+    told = call("serve-hardware", file, code=2)
     assert "motion.taut_N: is missing" in told
     assert "motion.taut_kN: " in told
     assert "Traceback" not in told
 
 
-def test_export_controller_writes_schedule_header(file, tmp_path):
+def test_export_controller_writes_schedule_header(file, tmp_path, call):
     constant = {"form": "constant", "offset": 0.02}
     gains = dict.fromkeys(("P", "D", "setpoint_filter_s"), constant)
     gains["I"] = {"form": "linear", "offset": 50.0, "slope": -18.5}
@@ -97,13 +102,13 @@ def test_export_controller_writes_schedule_header(file, tmp_path):
     call("export-controller", file, "--c", "--out", tmp_path / "c.c", "--schedule", schedule)
     assert "gains[1] = 50.0 + -18.5 * (length_m);" in (tmp_path / "estune_schedule.h").read_text()
     schedule.write_text(json.dumps(stored | {"length_m": [0.5, 5.0]}))
-    told = call("export-controller", file, "--c", "--schedule", schedule, code=2).stderr
+    told = call("export-controller", file, "--c", "--schedule", schedule, code=2)
     assert "cannot be used at 5 m and 15 N: gain I is -42.5" in told
 
 
-def test_export_controller_writes_c_of_a_rig_file(file, tmp_path):
+def test_export_controller_writes_c_of_a_rig_file(file, tmp_path, call):
     out = tmp_path / "controller.c"
     call("export-controller", file, "--c", "--out", out)
     assert "estune_pidf_gains(pidf, 0.4, 12.0, 0.01, 0.03);" in out.read_text()
-    assert "--c" in call("export-controller", file, code=2).stderr
-    assert "there is no run" in call("export-controller", "nothing", "--c", code=5).stderr
+    assert "--c" in call("export-controller", file, code=2)
+    assert "there is no run" in call("export-controller", "nothing", "--c", code=5)
