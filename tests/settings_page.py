@@ -21,8 +21,7 @@ def lines(group: SettingsGroup) -> Iterator[str]:
         text = member.meaning
         if member.choices:
             text += ": " + " or ".join(f"`{choice}`" for choice in member.choices)
-        forms = ["or in per cent, as `5%`"] if member.setting.share else []
-        forms += [f"or `none` for {member.setting.none}"] if member.setting.none else []
+        forms = [f"or `none` for {member.setting.none}"] if member.setting.none else []
         default = f" ({member.default_text})" if member.default_text else ""
         yield f"* `{member.name}`{default}: {', '.join([text, *forms])}.\n"
 
