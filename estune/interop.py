@@ -11,7 +11,6 @@ from estune.core.gains import Gains
 from estune.core.margins import Margins, SampledPlant, loop_margins, sample_plant
 from estune.core.pidf import ControllerSettings
 from estune.core.quantities import FloatArray
-from estune.core.sensitivity import largest_integral_gain
 from estune.errors import InvalidInput
 from estune.trial import LinearModel
 
@@ -24,7 +23,6 @@ __all__ = [
     "closed_loop",
     "linear_model",
     "margins",
-    "model_gains",
     "sampled_controller",
     "sampled_plant",
 ]
@@ -36,15 +34,6 @@ def margins(model: LinearModel, gains: Gains, settings: ControllerSettings) -> M
     The setpoint filter and the limits of the controller have no effect on them.
     """
     return loop_margins(sampled_model(model, settings), gains, settings)
-
-
-def model_gains(model: LinearModel, settings: ControllerSettings) -> Gains:
-    """Initial gains, by the rule `sensitivity_limited` on a rig's own linear model.
-
-    Raises:
-        InvalidInput: the rule does not apply to the model.
-    """
-    return largest_integral_gain(sampled_model(model, settings), settings)
 
 
 def sampled_model(model: LinearModel, settings: ControllerSettings) -> SampledPlant:

@@ -30,6 +30,10 @@ FINEST_STEP = 1e-8
 """Least interval of the grid, as a share of its angle."""
 LEAST_GAIN = 1e-6
 """Below this loop gain, a gain margin of a million, crossings are noise and are ignored."""
+SENSITIVITY_POINTS = 600
+"""Frequencies at which the sensitivity is computed, beside those about the modes."""
+SLOWEST = 1e-9
+"""Below this size, per sample, a mode is an integrator's, whose zero is rounded."""
 
 
 class Margins(NamedTuple):
@@ -269,3 +273,26 @@ def _roots(
         same = np.sign(function(middle)) == sign
         low, high = np.where(same, middle, low), np.where(same, high, middle)
     return low
+
+
+def largest_sensitivity(plant: SampledPlant, gains: Gains, settings: ControllerSettings) -> float:
+    """Ms, the largest |1/(1 + L)| over frequency; infinite where the loop is unstable."""
+    if not is_stable(plant, gains, settings):
+        return math.inf
+    theta = sensitivity_grid(plant)
+    loop = controller_response(gains, settings, theta) * plant.response(theta)
+    return float(1.0 / np.abs(1.0 + loop).min())
+
+
+def sensitivity_grid(plant: SampledPlant) -> FloatArray:
+    """Angles from well below the slowest mode to half the sampling rate, dense about the modes."""
+    sizes = np.abs(plant.modes)
+    # An integrator has the mode zero, below which there is nothing.
+    slowest = sizes.min(initial=1.0, where=sizes > SLOWEST)
+    wide = np.geomspace(1e-3 * slowest, math.pi, SENSITIVITY_POINTS)
+    upper = plant.modes[(plant.modes.imag >= 0.0) & (sizes > SLOWEST)]
+    dense = np.abs(upper)[:, None] - upper.real[:, None] * np.linspace(-4.0, 4.0, 81)
+    joined = np.concatenate([wide, dense.ravel()])
+    # Rounding may put a point of a mode of damping 0.25 beside zero, where the loop is infinite.
+    inside = (joined >= wide[0]) & (joined < math.pi)
+    return np.unique(np.append(joined[inside], math.pi))

@@ -8,9 +8,9 @@ import numpy as np
 
 from estune.core.cost import cost_from
 from estune.core.gains import Gains
+from estune.core.margins import largest_sensitivity
 from estune.core.metrics import step_metrics
 from estune.core.quantities import FloatArray
-from estune.core.sensitivity import largest_sensitivity
 from estune.interop import margins, sampled_model
 from estune.loop_model.prediction import StepTrial, expected_response, predict
 from estune.run.planning import step_trial

@@ -20,9 +20,9 @@ from estune.core.gains import Gains
 from estune.core.margins import Margins, SampledPlant, loop_margins, sample_plant
 from estune.core.pidf import ControllerSettings
 from estune.core.quantities import check_positive
-from estune.core.sensitivity import largest_integral_gain
 from estune.errors import InvalidInput, UnsafeStart
 from experiments.paper.second_order import SecondOrder
+from experiments.paper.sensitivity import largest_integral_gain
 
 Rule = Literal["sensitivity_limited", "imc", "pole_placement", "ziegler_nichols"]
 RULES: tuple[Rule, ...] = get_args(Rule)
@@ -185,7 +185,7 @@ def pole_placement(
 def sensitivity_limited(model: SecondOrder, settings: ControllerSettings) -> Gains:
     """The largest integral gain within limits of sensitivity, setpoint response and noise.
 
-    See `estune.core.sensitivity`, which is for any linear plant.
+    See `experiments.paper.sensitivity`, which is for any linear plant.
 
     Raises:
         InvalidInput: no gains keep the limits, as for a model near instability.

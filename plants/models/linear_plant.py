@@ -13,6 +13,7 @@ from estune.core.pidf import ControllerSettings
 from estune.core.quantities import FloatArray, check_not_negative, check_positive
 from estune.errors import InvalidInput, PlantError
 from estune.interop import as_control, linear_model
+from estune.loop_model.cautious_gains import cautious_gains
 from estune.trial import LinearModel, RigDescription, RigLimits
 from estune.trial.profiles import StepProfile
 from plants.models.effect_applicability import unavailable
@@ -22,7 +23,6 @@ from plants.models.path_structure import squarings_for
 from plants.models.plant_model import UNLIMITED_N
 from plants.models.pole_zero_form import PoleZeroForm, factorise
 from plants.models.sampled_structure import SampledStructure
-from plants.models.start_gains import cautious_gains
 from plants.simulation.plant import TrialSetpoint, split_dead_time
 
 if TYPE_CHECKING:  # python-control takes more than a second to import

@@ -5,9 +5,7 @@ the measurement moves by a share of the suggested step, gives the loop model who
 the gains. A closed-loop trial then has to end near its setpoint.
 """
 
-import itertools
 import math
-from collections.abc import Callable
 
 import numpy as np
 
@@ -15,6 +13,7 @@ from estune.core import pidf
 from estune.core.gains import Gains
 from estune.core.quantities import FloatArray
 from estune.errors import UnsafeStart
+from estune.loop_model.cautious_gains import SENSITIVITY_MAX, cautious_gains
 from estune.loop_model.fitting import fit_loop
 from estune.loop_model.margins import frequency_response, robustness
 from estune.loop_model.records import LoopRecord
@@ -30,35 +29,8 @@ EFFORT_SHARE = 0.1
 DECADES = 9
 """Doublets that are tried, each ten times the last."""
 
-SENSITIVITY_MAX = 1.3
-"""Largest Ms of the cautious gains by the identified model: a gain margin of 4.3 at least."""
-
 END_ERROR_MAX = 0.5
 """Largest error at the end of the closed-loop trial, as a share of its step."""
-
-
-def cautious_gains(
-    size: float, settling_time_s: float, safe: Callable[[Gains], bool]
-) -> Gains | None:
-    """A slow PI with a little D and setpoint filter, so that all four are tuned; None without one.
-
-    Args:
-        size: Gain of the plant at the frequency of the settling time.
-        settling_time_s: Settling time a good tuning can reach.
-        safe: Whether the loop with these gains has margins enough.
-    """
-    if not (math.isfinite(size) and size > 0.0):
-        return None
-    slow = 2.0 * math.pi / settling_time_s  # rad/s
-    # A plant that integrates tolerates little integral action, at any P.
-    for P, share in itertools.product(0.5 / size / 2.0 ** np.arange(20), (0.5, 0.125, 0.03)):
-        gains = Gains(
-            float(P), float(P) * slow * share, 0.01 * float(P) * settling_time_s,
-            0.01 * settling_time_s,
-        )  # fmt: skip
-        if safe(gains):
-            return gains
-    return None
 
 
 def identified_gains(plant: Plant, settling_time_s: float, rest_effort_N: float) -> Gains:

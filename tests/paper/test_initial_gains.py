@@ -11,7 +11,6 @@ from estune.core import pidf
 from estune.core.gains import Gains
 from estune.core.margins import controller_response
 from estune.core.pidf import ControllerSettings
-from estune.core.sensitivity import NOISE_GAIN_MAX, SENSITIVITY_MAX, SETPOINT_PEAK_MAX
 from estune.errors import InvalidInput, UnsafeStart
 from experiments.paper.initial_gains import (
     RULES,
@@ -22,6 +21,7 @@ from experiments.paper.initial_gains import (
     ziegler_nichols,
 )
 from experiments.paper.second_order import GaugeMode, SecondOrder
+from experiments.paper.sensitivity import NOISE_GAIN_MAX, SENSITIVITY_MAX, SETPOINT_PEAK_MAX
 from plants.models.reel import reference_reel
 
 SETTINGS = ControllerSettings(632.0, 0.002, -120.0, 120.0)

@@ -9,20 +9,17 @@ The rounds begin at nearly no gain, and 1 + L never passes zero, so that the loo
 stays stable. On a reel P is near one and I falls with the length of the cable.
 """
 
-import math
 from dataclasses import dataclass
 from typing import NamedTuple, Self
 
 import numpy as np
 
 from estune.core.gains import Gains
-from estune.core.margins import SampledPlant, controller_response, is_stable
+from estune.core.margins import SampledPlant, controller_response, sensitivity_grid
 from estune.core.pidf import ControllerSettings
 from estune.core.quantities import ComplexArray, FloatArray
 from estune.errors import InvalidInput
 
-GRID_POINTS = 600
-"""Frequencies at which the sensitivity is constrained."""
 ROUNDS = 60
 
 SENSITIVITY_MAX = 1.6
@@ -118,7 +115,7 @@ class _Constraints:
 
     @classmethod
     def of(cls, plant: SampledPlant, slowest: _SlowestMode, settings: ControllerSettings) -> Self:
-        theta = _grid(plant)
+        theta = sensitivity_grid(plant)
         controller = np.column_stack([_unit_response(n, settings, theta) for n in range(3)])
         w = slowest.frequency_rad_s
         scale = np.array([1.0, w, 1.0 / w]) / slowest.gain
@@ -138,26 +135,6 @@ class _Constraints:
             np.vstack([away, with_setpoint, self.noise]),
             np.concatenate([room - 1.0 / SENSITIVITY_MAX, room, [NOISE_GAIN_MAX]]),
         )
-
-
-def largest_sensitivity(plant: SampledPlant, gains: Gains, settings: ControllerSettings) -> float:
-    """Ms, the largest |1/(1 + L)| over frequency; infinite where the loop is unstable."""
-    if not is_stable(plant, gains, settings):
-        return math.inf
-    theta = _grid(plant)
-    loop = controller_response(gains, settings, theta) * plant.response(theta)
-    return float(1.0 / np.abs(1.0 + loop).min())
-
-
-def _grid(plant: SampledPlant) -> FloatArray:
-    """Angles from well below the slowest mode to half the sampling rate, dense about the modes."""
-    wide = np.geomspace(1e-3 * np.abs(plant.modes).min(), math.pi, GRID_POINTS)
-    upper = plant.modes[plant.modes.imag >= 0.0]
-    dense = np.abs(upper)[:, None] - upper.real[:, None] * np.linspace(-4.0, 4.0, 81)
-    joined = np.concatenate([wide, dense.ravel()])
-    # Rounding may put a point of a mode of damping 0.25 beside zero, where the loop is infinite.
-    inside = (joined >= wide[0]) & (joined < math.pi)
-    return np.unique(np.append(joined[inside], math.pi))
 
 
 def _unit_response(n: int, settings: ControllerSettings, theta: FloatArray) -> ComplexArray:
