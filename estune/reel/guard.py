@@ -203,6 +203,7 @@ def check_sample(
         within_s=now if abs(sample.current_A) <= limits.current_max_A else watch.within_s,
         late_in_a_row=watch.late_in_a_row + 1 if sample.late else 0,
     )
+    # Faults first: what a broken sensor seems to cross would count against the gains.
     stop = _fault(limits, watch, following, sample) or _crossed(limits, watch, following, sample)
     return following, stop
 

@@ -247,6 +247,7 @@ class FileLedger(_RigFacts):
             ProtocolError: an event is impossible for this trial; nothing is noted.
         """
         with self._writing:
+            # Entries written to a deleted file are lost at the next start, and trials run again.
             if not self._file.is_in_place():
                 raise RigError(
                     f"the rig's ledger {self._file.path} was deleted or replaced while it was in "

@@ -130,6 +130,7 @@ def trip_in_trial(reel: ReelState, trip: GuardTrip, time_s: float, tension_N: fl
     outcome = Outcome.GUARD if by_gains else Outcome.INTERRUPTED
     reel.end_trial(outcome, trip.sentence, reel.trial.k + 1)
     if _holds(reel, trip):
+        # The tension is still beyond its limit: at once the guard would trip again, and ramp.
         reel.guard.relax_until(time_s + reel.plan.safe.recover_s)
         reel.setpoint.start_at(tension_N)
         reel.control.rest(tension_N, reel.setpoint.tension_N)

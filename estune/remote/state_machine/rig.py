@@ -31,6 +31,7 @@ def step(state: RigState, event: events.Event, now_s: float) -> Transition:
     Raises:
         ProtocolError: the event comes from inside the rig and is impossible; nothing changes.
     """
+    # First, or a client whose lease has run out would still be obeyed.
     expired = _move(state, events.Expire(), now_s)
     if isinstance(event, events.Expire):
         return expired
@@ -66,6 +67,7 @@ def renew(state: RigState, event: events.Renew, now_s: float) -> Transition:
     current = state.lease
     if current is None or current.token != event.token:
         return _without_lease(state)
+    # From now: added to the old expiry, the lease of a client that renews often would outlive it.
     return Transition(state._replace(lease=current._replace(expires_at_s=now_s + LEASE_S)))
 
 
@@ -80,6 +82,7 @@ def release_and_stop(state: RigState, event: events.Release, _now_s: float) -> T
     """End the lease and stop the trial, if it is the rig's lease."""
     if not _owns(state, event.token):
         return _without_lease(state)
+    # No client is left that could stop it.
     return _stopping(state._replace(lease=None), "its client released the lease")
 
 
@@ -101,6 +104,7 @@ def expire_and_stop(state: RigState, _event: events.Expire, now_s: float) -> Tra
 
 def accept(state: RigState, event: events.SubmitEvent, _now_s: float) -> Transition:
     """Accept the trial, if it is new, the lease is right and the limits hold."""
+    # Before the lease: a client that has lost it learns what became of its trial.
     if event.known is not TrialState.UNKNOWN:
         return Transition(state, OF_TRIAL[event.known])
     if not _owns(state, event.token):
@@ -162,6 +166,7 @@ def void(state: RigState, event: events.VoidEvent, _now_s: float) -> Transition:
 
 def void_while_taking(state: RigState, event: events.VoidEvent, now_s: float) -> Transition:
     """Reply busy, if this very trial is being accepted; else as in the other modes."""
+    # Until its entry is written, it is open whether it can still be kept from running.
     if state.trial is not None and state.trial.trial_id == event.trial_id:
         return _busy(state)
     return void(state, event, now_s)
@@ -206,6 +211,7 @@ def follow(state: RigState, event: events.FollowEvent, _now_s: float) -> Transit
 
 def estop(state: RigState, event: events.EstopEvent, _now_s: float) -> Transition:
     """Bring the rig to its safe state and hold it there."""
+    # The first reason stays: it names the cause that has to be removed before a clear.
     latched = state._replace(latched=state.latched or event.reason)
     return Transition(latched, orders=(RigAction.ESTOP,))
 

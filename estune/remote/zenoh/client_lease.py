@@ -109,6 +109,7 @@ class ClientLease:
                 if answer.verdict is ReplyCode.REFUSED:
                     answer.check()
                 if answer.verdict is ReplyCode.ACCEPTED:
+                    # From the sending: the rig's second began later, so it is never overrated.
                     self.renewed_s, self.token = sent_s, token
                     self._renewal.add(self)
                 # The lease of a client that was killed expires by itself.
