@@ -99,7 +99,8 @@ class AngleMap:
 
     Attributes:
         waves: The waves, which are added.
-        zero_rad: Angle read at the map's zero, rad.
+        zero_rad: Angle read at the map's zero, rad; wrong by a sixth of a period, the map makes
+            the ripple worse.
         lead_s: Time from a reading to the middle of the sample in which its effort acts, s; the
             angle is taken as far ahead as the drum turns in it.
     """

@@ -76,6 +76,8 @@ class PlainCompensation:
         friction = plan.limited_N(self._friction_N(known, moved))
         along_N = self._known_motion_N(known)
         velocity_rad_s, acceleration_rad_s2 = self._motion(time_s, angle_rad)
+        # Positive feedback through two windows: with half of its inertia the example's reel
+        # oscillates, a quarter helps (`experiments.compensation`).
         torque_Nm = plan.inertia_kgm2 * acceleration_rad_s2
         inertia = plan.limited_N(torque_Nm / plan.drum_radius_m + along_N)
         inertia = plan.limited_N(friction + inertia) - friction
@@ -158,6 +160,8 @@ class PlainCompensation:
         return gauge_N - x
 
     def _gravity_N(self, gauge_N: float, angle_rad: float) -> float:
+        # Off the reading: in the effort the integral would cancel it, and the tension at the far end
+        # stay wrong by the weight.
         gravity = self._plan.gravity
         if gravity is None or not (math.isfinite(gauge_N) and math.isfinite(angle_rad)):
             return 0.0
