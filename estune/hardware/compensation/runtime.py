@@ -160,8 +160,8 @@ class PlainCompensation:
         return gauge_N - x
 
     def _gravity_N(self, gauge_N: float, angle_rad: float) -> float:
-        # Off the reading: in the effort the integral would cancel it, and the tension at the far end
-        # stay wrong by the weight.
+        # Off the reading: in the effort the integral would cancel it, and the far end's tension
+        # would stay wrong by the weight.
         gravity = self._plan.gravity
         if gravity is None or not (math.isfinite(gauge_N) and math.isfinite(angle_rad)):
             return 0.0
