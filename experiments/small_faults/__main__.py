@@ -56,7 +56,7 @@ class Drawn(NamedTuple):
     def reason(self) -> str:
         """Why it changes no behaviour; empty where it does, or nobody has looked into it."""
         line = self.source.decode().splitlines()[self.fault.line - 1].strip()
-        return UNCHANGED.get((line, str(self.fault)), "")
+        return UNCHANGED.get((line, self.fault.kind), "")
 
 
 class Tree:
