@@ -88,6 +88,12 @@ def test_too_few_or_invalid_costs_are_refused(bad):
         compare_costs(*bad)
 
 
+@pytest.mark.parametrize("confidence", [0.0, 1.0, 1.5, -0.5, math.nan])
+def test_confidence_that_is_no_probability_is_refused(confidence):
+    with pytest.raises(InvalidInput, match="between 0 and 1"):
+        compare_costs([1.0, 1.1], [1.0, 1.1], confidence)
+
+
 def test_repeatability_is_pooled_within_gains():
     groups = [np.exp([1.0, 3.0]), np.exp([11.0, 13.0]), (5.0,), (7.0, math.inf)]
     assert repeatability(groups) == pytest.approx(math.sqrt(2.0))

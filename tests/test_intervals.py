@@ -59,3 +59,12 @@ def test_records_count_by_what_they_show_of_a_value():
     by_share, alike = np.sqrt(np.mean(np.square(stated), axis=0))
     assert by_share == pytest.approx(np.std(found, axis=0)[1], rel=0.3)
     assert alike > 2.0 * by_share
+
+
+def test_groups_that_know_nothing_of_a_value_do_not_narrow_its_interval():
+    residuals = np.random.default_rng(4).standard_normal(1200)
+    group = np.repeat(np.arange(12), 100)
+    columns = np.where(group < 4, 10.0, 0.0)[np.newaxis]
+    knowing = group < 4
+    alone = jackknife(columns[:, knowing], residuals[knowing], group[knowing], unequal=True)
+    assert jackknife(columns, residuals, group, unequal=True) == pytest.approx(alone, rel=1e-3)
