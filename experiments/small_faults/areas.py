@@ -76,7 +76,7 @@ AREAS: dict[str, Area] = {
             "estune/run/confirmation.py",
             "plants/diagnosis/search/intervals.py",
         ),
-        ("comparison", "session", "intervals", "loop_model"),
+        ("comparison", "intervals", "session", "loop_records", "loop_model"),
     ),
     "proof": Area(
         (
