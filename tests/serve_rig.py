@@ -24,7 +24,7 @@ SLOW_S = 100.0
 def make(kind: str, name: str) -> Rig:
     """Creates a rig of the given kind."""
     if kind.endswith("simulated"):
-        pace = {"slow": SLOW_S, "paced": 0.5}.get(kind.split(maxsplit=1)[0], 0.0)
+        pace = {"slow": SLOW_S, "paced": 0.5, "real-time": 1.0}.get(kind.split(maxsplit=1)[0], 0.0)
         return plants.reference_reel().rig(name=name, seed=3, pace=pace)
     if kind.endswith("hardware"):
         from tests.support_hardware import quick  # noqa: PLC0415  slow to import

@@ -54,6 +54,7 @@ class RigActions:
     may_tune: bool = True
     _busy: threading.Lock = field(default_factory=threading.Lock)
     _tuning: "subprocess.Popen[str] | None" = None
+    _run: str = ""
     _noted: int = 0
 
     def commands(self) -> dict[str, Callable[[str, Arguments], str]]:
@@ -179,22 +180,34 @@ class RigActions:
                 "this rig needs credentials; start the tuning in a terminal: estune tune "
                 f"{self.endpoint} --security FILE"
             )
-        if self._tuning is not None and self._tuning.poll() is None:
+        if self._is_tuning():
             raise InvalidInput("a tuning that was started here is still running; stop it first")
         self.folder.mkdir(parents=True, exist_ok=True)
         command = [sys.executable, "-P", "-m", "estune", *words]
         self._tuning = subprocess.Popen(  # noqa: S603  our own interpreter and module
             *(command,), stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True
         )
+        self._run = run
         self.board.put("begun", {"run": run, "fault": ""})
         threading.Thread(target=self._follow, args=(run, self._tuning), daemon=True).start()
+
+    def _is_tuning(self) -> bool:
+        """Whether the tuning that was started here may still move the rig.
+
+        Its process draws figures once the run has ended.
+        """
+        if self._tuning is None or self._tuning.poll() is not None:
+            return False
+        folder = self.folder / self._run
+        return not (folder / FILE_NAME).is_file() or being_written(folder)
 
     def _follow(self, run: str, process: "subprocess.Popen[str]") -> None:
         """Notes how a tuning ended, with the last line that it printed if it failed."""
         _, text = process.communicate()
         lines = [line.strip() for line in text.splitlines() if line.strip()]
         why = f": {lines[-1]}" if lines and process.returncode else ""
-        self.board.put("begun", {"run": run, "fault": lines[-1]} if why else None)
+        if run == self._run:  # else the next one has begun while this one drew its figures
+            self.board.put("begun", {"run": run, "fault": lines[-1]} if why else None)
         self._note("tune", "estune", f"the tuning has ended with code {process.returncode}{why}")
 
     def _note(self, name: str, who: str, sentence: str) -> str:
