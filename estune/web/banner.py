@@ -149,9 +149,8 @@ def progress(state: Mapping[str, Any]) -> str:
     phase = f": {state['phase']}" if state["phase"] else ""
     time_s = state["trial_s"] and left and state["trial_s"] * left
     at_most = "at most" if state["at_most"] else "about"
-    return f"trial {number}{of}{phase}" + (
-        f"; {at_most} {duration(time_s)} left" if time_s else ""
-    )
+    to_come = f"; {at_most} {duration(time_s)} left" if time_s and time_s >= 1.0 else ""
+    return f"trial {number}{of}{phase}{to_come}"
 
 
 def facts(kind: str, values: Mapping[str, Any]) -> Facts:
