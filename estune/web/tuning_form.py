@@ -59,8 +59,8 @@ WORDS = {
 OPTIONS = {"preset": "--cost"}
 """Settings whose option is not their name."""
 USUAL = 5, 10
-"""Trials of a tuning with the default settings: 5 to 9 in 19 tunings, of the reference reel at three
-lengths with five seeds, and of four linear plants."""
+"""Trials of a tuning with the default settings: 5 to 9 in 19 tunings, of the reference reel at
+three lengths with five seeds, and of four linear plants."""
 _Table = TypeVar("_Table", bound=TomlTable)
 
 
