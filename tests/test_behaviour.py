@@ -100,6 +100,7 @@ def test_what_a_rig_cannot_measure_is_told_and_the_result_stays(monkeypatch):
     assert math.isfinite(result.fun)
 
 
+@pytest.mark.slow
 def test_comparison_shows_them_for_each_tuner(tmp_path, capsys):
     command = ["compare", "plants:reference_reel", "--tuners", "model_based,otis", "--trials", "3"]
     command += ["--repeats", "2", "--quiet", "--folder", str(tmp_path), "--json"]

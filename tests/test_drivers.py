@@ -26,6 +26,7 @@ from plants.emulator.board import Electronics, EmulatedBoard
 from plants.emulator.devices import GAUGE, CanDevices, SerialDevice
 from plants.emulator.driver import emulated_hardware
 from tests.support_hardware import quick
+from tests.support_lanes import first_by_day
 
 PATIENT_s = 3.0
 """Time within which an answer must come: the test machine may be busy."""
@@ -206,7 +207,7 @@ def test_minute_of_silence_ends_no_driver(tmp_path):
         check_silence(devices, 60.0)
 
 
-@pytest.mark.parametrize("device", DRIVER_TABLES)
+@pytest.mark.parametrize("device", first_by_day(*DRIVER_TABLES))
 def test_rig_runs_a_trial_behind_a_real_devices_protocol(device):
     with hardware(device) as address:
         patient = {f"guard__{limit}": PATIENT_s for limit in ("gap_s", "heartbeat_s", "frozen_s")}
@@ -311,7 +312,7 @@ def test_adapter_that_holds_answers_back_is_named_with_the_board(board, monkeypa
     assert "move the loop to the board" in result.remedy
 
 
-@pytest.mark.parametrize("device", DRIVER_TABLES)
+@pytest.mark.parametrize("device", first_by_day(*DRIVER_TABLES))
 def test_doctor_of_a_rigs_file_measures_driver_and_loop(device):
     with hardware(device) as address:
         patient = {f"guard__{limit}": PATIENT_s for limit in ("gap_s", "heartbeat_s", "frozen_s")}

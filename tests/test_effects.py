@@ -122,7 +122,9 @@ def test_friction_adds_no_energy(name, share):
     assert energy[-1] <= left * energy[4] + stored + 1e-30
 
 
-@pytest.mark.parametrize("order", [1, -1], ids=["forward", "backward"])
+@pytest.mark.parametrize(
+    "order", [1, pytest.param(-1, marks=pytest.mark.slow)], ids=["forward", "backward"]
+)
 def test_compiled_trial_equals_that_of_the_virtual_machine(order, monkeypatch):
     reel = all_on(order)
     seen = []

@@ -9,6 +9,7 @@ import plants
 from experiments.hidden_scores import DiagnosisTask, diagnose
 from plants.models.unloaded_reel import UnloadedReel
 from tests.support_hidden import skip_without_compiler
+from tests.support_lanes import first_by_day
 from tests.support_measurements import open_loop
 
 RATE_Hz, SUBSTEPS, COUNTS = 500.0, 16, 8192
@@ -134,13 +135,14 @@ def test_effect_of_a_real_drive_is_identified_in_a_hidden_machine(seed, variant,
     assert held.value == pytest.approx(held.true, rel=0.05)
 
 
+@pytest.mark.slow
 def test_lag_and_dead_time_of_a_drive_that_differ_by_less_than_the_noise_are_told_together():
     skip_without_compiler()
     row = diagnose(DiagnosisTask(31005, "unloaded", "dead_time"))
     assert (row.verdict, set(row.ambiguous)) == ("ambiguous", {"current_lag", "dead_time"})
 
 
-@pytest.mark.parametrize("truth", ["current_lag", "dead_time"])
+@pytest.mark.parametrize("truth", first_by_day("current_lag", "dead_time"))
 def test_lag_and_dead_time_of_a_drive_that_differ_by_half_the_noise_are_told_apart(truth):
     skip_without_compiler()
     row = diagnose(DiagnosisTask(31003, "unloaded", truth))

@@ -22,6 +22,8 @@ from plants.emulator import EmulatedDriver
 from plants.emulator.driver import emulated_hardware
 from tests.support_hardware import loop_state, quick
 
+pytestmark = pytest.mark.slow  # the loop keeps real time in a process of its own
+
 ROOT = Path(__file__).parents[1]
 GAINS = Gains(0.7, 12.0, 0.004, 0.01)
 GIVE_UP_S = 30.0
@@ -170,7 +172,6 @@ def test_killed_loop_leaves_the_reel_to_the_hardwares_watchdog(hardware):
                 call()
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])
 def test_loop_killed_or_hung_in_a_trial_is_a_permanent_error(hardware, number):
     address, truth = hardware
@@ -184,7 +185,6 @@ def test_loop_killed_or_hung_in_a_trial_is_a_permanent_error(hardware, number):
         eventually(lambda: truth().tripped == 1)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])
 def test_killed_or_hung_rig_program_leaves_the_reel_safe(hardware, number):
     address, truth = hardware

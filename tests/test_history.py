@@ -6,6 +6,7 @@ from estune import api
 from estune.errors import JournalError
 from estune.run.journal import Journal
 from estune.tuners import TUNERS
+from tests.support_lanes import first_by_day
 from tests.support_runs import ArithmeticRig
 
 TUNE = {"tuner": "phase_compensated", "trials": 40, "repeats": 2, "run": "old", "watch": None}
@@ -32,7 +33,7 @@ def another_version(monkeypatch, request):
     return {"other gains": proposes, "no such tuner": gone}[request.param]
 
 
-@pytest.mark.parametrize("tuner", ["phase_compensated", "safe_bayesian"])
+@pytest.mark.parametrize("tuner", first_by_day("phase_compensated", "safe_bayesian"))
 def test_finished_run_loads_although_its_tuner_has_changed(tmp_path, another_version, tuner):
     then = api.tune(ArithmeticRig(), folder=tmp_path, **TUNE | {"tuner": tuner, "trials": 90})
     another_version(tmp_path / "old")

@@ -138,6 +138,7 @@ def test_gains_tried_on_the_rig_stop_before_the_model_fails(tmp_path):
     assert first.cost <= tuned.costs[0].measured + 0.1
 
 
+@pytest.mark.slow
 def test_rig_known_by_its_linear_model_keeps_its_effort_per_ampere(tmp_path):
     found = plants.improve(
         PLANT_20_N_A.rig(seed=3), folder=tmp_path / "x", effects=FEW, tuning=SHORT

@@ -119,7 +119,11 @@ def test_outlier_is_reported_and_does_not_change_the_law():
 
 @pytest.mark.parametrize(
     ("law", "form"),
-    [(falling, "linear"), (inverse, "inverse"), (with_tension, "linear + tension")],
+    [
+        pytest.param(falling, "linear", marks=pytest.mark.slow),
+        (inverse, "inverse"),
+        (with_tension, "linear + tension"),
+    ],
     ids=lambda value: getattr(value, "__name__", value),
 )
 def test_cross_validation_selects_the_true_form(law, form):
@@ -162,6 +166,7 @@ def test_form_that_falls_below_zero_is_not_selected():
 # --- bands -----------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_prediction_band_has_its_nominal_coverage():
     hits = []
     for seed in range(40):

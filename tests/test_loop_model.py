@@ -139,7 +139,10 @@ def test_identified_loop_predicts_cost_and_sensitivity_far_from_the_trials():
     assert far.cost.value == pytest.approx(cost_of(plant, GAINS), rel=0.03)
 
 
-@pytest.mark.parametrize("seeds", [8, pytest.param(100, marks=pytest.mark.nightly)])
+@pytest.mark.parametrize(
+    "seeds",
+    [3, pytest.param(8, marks=pytest.mark.slow), pytest.param(100, marks=pytest.mark.nightly)],
+)
 def test_intervals_of_sensitivity_hold_the_true_value(seeds):
     plant, covered = linear(), 0
     truth = robustness(exact_model(), GAINS, plant.controller).sensitivity
@@ -152,7 +155,10 @@ def test_intervals_of_sensitivity_hold_the_true_value(seeds):
     assert covered >= least_hits(seeds, 0.95)
 
 
-@pytest.mark.parametrize("seeds", [8, pytest.param(100, marks=pytest.mark.nightly)])
+@pytest.mark.parametrize(
+    "seeds",
+    [3, pytest.param(8, marks=pytest.mark.slow), pytest.param(100, marks=pytest.mark.nightly)],
+)
 def test_interval_of_a_plant_of_one_pole_holds_its_sensitivity_and_is_narrow(seeds):
     covered = narrow = 0
     for seed in range(seeds):
@@ -264,7 +270,7 @@ def test_friction_is_identified_from_one_record():
 def test_claim_is_refused_where_friction_in_the_eyelet_leaves_a_misfit():
     reel = plants.reference_reel() + EyeletFriction(0.93)
     gains = Gains(1.0, 30.0, 0.018, 0.0016)
-    trials = around(gains, 6, spread=0.1)
+    trials = around(gains, 4, spread=0.1)
     records = [record_of(reel, g, n, 0.04) for n, g in enumerate(trials)]
     fit = fit_loop(records, reel.controller.sampling_Hz, 0.13)
     refused = claim(fit, records, trial_of(reel), gains)

@@ -225,6 +225,7 @@ def test_pole_slower_than_all_records_is_not_taken_for_a_load():
     assert found[-1] == pytest.approx(truth[-1], rel=0.1)
 
 
+@pytest.mark.slow
 def test_fragments_before_a_long_record_do_not_begin_the_search():
     gains = Gains(3.0, 0.0, 0.0, 0.0)
     full = chamber_record(3.0, 0)

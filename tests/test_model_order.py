@@ -47,7 +47,10 @@ def fitted(plant, gains, seeds):
     return fit_loop(records, SAMPLING_HZ, 0.5)
 
 
-@pytest.mark.parametrize("seeds", [20, pytest.param(200, marks=pytest.mark.nightly)])
+@pytest.mark.parametrize(
+    "seeds",
+    [6, pytest.param(20, marks=pytest.mark.slow), pytest.param(200, marks=pytest.mark.nightly)],
+)
 def test_lag_with_a_dead_time_is_identified_by_one_pole_as_a_rule(seeds):
     """Noise makes a spare pole lower the criterion now and then: Ms is as it is, or unknown.
 

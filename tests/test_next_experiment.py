@@ -77,6 +77,7 @@ def test_no_experiment_for_indistinguishable_models(plain):
     assert next_experiment("named", REEL, same, plain, about("reel")) is None
 
 
+@pytest.mark.slow
 def test_unexplained_error_selects_the_experiment_that_excites_it():
     seen = records(REEL + CoulombFriction(torque_Nm=0.05))
     noise = noise_floor(seen)

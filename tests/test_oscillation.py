@@ -45,7 +45,10 @@ def test_response_without_an_oscillation_has_none_that_grows(noise):
     assert growing_oscillation(np.array([1.0, np.nan])) is None
 
 
-@pytest.mark.parametrize("loops", [30, pytest.param(300, marks=pytest.mark.nightly)])
+@pytest.mark.parametrize(
+    "loops",
+    [12, pytest.param(30, marks=pytest.mark.slow), pytest.param(300, marks=pytest.mark.nightly)],
+)
 def test_unstable_random_loops_are_named_and_no_stable_ones(loops):
     found = list(trials(loops, seed=1))
     unstable = [named for stable, named in found if not stable]

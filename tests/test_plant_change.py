@@ -26,6 +26,7 @@ def observed(loop, records):
     return loop, changes
 
 
+@pytest.mark.slow
 def test_what_records_show_of_a_small_change_adds_up(known):
     shown = [evidence(known.fit, CASE.record(seed, gain=1.15)) for seed in range(10, 16)]
     likely = [chance(known.fit, known.known, shown[:count]) for count in (1, 6)]

@@ -21,6 +21,7 @@ from plants.remedies import offers_for, text
 from plants.remedies.behaviour import behaviour
 from plants.simulation.compensation import compensation_of
 from tests.support_diagnosis import deciding, diagnosis, interval
+from tests.support_lanes import first_by_day
 from tests.test_compensation import friction_table, rig_with
 
 GAINS = Gains(0.78, 31.0, 0.0206, 0.0003)
@@ -66,7 +67,7 @@ def measured_tracking(hidden, compensation):
     return tracking_of(profile, settling_s, 632.0, record.setpoint_N - record.tension_N)
 
 
-@pytest.mark.parametrize("name", ["Coulomb, large", "Dahl"])
+@pytest.mark.parametrize("name", first_by_day("Coulomb, large", "Dahl"))
 def test_prediction_is_what_the_loop_then_measures(name):
     hidden, compensation = friction_table(name, 0.8)
     numbers = {key: value for key, value in hidden.items() if key != "name"}

@@ -158,6 +158,7 @@ def test_rig_that_ignores_gains_is_found_out():
     assert any("check that the rig applies the gains" in remark for remark in result.remarks())
 
 
+@pytest.mark.slow
 def test_plant_that_changes_between_trials_is_not_claimed():
     class Changing(Behind):
         def __init__(self):
@@ -210,6 +211,7 @@ def test_dead_time_longer_than_a_trial_is_told():
     assert "does not follow the effort within a trial" in made.reason
 
 
+@pytest.mark.slow
 def test_plant_without_steady_state_is_not_claimed():
     class Drifting(Behind):
         def run(self, request):
@@ -228,6 +230,7 @@ def test_natural_period_of_a_model_is_that_of_its_poles():
     assert model.natural_period == pytest.approx(2.0 * math.pi / w)
 
 
+@pytest.mark.slow
 def test_advice_of_a_low_margin_raises_the_margin_when_followed(fast):
     problem, free = fast
     assert [finding.kind for finding in free.findings if finding.kind == "margin"]

@@ -69,7 +69,7 @@ def tuned(transfer, measurement, effort, *, knows, **settings):
     [
         ("model_based", LAG, True),
         pytest.param("model_based", LAG, False, marks=pytest.mark.slow),
-        ("safe_bayesian", LAG, False),
+        pytest.param("safe_bayesian", LAG, False, marks=pytest.mark.slow),
         pytest.param("otis", LAG, True, marks=pytest.mark.slow),
         pytest.param("safe_bayesian", INTEGRATOR, True, marks=pytest.mark.slow),
         ("otis", INTEGRATOR, False),

@@ -19,7 +19,8 @@ def suggested(plant, cost, gains, kind, length=80.0, *, seed=1):
     return estune.suggest(logs, settling_time_s=cost.settling_time_s, step=trial.step.size)
 
 
-@pytest.mark.parametrize("kind", [pytest.param("busy", marks=pytest.mark.slow), "small steps"])
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["busy", "small steps"])
 def test_friction_in_service_is_in_the_margins_or_refuses_them(kind):
     plant = plants.reference_reel() + CoulombFriction(0.005)
     gains = Gains(0.685, 11.2, 0.00815, 0.00825)

@@ -28,6 +28,7 @@ from estune.service_records.stretches import Stretch, find_stretches
 from experiments.loop_claims.truth import TrueLoop, true_sensitivity
 from experiments.sample_efficiency.problems import PROBLEMS
 from experiments.service_records.service import Service, serve
+from tests.support_lanes import first_by_day
 from tests.support_runs import start_for
 
 REEL = PROBLEMS["reel 1.4 m"]
@@ -286,7 +287,7 @@ def test_a_tuning_from_logs_starts_within_its_limits_near_the_optimum(busy, tmp_
     assert result.verdict.start_cost <= 1.1 * result.verdict.cost
 
 
-@pytest.mark.parametrize("cost", ["itae", "rejection"])
+@pytest.mark.parametrize("cost", first_by_day("rejection", "itae"))
 def test_suggestion_minimises_the_cost_it_is_given(busy, suggested, cost):
     found = suggest(busy, cost=cost)
     trial, loop = found.trial, found.fit
@@ -304,6 +305,7 @@ def test_gains_that_none_were_stated_against_follow_from_the_effort(busy):
     assert found.remarks()[0].startswith("The gains that ran follow from the logged effort")
 
 
+@pytest.mark.slow
 def test_a_tuning_from_logs_of_earlier_gains_reads_them_from_the_effort(busy, tmp_path):
     write(tmp_path / "log.csv", busy.parts[0])
     live = replace(REEL.start, P=1.3 * REEL.start.P)

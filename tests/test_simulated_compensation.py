@@ -105,11 +105,13 @@ def test_open_loop_is_not_compensated():
     ("effect", "left"),
     [
         (TorqueRipple(0.02, 24.0, 0.5), 0.15),
-        (
+        pytest.param(
             Cogging(amplitude_1_Nm=0.02, per_turn_1=24.0, amplitude_2_Nm=0.01, per_turn_2=36.0),
             0.15,
+            marks=pytest.mark.slow,
         ),
-        (DrumEccentricity(0.1, 0.4), 0.3),  # the length wound in keeps its wave
+        # The length wound in keeps its wave.
+        pytest.param(DrumEccentricity(0.1, 0.4), 0.3, marks=pytest.mark.slow),
     ],
 )
 def test_a_map_removes_nearly_all_of_a_ripple(effect, left):

@@ -15,6 +15,7 @@ from estune.interop import linear_model, margins
 from estune.run.planning import make_plan
 from estune.run.start import KnownStart
 from experiments.loop_claims import true_sensitivity
+from tests.support_lanes import first_by_day
 from tests.support_runs import description, start_for
 
 s = control.tf("s")
@@ -54,7 +55,7 @@ def test_warm_start_of_rig_without_model_names_a_remedy():
         make_plan(replace(description(), linear_model=None), "run", **choices(start="model"))
 
 
-@pytest.mark.parametrize("length_m", [0.5, 1.4])
+@pytest.mark.parametrize("length_m", first_by_day(0.5, 1.4))
 def test_warm_start_is_safe_and_closer_to_the_optimum(length_m):
     reel = plants.reference_reel(cable_length_m=length_m)
     warm = estune.tune(reel, start="model", trials=1, journal=False, watch=None)

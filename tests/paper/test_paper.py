@@ -148,6 +148,7 @@ def test_failed_claim_is_shown_as_failed():
     assert "Because &lt;a&gt; &amp; &lt;b&gt;." in text
 
 
+@pytest.mark.slow
 def test_page_is_reproducible():
     first, second = (render(page([paper.make(18, quick=True)])) for _ in range(2))
     assert first == second

@@ -164,6 +164,7 @@ def test_growing_friction_is_detected_and_measured_at_mean_tension():
     assert result.transparency().log_spread > 1e-3
 
 
+@pytest.mark.slow
 def test_dynamic_ratio_is_measured_at_the_cable_velocity():
     eyelet = tr.Eyelet(dynamic_share=0.7, viscous_s_m=0.5)
     result = measure(
@@ -251,6 +252,7 @@ def test_drift_between_sweeps_gives_a_warning():
     assert any("drifts" in remark for remark in result.warnings)
 
 
+@pytest.mark.slow
 def test_exchanged_angles_separate_unequal_reels_only():
     for other, alike in ((0.1, True), (0.15, False)):
         runs = [
