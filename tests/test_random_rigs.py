@@ -58,7 +58,7 @@ def random_rig(seed):
 @pytest.mark.parametrize("tuner", list(TUNERS))
 @pytest.mark.parametrize(
     "rigs",
-    [1, pytest.param(4, marks=pytest.mark.slow), pytest.param(100, marks=pytest.mark.nightly)],
+    [2, pytest.param(4, marks=pytest.mark.slow), pytest.param(100, marks=pytest.mark.nightly)],
 )
 def test_random_rigs_end_with_an_outcome_or_an_error_of_ours(tuner, rigs, tmp_path):
     def stop(progress):
