@@ -99,9 +99,9 @@ ASKED = {
         "no channel is the measurement; .* Drehzahl",
     ),
     "Home Assistant": (
-        "last_changed,climate.setpoint,climate.current_temperature,boiler_flow",
+        "taken at,climate.setpoint,climate.current_temperature,boiler_flow",
         "time setpoint y effort",
-        "no channel is the time; .* last_changed",
+        "no channel is the time; .* taken at",
     ),
     "two setpoints": (
         "Time [s],left/setpoint,right/setpoint,speed",

@@ -17,7 +17,7 @@ from estune.remote.security import Security
 from estune.run.journal import RUNS
 from estune.run.limit_verdict import LimitState
 from estune.run.robustness import claim_from
-from estune.run.targets import open_target
+from estune.run.targets import is_endpoint, open_target
 from estune.support.quantity_text import with_unit
 from estune.trial import RigDescription
 
@@ -63,7 +63,8 @@ def apply(
     """Make the gains of a run, or its start gains, live on a rig; or put a patch in a rig's file.
 
     Args:
-        run: The run: its name, or its folder; or a patch of estune remedy, NAME.remedy.json.
+        run: The run: its name, or its folder; or a patch of estune remedy, NAME.remedy.json. Run
+            and rig are taken in either order.
         target: Address of the rig, such as tcp/127.0.0.1:7447; for a patch the rig's file.
         start: Restore the gains that were live when the run began.
         yes: Apply gains that break a limit of the run without a prompt.
@@ -72,6 +73,8 @@ def apply(
         security: Credentials file, if the rig requires authentication.
         folder: Folder of runs.
     """
+    if target.endswith(PATCH_SUFFIX) or is_endpoint(run):
+        run, target = target, run
     if run.endswith(PATCH_SUFFIX):
         from estune.cli.remedy import apply_patch  # noqa: PLC0415  slow to import
 

@@ -41,9 +41,8 @@ def suggest(
     """Judge the gains of a running loop by its records, and recommend better ones.
 
     Args:
-        records: Logs of one loop, folders of them, or a run: CSV with any separators, Parquet,
-            MATLAB, ROS 1 and 2 bags, MCAP, TDMS. No steps are needed. Gains in use: those of the
-            last log.
+        records: Logs of one loop, folders of them, or a run, in any format of estune records. No
+            steps are needed. Gains in use: those of the last log.
         gains: The gains that ran, such as "P=1.2,I=40,D=0.01,F=0.005": of P e + I int(e) - D
             dy/dt, F the setpoint filter in s. Or a TOML file: a rig's, or one with the gains of
             each log, [gains."run1.csv"]. By default those in the metadata of the records.

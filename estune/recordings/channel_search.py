@@ -11,6 +11,7 @@ TIMES = (
     *("time", "t", "timestamp", "stamp", "seconds", "sec", "s", "ms", "millis", "milliseconds"),
     *("us", "micros", "microseconds", "elapsed", "elapsed time", "relative time", "uptime"),
     *("datetime", "date time", "date", "x value", "zeit", "uhrzeit"),
+    *("last changed", "last updated", "time us"),
 )
 """Names of the time, without unit."""
 
@@ -36,6 +37,9 @@ _WORDS = {
     "effort": {"output", "pwm", "duty", "effort", "op", "stellgröße"},
 }
 """Words that mark a channel where none has one of the usual names, and one alone has a word."""
+
+_QUANTITIES = {"temperature", "temp", "speed", "velocity", "position", "pressure", "level"}
+"""Words that mark a measurement where no other word does."""
 
 
 def find_channel(source: str, channels: Iterable[Channel], column: str) -> Channel | None:
@@ -96,6 +100,8 @@ def by_usual_name(
         if fitting:
             return _only(fitting, column, "")
     marked = [c for c in channels if _marks(c) == {column}]
+    if not marked and column == "measurement":
+        marked = [c for c in channels if not _marks(c) and heading(c.name).words & _QUANTITIES]
     return _only(marked, column, "") if marked else None
 
 

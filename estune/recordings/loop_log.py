@@ -11,42 +11,33 @@ from typing import NamedTuple
 import numpy as np
 
 from estune.core.gains import Gains
-from estune.core.quantities import BoolArray
-from estune.recordings.channel_search import (
-    EFFORTS,
-    MEASUREMENTS,
-    SETPOINTS,
-    TIMES,
-    by_usual_name,
-    find_channel,
-    not_found,
-    unused,
-)
-from estune.recordings.column_map import ColumnTable, is_bare, map_column
-from estune.recordings.heading import heading, nearest
+from estune.core.quantities import BoolArray, FloatArray
+from estune.recordings.channel_search import TIMES, not_found, unused
+from estune.recordings.column_map import ColumnTable, Mapped, is_bare, map_column
+from estune.recordings.heading import heading
 from estune.recordings.issue import DataIssue, Unusable
+from estune.recordings.long_form import separated
+from estune.recordings.loop_channels import loop_channels
 from estune.recordings.metadata import Metadata, metadata_beside
 from estune.recordings.raw_file import Channel, RawFile, read_raw
+from estune.recordings.reports import are_reports, held
 from estune.recordings.time_unit import time_doubt
-from estune.recordings.timing import Columns, evened
+from estune.recordings.timing import Columns, Evened, evened, resampled
 from estune.recordings.units import NO_DRUM, UNITS, find_unit
-
-NAMES = {
-    "time": TIMES,
-    "setpoint": SETPOINTS,
-    "measurement": MEASUREMENTS,
-    "effort": EFFORTS,
-}
-"""Names of channels, without unit, by which each column is found; the first that fits."""
-
-COLUMNS = tuple(NAMES)
-"""Columns of a log; effort may be missing, time where the rate is stated."""
 
 LISTED = 12
 """Channels of a file that a message names at most."""
 
 FEWEST_SAMPLES = 3
 """Fewer rows have no sampling rate."""
+
+
+DRIFT = 0.02
+"""Relative difference of two rates of one controller: a loop that is timed by software runs at
+184.0 to 188.4 Hz in logs of a servo, with a jitter of 3 % within each."""
+
+_COMPLETE = 0.5
+"""Share of complete rows, below which the columns were logged one by one."""
 
 
 class LoopLog(NamedTuple):
@@ -85,30 +76,20 @@ def read_loop_log(
     Raises:
         Unusable: it cannot be read, or a column is missing; the message is one line.
     """
-    raw, given = read_raw(path), sources or {}
+    raw = separated(read_raw(path))
     metadata = Metadata(raw.metadata or metadata_beside(path))
     rate = sampling_Hz or metadata.number("sampling_Hz", above=0.0)
-    channels = _channels(raw, given)
-    for column in ("setpoint", "measurement"):
-        if column not in channels:
-            left = unused(raw.channels, channels) or raw.channels
-            raise Unusable(not_found(column, left, NAMES[column]))
+    channels = loop_channels(raw.channels, sources or {})
     channels, kept = _complete_rows(channels)
-    values = {c: _values(c, channel) for c, channel in channels.items()}
-    doubts = () if rate else tuple(_doubts(channels, values))
-    time_s = values.pop("time", None)
-    if time_s is None:
-        if rate is None:
-            asked = not_found(
-                "time", unused(raw.channels, channels) or raw.channels, NAMES["time"]
-            )
-            raise Unusable(f"{asked}; or give --sampling")
-        time_s = np.flatnonzero(kept) / rate
-    if time_s.size < FEWEST_SAMPLES:
-        raise Unusable(f"the file has {time_s.size} rows; {FEWEST_SAMPLES} or more are needed")
+    signals = {c: _signal(c, channel) for c, channel in channels.items() if c != "time"}
+    values = {c: signal.values for c, signal in signals.items()}
+    clocks, doubts = _clocks(raw, channels, signals, kept, rate)
+    if min(clock.size for clock in clocks.values()) < FEWEST_SAMPLES and "time" in channels:
+        few = min(clock.size for clock in clocks.values())
+        raise Unusable(f"the file has {few} rows; {FEWEST_SAMPLES} or more are needed")
     units = {c: _unit(channel) for c, channel in channels.items()}
     _to_one_unit(values, units)
-    grid = evened(values, time_s, rate, ("measurement",))
+    grid = _on_grid(values, clocks, rate)
     parts = tuple(
         {"time" if n == "time_s" else n: v for n, v in part.items()}
         for part in grid.parts
@@ -135,6 +116,10 @@ def _complete_rows(channels: dict[str, Channel]) -> tuple[dict[str, Channel], Bo
         return channels, kept
     for channel in signals:
         kept &= ~np.asarray(pd.isna(pd.Series(channel.values)))
+    if kept.mean() < _COMPLETE and "time" in channels:  # a row for each change of any
+        time_s = _signal("time", channels["time"]).values
+        own = {c: one._replace(time_s=time_s) for c, one in channels.items()}
+        return own | {"time": channels["time"]}, np.ones(rows, np.bool_)
     if kept.all() or not kept.any():
         return channels, np.ones(rows, np.bool_)
     fewer = {c: one._replace(values=one.values[kept]) for c, one in channels.items()}
@@ -161,24 +146,7 @@ def _without_effort(raw: RawFile, channels: Mapping[str, Channel]) -> Iterator[D
         )
 
 
-def _channels(raw: RawFile, sources: Mapping[str, str]) -> dict[str, Channel]:
-    """The channel of each column: as the map names it, else by its name among those left."""
-    found: dict[str, Channel] = {}
-    for column, source in sources.items():
-        channel = find_channel(source, raw.channels, column)
-        if channel is None:
-            close = ", ".join(nearest([source], [c.name for c in raw.channels]))
-            raise Unusable(f"there is no {source}; the nearest in the file are {close}", column)
-        found[column] = channel
-    for column in COLUMNS:
-        if column not in found:
-            channel = by_usual_name(unused(raw.channels, found), column, NAMES[column])
-            if channel is not None:
-                found[column] = channel
-    return found
-
-
-def _doubts(channels: Mapping[str, Channel], values: Columns) -> Iterator[DataIssue]:
+def _doubts(channels: Mapping[str, Channel], time_s: FloatArray) -> Iterator[DataIssue]:
     """A doubt about a time without a unit."""
     time = channels.get("time")
     if time is None or time.time_s is not None or not is_bare(ColumnTable(), time):
@@ -186,7 +154,7 @@ def _doubts(channels: Mapping[str, Channel], values: Columns) -> Iterator[DataIs
     measured = heading(channels["measurement"].name)
     unit = UNITS.get(measured.unit)
     slow = "temp" in measured.key or bool(unit and unit.dimension == "temperature")
-    doubt = time_doubt(time.name, time.values, values["time"], slow=slow)
+    doubt = time_doubt(time.name, time.values, time_s, slow=slow)
     if doubt is not None:
         yield doubt
 
@@ -195,12 +163,62 @@ def _unit(channel: Channel) -> str:
     return find_unit(channel.unit) or heading(channel.name).unit or channel.unit
 
 
-def _values(column: str, channel: Channel) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
-    name = "time_s" if column == "time" else column
-    mapped = map_column(name, ColumnTable(), channel, NO_DRUM)
+def _signal(column: str, channel: Channel) -> Mapped:
+    """A column's values; of a channel with stamps of its own the rows that have one."""
+    import pandas as pd  # noqa: PLC0415  slow to import
+
+    there = ~np.asarray(pd.isna(pd.Series(channel.values)))
+    if channel.time_s is not None and not there.all():
+        channel = channel._replace(values=channel.values[there], time_s=channel.time_s[there])
+    mapped = map_column("time_s" if column == "time" else column, ColumnTable(), channel, NO_DRUM)
     if mapped is None:
         raise Unusable("every cell is empty", column)
-    return np.asarray(mapped.values)
+    return mapped
+
+
+def _clocks(
+    raw: RawFile,
+    channels: Mapping[str, Channel],
+    signals: Mapping[str, Mapped],
+    kept: BoolArray,
+    rate: float | None,
+) -> tuple[dict[str, FloatArray], tuple[DataIssue, ...]]:
+    """Stamps of each column, the same array where they share a time, and a doubt about it."""
+    own = {c: signal.time_s for c, signal in signals.items() if signal.time_s is not None}
+    if len(own) == len(signals):
+        return own, ()
+    if "time" in channels:
+        shared = _signal("time", channels["time"]).values
+        doubts = () if rate else tuple(_doubts(channels, shared))
+    elif rate is not None:
+        shared, doubts = np.flatnonzero(kept) / rate, ()
+    else:
+        asked = not_found("time", unused(raw.channels, channels) or raw.channels, TIMES)
+        raise Unusable(f"{asked}; or give --sampling")
+    for column, signal in signals.items():
+        if column not in own and signal.values.size != shared.size:
+            count = f"{signal.values.size} values, the time {shared.size}"
+            raise Unusable(f"it has {count}; record both together", column)
+    return {c: own.get(c, shared) for c in signals}, doubts
+
+
+def _on_grid(values: Columns, clocks: Columns, rate: float | None) -> Evened:
+    """The columns on an even grid, by what their stamps are: samples, or reports on change."""
+    one = clocks["measurement"]
+    shared = all(clock is one or np.array_equal(clock, one) for clock in clocks.values())
+    if are_reports(values["measurement"], one) and (not shared or _is_ascending(one)):
+        return held(values, clocks, rate)
+    if shared and rate is not None and one.size > 1:
+        own = evened(values, one, None, ("measurement",))
+        if abs(own.sampling_Hz / rate - 1.0) <= DRIFT:
+            return own._replace(sampling_Hz=rate)
+    if shared:
+        return evened(values, one, rate, ("measurement",))
+    return resampled(values, clocks, rate, ("measurement",))
+
+
+def _is_ascending(stamps: FloatArray) -> bool:
+    return stamps.size > FEWEST_SAMPLES and bool((np.diff(stamps) > 0.0).all())
 
 
 def _to_one_unit(values: dict[str, np.ndarray], units: dict[str, str]) -> None:

@@ -47,7 +47,7 @@ Reader = Callable[[Path], RawFile]
 BAG = "metadata.yaml"
 """File by which a folder is a ROS 2 bag."""
 
-_NAMED_ONLY = (".txt",)
+_NAMED_ONLY = (".txt", ".log", ".bin")
 """Endings of files that are read where they are named: in a folder they are notes and logs of
 programs as a rule."""
 
@@ -63,6 +63,14 @@ _OWN = {
     ".mcap": "mcap:read_mcap",
     ".zstd": "mcap:refuse_compressed",
     ".tdms": "tdms:read_tdms",
+    ".xlsx": "spreadsheet:read_spreadsheet",
+    ".lvm": "lvm:read_lvm",
+    ".jsonl": "json_lines:read_json_lines",
+    ".ndjson": "json_lines:read_json_lines",
+    ".lp": "line_protocol:read_line_protocol",
+    ".log": "program_log:read_log",
+    ".ulg": "flight_log:read_ulog",
+    ".bin": "flight_log:read_ardupilot",
     ".blackbox": "black_box:read_black_box",
 }
 """Readers by the ending, module and function in `estune.recordings.readers`."""
@@ -140,6 +148,7 @@ def _reader(path: Path) -> Reader:
 
 def _missing(path: Path, error: ModuleNotFoundError) -> str:
     extras = {"pyarrow": "parquet", "matio": "matlab", "rosbags": "ros", "nptdms": "tdms"}
+    extras |= {"openpyxl": "xlsx", "cantools": "can", "pyulog": "px4", "pymavlink": "ardupilot"}
     package = (error.name or "").partition(".")[0]
     extra = extras.get(package, package)
     return (

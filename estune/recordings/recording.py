@@ -24,6 +24,7 @@ from estune.recordings.column_map import (
 from estune.recordings.column_names import MEASURED, METADATA, TABLE_COLUMNS, suggest_name
 from estune.recordings.heading import heading, nearest
 from estune.recordings.issue import DataIssue, Unusable
+from estune.recordings.long_form import separated
 from estune.recordings.metadata import Metadata, metadata_beside
 from estune.recordings.raw_file import Channel, RawFile, read_raw
 from estune.recordings.time_unit import time_doubt
@@ -68,7 +69,7 @@ def read_recording(
     Raises:
         Unusable: it cannot be read, or is no record; the message is one line.
     """
-    raw = read_raw(path)
+    raw = separated(read_raw(path))
     metadata = Metadata({**column_map.record, **(raw.metadata or metadata_beside(path))})
     mapped, issues = _mapped(raw, column_map, drum)
     _check_names(frozenset(metadata.values), METADATA)

@@ -12,7 +12,7 @@ from estune.core.gains import Gains
 from estune.core.pidf import ControllerSettings
 from estune.errors import InvalidInput, JournalError
 from estune.recordings.issue import DataIssue, Unusable
-from estune.recordings.loop_log import LoopLog, read_loop_log
+from estune.recordings.loop_log import DRIFT, LoopLog, read_loop_log
 from estune.recordings.raw_file import formats, is_readable
 from estune.recordings.timing import Columns
 from estune.run.journal import FILE_NAME, Journal
@@ -32,10 +32,6 @@ class Logs(NamedTuple):
     logs: tuple[LoopLog, ...]
     issues: tuple[DataIssue, ...]
     controller: ControllerSettings | None = None
-
-
-RATES_APART = 1e-3
-"""Relative difference of two sampling rates that rounded time stamps explain."""
 
 
 def read_logs(
@@ -73,14 +69,31 @@ def read_logs(
         what = why or f"it holds no {', '.join(formats())} or run"
         where = ", ".join(map(str, given))
         raise InvalidInput(f"{where} has no log that can be used: {what}")
-    rate = logs[0].sampling_Hz
-    for log in logs:
-        if abs(log.sampling_Hz / rate - 1.0) > RATES_APART:
-            raise InvalidInput(
-                f"{log.name} is sampled at {log.sampling_Hz:.6g} Hz, {logs[0].name} at "
-                f"{rate:.6g} Hz; give logs of one controller, or of one rate at a time"
-            )
-    return Logs(tuple(logs), tuple(issues))
+    kept, others = _of_one_rate(logs)
+    return Logs(kept, (*issues, *others))
+
+
+def _of_one_rate(logs: list[LoopLog]) -> tuple[tuple[LoopLog, ...], list[DataIssue]]:
+    """The logs of the commonest rate, at their middle rate, and why the others are left out."""
+    near = [[o for o in logs if _is_near(o.sampling_Hz, log.sampling_Hz)] for log in logs]
+    most = max(near, key=len)
+    rate = float(np.median([log.sampling_Hz for log in most]))
+    kept = [log for log in most if _is_near(log.sampling_Hz, rate)]
+    others = [
+        DataIssue(
+            "refused",
+            f"it is sampled at {log.sampling_Hz:.6g} Hz, {len(kept)} of {len(logs)} logs at "
+            f"{rate:.6g} Hz, and is left out; give logs of one controller",
+            source=log.name,
+        )
+        for log in logs
+        if all(log is not one for one in kept)
+    ]
+    return tuple(log._replace(sampling_Hz=rate) for log in kept), others
+
+
+def _is_near(rate: float, other: float) -> bool:
+    return abs(rate / other - 1.0) <= DRIFT
 
 
 def _files(paths: Iterable[Path]) -> Iterator[Path]:

@@ -42,8 +42,8 @@ def records(
     Of logs of a running loop it also shows which stretches estune suggest can use.
 
     Args:
-        data: A file or a folder of them: CSV with any separators, Parquet, MATLAB, ROS 1 and 2
-            bags, MCAP, TDMS, or runs.
+        data: A file or a folder of them, or runs: tables, Parquet, MATLAB, ROS bags, MCAP, TDMS,
+            spreadsheets, logs of firmware and historians.
         map_: Where the columns come from: time=t,current=vir,angle=qm, or a TOML file of them; of
             the log of a loop time=t,setpoint=sp,measurement=pv,effort=out.
         unit: Their units, such as angle=mm,tension=lbf.

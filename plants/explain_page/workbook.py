@@ -13,6 +13,7 @@ from estune.errors import EstuneError, InvalidInput
 from estune.recordings.column_map import AS_NAMED, ColumnMap
 from estune.recordings.column_names import TABLE_COLUMNS
 from estune.recordings.issue import Unusable
+from estune.recordings.long_form import separated
 from estune.recordings.raw_file import formats, is_readable, read_raw
 from estune.recordings.units import NO_DRUM, UNITS
 from plants.diagnosis.data.measured_record import CHANNELS, MeasuredRecord
@@ -200,7 +201,9 @@ def _channels(data: Path) -> list[dict[str, str]]:
     found: dict[str, str] = {}
     for path in files[:LISTED]:
         with suppress(Unusable):  # the reading of the records says why
-            found |= {c.name: found.get(c.name) or c.unit for c in read_raw(path).channels}
+            found |= {
+                c.name: found.get(c.name) or c.unit for c in separated(read_raw(path)).channels
+            }
     return [{"name": name, "unit": unit} for name, unit in found.items()]
 
 

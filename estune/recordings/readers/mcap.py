@@ -38,7 +38,7 @@ def read_mcap(path: Path) -> RawFile:
                     "messages, or export CSV",
                     channel.topic,
                 )
-            rows[channel.topic].append(dict(_numbers(json.loads(message.data))))
+            rows[channel.topic].append(dict(numbers(json.loads(message.data))))
             stamps[channel.topic].append(message.publish_time)
         about = [m.metadata for m in reader.iter_metadata() if m.name == METADATA]
     begin = min((min(s) for s in stamps.values()), default=0)
@@ -73,12 +73,13 @@ def _channels(
         yield Channel(f"{topic}.{name}", values, "", time_s)
 
 
-def _numbers(value: Any, name: str = "") -> Iterator[tuple[str, float]]:
+def numbers(value: Any, name: str = "") -> Iterator[tuple[str, float]]:
+    """The numbers in a JSON value, each with its path."""
     if isinstance(value, dict):
         for key, item in value.items():
-            yield from _numbers(item, f"{name}.{key}" if name else key)
+            yield from numbers(item, f"{name}.{key}" if name else key)
     elif isinstance(value, list):
         for k, item in enumerate(value):
-            yield from _numbers(item, f"{name}[{k}]")
+            yield from numbers(item, f"{name}[{k}]")
     elif isinstance(value, int | float):
         yield name, value

@@ -1,9 +1,9 @@
 """Layout of a table as text: where its data begin, its separator, decimal mark and headings."""
 
+import io
 import itertools
 import re
 from collections.abc import Sequence
-from pathlib import Path
 from typing import NamedTuple
 
 from estune.recordings.heading import heading
@@ -16,6 +16,10 @@ BLANKS = r"\s+"
 _SEPARATORS = (";", "\t", ",", "|", BLANKS)
 _COMMENT = "#%"
 _DATE = re.compile(r"\d{1,4}[-./]\d{1,2}[-./]\d{1,4}([T ].*)?|\d{1,2}:\d{2}(:\d{2}.*)?")
+_NUMBER = re.compile(
+    r"(?P<number>[-+]?(?:[\d.,]+(?:[eE][-+]?\d+)?|inf|nan))\s*(?P<unit>[^\d\s.,;]{0,6})",
+    re.IGNORECASE,
+)
 _ENOUGH = 0.5
 """Share of numbers in a line of data: beside them stand states, flags and names."""
 _UNIT_LENGTH = 12
@@ -30,23 +34,20 @@ class Layout(NamedTuple):
     skipped: int
     separator: str
     decimal: str
-    encoding: str
 
 
-def layout_of(path: Path) -> Layout:
+def layout_of(text: str) -> Layout:
     """The layout of a table.
 
     Raises:
-        Unusable: it is empty, or no text.
+        Unusable: it is empty.
     """
-    encoding = _encoding(path)
-    with path.open(encoding=encoding, newline=None) as file:
-        lines = list(itertools.islice(file, HEAD_LINES))
+    lines = list(itertools.islice(io.StringIO(text, newline=None), HEAD_LINES))
     if not any(line.strip() for line in lines):
         raise Unusable("the file is empty; record the trial again or remove it")
     begun = _first_data(lines)
     if begun is None:
-        return _without_data(lines, encoding)
+        return _without_data(lines)
     first, separator, decimal = begun
     count = len(cells(lines[first], separator))
     above = [n for n in range(first) if lines[n].strip()][::-1]
@@ -61,7 +62,7 @@ def layout_of(path: Path) -> Layout:
         if len(listed) > 1 and separator != BLANKS:
             names = listed  # too few: the reading of the rows says so
     units += [""] * (len(names) - len(units))
-    return Layout(_numbered(names), units[: len(names)], first, separator, decimal, encoding)
+    return Layout(_numbered(names), units[: len(names)], first, separator, decimal)
 
 
 def cells(line: str, separator: str) -> list[str]:
@@ -75,21 +76,6 @@ def cells(line: str, separator: str) -> list[str]:
     else:
         parts = line.rstrip("\r\n").split(separator)
     return [part.strip().strip('"').strip() for part in parts]
-
-
-def _encoding(path: Path) -> str:
-    """UTF-8, UTF-16 by its mark, or the code page of Windows, in which ° and µ are one byte."""
-    data = path.read_bytes()
-    if data.startswith((b"\xff\xfe", b"\xfe\xff")):
-        return "utf-16"
-    try:
-        data.decode("utf-8")
-    except UnicodeDecodeError:
-        text = data.decode("cp1252")  # refused where it is no text
-        if any(ord(sign) < 32 and sign not in "\t\r\n" for sign in text[:10_000]):
-            raise
-        return "cp1252"
-    return "utf-8-sig"
 
 
 def _first_data(lines: Sequence[str]) -> tuple[int, str, str] | None:
@@ -106,7 +92,8 @@ def _first_data(lines: Sequence[str]) -> tuple[int, str, str] | None:
         for n in full:
             own = cells(lines[n], separator)
             share = _share_of_numbers(own, decimal)
-            if len(own) < 2 or share < _ENOUGH:
+            within = len(own) == count and share > 0.0  # where a sensor is "unavailable"
+            if len(own) < 2 or (share < _ENOUGH and not within):
                 count = 0
                 continue
             if len(own) != count:
@@ -117,30 +104,35 @@ def _first_data(lines: Sequence[str]) -> tuple[int, str, str] | None:
     return found
 
 
-def _without_data(lines: Sequence[str], encoding: str) -> Layout:
+def _without_data(lines: Sequence[str]) -> Layout:
     """The layout of a table without rows, or with rows of texts alone."""
     first = next((n for n, x in enumerate(lines) if x.strip() and x[0] not in _COMMENT), None)
     if first is None:
         raise Unusable("the file is empty; record the trial again or remove it")
     separator = max(",;\t|", key=lines[first].count)
     names = _numbered(cells(lines[first], separator))
-    return Layout(names, [""] * len(names), first + 1, separator, ".", encoding)
+    return Layout(names, [""] * len(names), first + 1, separator, ".")
 
 
 def _share_of_numbers(found: Sequence[str], decimal: str) -> float:
     full = [cell for cell in found if cell]
-    numbers = [cell for cell in full if _is_number(cell, decimal) or _DATE.fullmatch(cell)]
+    numbers = [cell for cell in full if _is_value(cell, decimal)]
     return len(numbers) / len(found) if full else 0.0
 
 
-def _is_number(cell: str, decimal: str) -> bool:
-    if decimal == "," and "." in cell:
-        return False
+def _is_value(cell: str, decimal: str) -> bool:
+    return number_with_unit(cell, decimal) is not None or bool(_DATE.fullmatch(cell))
+
+
+def number_with_unit(cell: str, decimal: str) -> tuple[float, str] | None:
+    """A cell as a number and what stands behind it; None where it is no number."""
+    found = _NUMBER.fullmatch(cell)
+    if found is None or (decimal == "," and "." in found["number"]):
+        return None
     try:
-        float(cell.replace(decimal, "."))
+        return float(found["number"].replace(decimal, ".")), found["unit"]
     except ValueError:
-        return False
-    return True
+        return None
 
 
 def _fits(line: str, separator: str, count: int) -> bool:

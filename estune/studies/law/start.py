@@ -12,9 +12,10 @@ from estune.core.gains import GAIN_NAMES, Gains
 from estune.errors import InvalidInput, JournalError
 from estune.loop_model.optimum import RobustnessLimits
 from estune.loop_model.prediction import StepTrial
+from estune.recordings.loop_log import DRIFT
 from estune.run.journal import FILE_NAME, RUNS
 from estune.run.start import KnownStart, StartRule
-from estune.service_records.sources import RATES_APART, read_logs
+from estune.service_records.sources import read_logs
 from estune.service_records.suggestion import suggest
 from estune.studies.law.law import GainLaw, fit_law
 from estune.studies.law.tuned import CELLS, TunedGains
@@ -73,7 +74,7 @@ def _by_records(
     if doubted is not None:  # a rig is not moved by gains that may be a thousand times off
         raise InvalidInput(f"{doubted}; write the unit into the heading of the log")
     rate = logs.logs[0].sampling_Hz
-    if abs(rate / rig.controller.sampling_Hz - 1.0) > RATES_APART:
+    if abs(rate / rig.controller.sampling_Hz - 1.0) > DRIFT:
         raise InvalidInput(
             f"{folder} is sampled at {rate:.6g} Hz, {rig.name} at "
             f"{rig.controller.sampling_Hz:.6g} Hz; give logs of the loop at the rig's own rate"
