@@ -261,5 +261,8 @@ def _forms(identifier: int, data: bytes) -> "Forms[tuple[int, bytes]]":
     }
 
 
-FAULTY = {"serial": FaultySerial, "can": FaultyCan}
+FAULTY: dict[str, type[FaultySerial] | type[FaultyCan]] = {
+    "serial": FaultySerial,
+    "can": FaultyCan,
+}
 """Devices with faults, by the names of `plants.emulator.devices.DEVICES`."""
