@@ -34,6 +34,7 @@ from estune.trial import (
     TrialRequest,
     record_frame,
 )
+from estune.trial.gain_bounds import GainBounds
 from experiments.inert_rig import RECORD
 from tests.protocol_examples import EXAMPLES, SAMPLES
 from tests.protocol_tables import (
@@ -50,7 +51,7 @@ REFERENCE = Path(__file__).parents[1] / "docs" / "reference"
 PAGE = REFERENCE / "rig-protocol.md"
 PAGES = (PAGE, REFERENCE / "rig-options.md")
 
-PARTS = (TrialRequest, Gains, RigDescription, ControllerSettings, RigLimits)
+PARTS = (TrialRequest, Gains, RigDescription, ControllerSettings, RigLimits, GainBounds)
 OPTIONAL_PARTS = (Setpoint, Feedback, ControllerForm, LinearModel)
 OPTIONAL_MESSAGES = (SwitchOff, Follow, Following, Failure)
 

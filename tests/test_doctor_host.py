@@ -39,7 +39,7 @@ def test_loop_that_commands_late_fails():
     def judged(turnaround_us):
         counts = np.zeros(BINS, np.int64)
         counts[turnaround_us // 2] = 1000
-        return check_loop(Timing(1000, 0, 0, counts, counts), 632.0)
+        return check_loop(Timing(1000, 0, 0, 0, counts, counts), 632.0)
 
     assert judged(400).state is State.FINE
     assert judged(900).state is State.FIX

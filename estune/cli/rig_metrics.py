@@ -21,6 +21,7 @@ METRICS = {
     "estune_rig_samples_total": "Samples of the control loop.",
     "estune_rig_late_samples_total": "Late samples of them.",
     "estune_rig_missed_samples_total": "Sampling instants skipped altogether.",
+    "estune_rig_bad_readings_total": "Bad readings of the driver.",
 }
 """Metrics by name, with their help; those of samples where the loop runs on this machine."""
 
@@ -68,6 +69,7 @@ class RigMetrics(Collector):
             yield _counter("estune_rig_samples_total", [({}, timing.samples)])
             yield _counter("estune_rig_late_samples_total", [({}, timing.late)])
             yield _counter("estune_rig_missed_samples_total", [({}, timing.missed)])
+            yield _counter("estune_rig_bad_readings_total", [({}, timing.bad)])
 
 
 def _counter(name: str, samples: list[tuple[dict[str, str], int]]) -> Family:

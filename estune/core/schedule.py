@@ -129,6 +129,12 @@ class GainSchedule:
                 ) from error
 
     @property
+    def extremes(self) -> tuple[Gains, ...]:
+        """The gains at the corners of the range, between which each gain lies everywhere."""
+        corners = product(self.length_m, self.tension_N)
+        return tuple(self.gains(length, tension) for length, tension in corners)
+
+    @property
     def curves(self) -> tuple[GainCurve, GainCurve, GainCurve, GainCurve]:
         """The curves in the order of `GAIN_NAMES`."""
         return self.P, self.I, self.D, self.setpoint_filter_s

@@ -30,6 +30,7 @@ from estune.hardware.tables import (
     ControllerTable,
     CurrentTable,
     DriverTable,
+    GainBoundsTable,
     GainsTable,
     GaugeTable,
     GuardTable,
@@ -65,6 +66,7 @@ class RigConfig(TomlTable):
     motion: MotionTable
     controller: ControllerTable = ControllerTable()
     gains: GainsTable | None = None
+    gain_bounds: GainBoundsTable = GainBoundsTable()
     schedule: ScheduleTable | None = None
     compensation: CompensationTable | None = None
     hybrid: HybridTable | None = None
@@ -116,6 +118,8 @@ class RigConfig(TomlTable):
             cable_length_m=self.reel.cable_length_m,
             software=f"estune {version('estune')}",
             compensation=self.compensation.text if self.compensation else "",
+            live_bounds=self.gain_bounds.live.bounds,
+            trial_bounds=self.gain_bounds.trial.bounds,
         )
 
     def calibrations(self) -> tuple[GaugeScale, CurrentScale]:
@@ -259,6 +263,17 @@ class RigConfig(TomlTable):
             ),
         )
 
+    def _check_live_gains(self) -> None:
+        """Checks that the rig accepts its own live gains, all those of a schedule.
+
+        Raises:
+            InvalidInput: it does not, or gains or step are out of their range.
+        """
+        about, source = self.describe(), self.length_source()
+        about.check_gains(about.gains)
+        for gains in source.schedule.extremes if source else ():
+            about.check_gains(gains)
+
     def _guard(self) -> Limits:
         others = {"eta_max", "deadline_margin_s", "bad_in_a_row", "bad_s"}
         return Limits(**self.guard.model_dump(exclude=others, exclude_none=True))
@@ -269,7 +284,7 @@ class RigConfig(TomlTable):
         wrong = [*_tensions(self), *_currents(self), *_times(self)]
         if self.gains is not None and self.schedule is not None:
             wrong.append("give either [gains] or a [schedule] of them, not both")
-        for make in (self.describe, self.calibrations, self.compensations):
+        for make in (self._check_live_gains, self.calibrations, self.compensations):
             try:
                 make()
             except InvalidInput as error:

@@ -118,6 +118,7 @@ class HardwareRig(Closing):
             if stored is not None:
                 return stored
             self._description.limits.check(request.profile)
+            self._description.check_gains(request.gains, trial=True)
             begin = self._prepare(request, self._trial_compensation(request))
             self._number, self._trial_id = begin.number, request.trial_id
             try:
@@ -133,6 +134,7 @@ class HardwareRig(Closing):
         """Makes gains the live ones, without a jump of the current; a schedule then ends.
 
         Raises:
+            InvalidInput: they are outside the rig's bounds.
             RigError: the rig is closed, its loop has failed, or its emergency stop is on.
         """
         with self._trial:
@@ -142,6 +144,7 @@ class HardwareRig(Closing):
                     f"rig {self._description.name} takes no gains: emergency stop "
                     f"({self._memory.estop_reason}); check it, then clear it"
                 )
+            self._description.check_gains(gains)
             live = pidf.coefficients(self._description.controller, gains)
             self._loop.request(SetLiveGains(live), Done, ANSWER_WITHIN_s)
             self._description = replace(self._description, gains=gains)

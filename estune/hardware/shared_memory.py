@@ -85,6 +85,7 @@ class Timing(NamedTuple):
         samples: Samples run.
         late: Samples that began late.
         missed: Sampling instants skipped altogether.
+        bad: Bad readings.
         lateness: Histogram of the time from the instant to the beginning of the sample.
         turnaround: Histogram of the time from the instant to the current command.
     """
@@ -92,6 +93,7 @@ class Timing(NamedTuple):
     samples: int
     late: int
     missed: int
+    bad: int
     lateness: NDArray[np.int64]
     turnaround: NDArray[np.int64]
 
@@ -101,6 +103,7 @@ class Timing(NamedTuple):
             self.samples - earlier.samples,
             self.late - earlier.late,
             self.missed - earlier.missed,
+            self.bad - earlier.bad,
             self.lateness - earlier.lateness,
             self.turnaround - earlier.turnaround,
         )
@@ -229,7 +232,7 @@ class Memory:
     def timing(self) -> Timing:
         """Timing of the loop."""
         words = self.words
-        counts = words[Word.SAMPLES], words[Word.LATE], words[Word.MISSED]
+        counts = words[Word.SAMPLES], words[Word.LATE], words[Word.MISSED], words[Word.BAD]
         return Timing(*counts, np.array(self.lateness), np.array(self.turnaround))
 
     def _write(self, view: memoryview, length: Word, text: str) -> None:

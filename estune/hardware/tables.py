@@ -13,6 +13,7 @@ from estune.reel.hybrid import SwitchingRules
 from estune.run.settings_table import table_of
 from estune.run.toml_tables import CONTROLLER, STEP
 from estune.support.toml_file import TomlTable
+from estune.trial.gain_bounds import GainBounds
 from estune.trial.profiles import StepProfile
 
 Positive = Annotated[float, Field(gt=0.0)]
@@ -177,6 +178,36 @@ class GainsTable(TomlTable):
     I: NotNegative
     D: NotNegative
     setpoint_filter_s: NotNegative
+
+
+class GainRangesTable(TomlTable):
+    """Least and greatest value of each gain; one that is left out is bounded by the effort."""
+
+    P: Annotated[Range | None, Field(strict=False)] = None
+    I: Annotated[Range | None, Field(strict=False)] = None
+    D: Annotated[Range | None, Field(strict=False)] = None
+    setpoint_filter_s: Annotated[Range | None, Field(strict=False)] = None
+
+    @property
+    def bounds(self) -> GainBounds | None:
+        """The bounds that are given; None where none are."""
+        given = self.model_dump(exclude_none=True)
+        return GainBounds(**given) if given else None
+
+    @model_validator(mode="after")
+    def _in_order(self) -> Self:
+        try:
+            _ = self.bounds
+        except InvalidInput as error:
+            raise ValueError(str(error)) from None
+        return self
+
+
+class GainBoundsTable(TomlTable):
+    """Bounds of the gains that the rig accepts."""
+
+    live: GainRangesTable = GainRangesTable()
+    trial: GainRangesTable = GainRangesTable()
 
 
 class ScheduleTable(TomlTable):

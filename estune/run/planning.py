@@ -17,6 +17,7 @@ from estune.run.plan import Plan
 from estune.run.start import KnownStart, StartRule, check_start, model_start
 from estune.run.trial_quality import check_sampling
 from estune.trial import RigDescription
+from estune.trial.gain_bounds import UNBOUNDED, GainBounds
 from estune.trial.profiles import LoadStepProfile, Profile, StepProfile
 from estune.tuners import (
     RecordUsingTuner,
@@ -34,9 +35,18 @@ of 100 left an optimum at a 170th of the start unfound, 19 % above it; no search
 
 
 def make_tuner(
-    tuner: str | Tuner[Any], start: Gains, bounds: Mapping[str, tuple[float, float]] | None
+    tuner: str | Tuner[Any],
+    start: Gains,
+    bounds: Mapping[str, tuple[float, float]] | None,
+    accepted: GainBounds = UNBOUNDED,
 ) -> Tuner[Any]:
     """A tuner by name, with a search space around the start; a tuner object is returned as is.
+
+    Args:
+        tuner: Its name, or the tuner.
+        start: The gains at the start.
+        bounds: Of single parameters, in place of the usual ones.
+        accepted: Bounds of a trial's gains that the rig accepts.
 
     Raises:
         InvalidInput: there is no tuner of that name, or the bounds are not usable.
@@ -47,9 +57,11 @@ def make_tuner(
                 "a tuner object has its own search space; give the bounds to that one"
             )
         return tuner
-    made = create_tuner(tuner, SearchSpace.around(start, bounds=bounds))
+    allowed = dict(accepted.items())
+    made = create_tuner(tuner, SearchSpace.around(start, bounds=bounds).within(allowed))
     if isinstance(made, RecordUsingTuner):
-        made = create_tuner(tuner, SearchSpace.around(start, MODEL_RANGE, bounds=bounds))
+        space = SearchSpace.around(start, MODEL_RANGE, bounds=bounds).within(allowed)
+        made = create_tuner(tuner, space)
     return made
 
 
@@ -83,7 +95,7 @@ def make_plan(
         check_start(start, description)
         source, start = start.source, start.gains
     start = start or description.gains
-    made = make_tuner(tuner, start, bounds)
+    made = make_tuner(tuner, start, bounds, description.bounds_of(trial=True))
     if isinstance(made, RecordUsingTuner):
         made = made.for_trial(trial, limits)
         limits = made.limits

@@ -11,6 +11,7 @@ from estune.core.gains import Gains
 from estune.core.pidf import ControllerSettings
 from estune.core.setting import Setting, check_settings, documented
 from estune.errors import InvalidInput
+from estune.trial.gain_bounds import EXCESS_LIVE, EXCESS_TRIAL, GainBounds, bounds_by_effort
 from estune.trial.profiles import AnyProfile, LoadStepProfile, StepProfile
 from estune.trial.signals import EFFORT, TENSION, NamedSignals, Signals
 
@@ -154,6 +155,9 @@ class RigDescription(NamedSignals):
         measurement: What is measured, and its unit, "speed, rad/s"; fields in N have this unit.
         command: What the controller commands, as `measurement`: "voltage, V".
         compensation: Its own compensations, as in a request.
+        live_bounds: Bounds of live gains. What is open (0, null) ends where one suggested step
+            takes the effort 100 times over its limit.
+        trial_bounds: Bounds of a trial's gains, likewise; 10000 times.
 
     Raises:
         InvalidInput: a number is not finite, or not above zero.
@@ -173,6 +177,28 @@ class RigDescription(NamedSignals):
     measurement: Annotated[str, omitted_if(TENSION)] = TENSION
     command: Annotated[str, omitted_if(EFFORT)] = EFFORT
     compensation: Annotated[str, omitted_if("")] = ""
+    live_bounds: Annotated[GainBounds | None, omitted_if(None)] = None
+    trial_bounds: Annotated[GainBounds | None, omitted_if(None)] = None
+
+    def bounds_of(self, *, trial: bool) -> GainBounds:
+        """Bounds of a trial's gains, or of live ones: those stated, else those by the effort."""
+        stated = self.trial_bounds if trial else self.live_bounds
+        default = bounds_by_effort(
+            self.controller,
+            self.step.step_N,
+            self.settling_time_s,
+            self.limits.duration_max_s,
+            EXCESS_TRIAL if trial else EXCESS_LIVE,
+        )
+        return default if stated is None else stated.and_default(default)
+
+    def check_gains(self, gains: Gains, *, trial: bool = False) -> None:
+        """Refuses gains outside the rig's bounds of a trial's gains, or of live ones.
+
+        Raises:
+            InvalidInput: one of them is outside.
+        """
+        self.bounds_of(trial=trial).check(gains, "a trial's" if trial else "live")
 
     @property
     def effort_scale(self) -> float | None:

@@ -7,7 +7,7 @@ keep the gains positive, and a step means the same at every order of magnitude.
 
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 from typing import Literal, Self
 
@@ -135,6 +135,23 @@ class SearchSpace:
             high=tuple(float(high) for _, high in sides),
             form=form,
         )
+
+    def within(self, allowed: Mapping[str, tuple[float, float]]) -> Self:
+        """The space without what a rig refuses of the parameters that are named.
+
+        Raises:
+            InvalidInput: the rig refuses the start, or nothing but it is left.
+        """
+        ends = [allowed.get(name, (-math.inf, math.inf)) for name in self.names]
+        for name, start, (least, most) in zip(self.names, self.start, ends, strict=True):
+            if not least <= start <= most:
+                raise InvalidInput(
+                    f"the search starts at {name} {start:g}, outside the rig's bounds of a "
+                    f"trial's gains, {least:g} to {most:g}; start from other gains"
+                )
+        low = tuple(max(a, least) for a, (least, _) in zip(self.low, ends, strict=True))
+        high = tuple(min(b, most) for b, (_, most) in zip(self.high, ends, strict=True))
+        return replace(self, low=low, high=high)
 
     @property
     def coordinate_bounds(self) -> tuple[Coordinates, Coordinates]:

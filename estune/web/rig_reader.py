@@ -112,6 +112,9 @@ class RigReader(Reader):
                 "text": in_words(rig),
                 "gains": list(rig.gains.as_tuple()),
                 "gain_labels": gain_labels(rig),
+                "gain_bounds": [
+                    f"{low:g} to {high:g}" for _, (low, high) in rig.bounds_of(trial=False).items()
+                ],
                 "measurement": rig.measurement,
                 "command": rig.command,
                 "measurement_limits": [limits.tension_min_N, limits.tension_max_N],

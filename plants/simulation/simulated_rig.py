@@ -83,14 +83,15 @@ class SimulatedRig:
         with self._trial:
             with self._state:
                 self._check_free()
-                limits = self._description.limits
+                description = self._description
                 self._stop.clear()
                 self._running = True
             try:
                 known = self._records.find_record(request)
                 if known is not None:
                     return known
-                limits.check(request.profile)
+                description.limits.check(request.profile)
+                description.check_gains(request.gains, trial=True)
                 record = self._perform(request)
                 self._records.add(request, record)
                 return record
@@ -99,9 +100,15 @@ class SimulatedRig:
                     self._running, self._shown = False, None
 
     def apply(self, gains: Gains) -> None:
-        """Makes gains the live ones."""
+        """Makes gains the live ones.
+
+        Raises:
+            InvalidInput: they are outside the rig's bounds.
+            RigError: the rig is closed or stopped.
+        """
         with self._state:
             self._check_free()
+            self._description.check_gains(gains)
             self._description = replace(self._description, gains=gains)
 
     def abort(self) -> RigDescription:

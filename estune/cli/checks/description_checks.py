@@ -10,6 +10,7 @@ from estune.remote.messages import Status
 from estune.run.results import result_warnings
 from estune.run.results.summary import margin_cells
 from estune.trial import RigDescription
+from estune.trial.gain_bounds import UNBOUNDED
 
 
 def check_status(status: Status) -> CheckResult:
@@ -68,6 +69,20 @@ def _faults(rig: RigDescription) -> Iterator[str]:
             f"a settling time of {rig.settling_time_s:g} s does not fit into the {after_s:g} s "
             "after the step"
         )
+
+
+def check_gain_bounds(rig: RigDescription) -> CheckResult:
+    """Which gains the rig accepts, and whether its live ones are among them."""
+    live, trial = rig.bounds_of(trial=False), rig.bounds_of(trial=True)
+    if UNBOUNDED in (live, trial):
+        return unknown(
+            "gain bounds", "none: neither the effort nor the rig's file limits the gains"
+        )
+    try:
+        rig.check_gains(rig.gains)
+    except InvalidInput as error:
+        return fix("gain bounds", str(error), "start the rig with other gains, or wider bounds")
+    return fine("gain bounds", f"live {live}; of a trial {trial}")
 
 
 def check_gains(rig: RigDescription) -> CheckResult:

@@ -31,6 +31,7 @@ def run_file_checks(
     about = config.describe()
     limits = description_checks.check_limits(about)
     yield limits
+    yield description_checks.check_gain_bounds(about)
     if config.driver.use == DRIVER:
         yield unknown(
             "time budget", "the loop is on the board", "serve it, then estune doctor ENDPOINT"

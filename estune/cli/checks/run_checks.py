@@ -80,6 +80,7 @@ def run_checks(
     limits = description_checks.check_limits(about)
     yield limits
     yield description_checks.check_gains(about)
+    yield description_checks.check_gain_bounds(about)
     host = host_checks.find_host(endpoint)
     yield host_checks.check_permissions(host, simulated=about.simulated, software=about.software)
     yield host_checks.check_ports(host, endpoint, authenticated=authenticated)

@@ -106,6 +106,7 @@ class BoardRig(Closing):
             if stored is not None:
                 return stored
             self._description.limits.check(request.profile)
+            self._description.check_gains(request.gains, trial=True)
             if request.compensation:
                 raise InvalidInput(
                     f"rig {self._description.name} is a board, whose compensations are compiled "
@@ -129,10 +130,12 @@ class BoardRig(Closing):
         """Makes gains the live ones, without a jump of the effort.
 
         Raises:
+            InvalidInput: they are outside the rig's bounds.
             RigError: the rig is closed or latched, or the board does not answer.
         """
         with self._trial:
             self._check_alive()
+            self._description.check_gains(gains)
             status = self._link.status(b"g", self._coefficients(gains))
             if status.latched:
                 raise self._latched(status)

@@ -161,7 +161,7 @@ class RequestHandler(MessageDispatcher):
 
     def gains(self, command: commands.SetGains) -> Answer:
         """Sets the live gains, unless a trial is active."""
-        apply = partial(self._executor.apply, command.gains)
+        apply = partial(self._executor.apply, command.gains, command.original)
         answer = self._change(events.SetGainsEvent(command.lease), RigAction.APPLY, apply)
         if answer.verdict is ReplyCode.ACCEPTED:
             self._ledger.keep_original(command.gains, command.original)

@@ -181,12 +181,18 @@ class TrialExecutor:
                 self._rig_free.release()
         return self.description
 
-    def apply(self, gains: Gains) -> None:
+    def apply(self, gains: Gains, original: Gains | None = None) -> None:
         """Sets the live gains.
 
+        Args:
+            gains: The gains.
+            original: What a daemon would restore later, which the rig must accept, too.
+
         Raises:
-            EstuneError: the rig refuses them, or is occupied.
+            EstuneError: they are outside its bounds, the rig refuses them, or is occupied.
         """
+        for live in filter(None, (gains, original)):
+            self.description.check_gains(live)
         with self._changing():
             self._rig.apply(gains)
 
@@ -217,6 +223,7 @@ class TrialExecutor:
         try:
             check_name("trial id", request.trial_id)
             self.description.limits.check(request.profile)
+            self.description.check_gains(request.gains, trial=True)
             samples = request.profile.samples(self.description.controller.sampling_Hz)
         except InvalidInput as error:
             return error

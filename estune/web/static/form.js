@@ -50,7 +50,7 @@ export function confirmGains(gains, heads, rows, notes) {
   const table = (head, lines) => make("table", {}, make("tr", {}, ...head.map((textContent) => make("th", { scope: "col" }, textContent))),
     ...lines.map(([name, ...cells]) => make("tr", {}, make("th", { scope: "row" }, name), ...cells.map((textContent) => make("td", {}, textContent)))));
   dialog.replaceChildren(make("form", { method: "dialog" }, make("h2", { id: "form-title", textContent: "Make these gains live on the rig?" }),
-    table(["gain", "live now", "new"], gains), table(["response", ...heads], rows), ...notes.map((textContent) => make("p", {}, textContent)),
+    table(["gain", "live now", "new", "the rig accepts"], gains), table(["response", ...heads], rows), ...notes.map((textContent) => make("p", {}, textContent)),
     make("div", { className: "buttons" }, button("Make live", { value: "yes", className: "primary" }), button("Cancel", { value: "" }))));
   dialog.returnValue = "";
   dialog.showModal();

@@ -148,7 +148,7 @@ async function apply({ gains, heads, rows, limits }) {
   const names = Object.keys(gains), instead_of = Object.fromEntries(names.map((name, n) => [name, about.gains[n]]));
   const number = (x) => Number(x.toPrecision(4)).toString();
   const measured = tried && names.every((name, n) => tried.gains[n] === gains[name]) ? `Measured in one trial: ${tried.measured}.` : "";
-  const changed = names.map((name, n) => [about.gain_labels[n], number(instead_of[name]), number(gains[name])]);
+  const changed = names.map((name, n) => [about.gain_labels[n], number(instead_of[name]), number(gains[name]), about.gain_bounds[n]]);
   if (await confirmGains(changed, heads, rows, [measured, limits].filter(Boolean))) command("apply", { gains, instead_of });
 }
 $("offer").addEventListener("click", () => apply({ heads: ["initial gains", "tuned gains"], ...shown.values.result.offer }));
