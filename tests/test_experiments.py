@@ -40,6 +40,7 @@ NIGHTLY = {
     "benchmark_trials",
     "chaos",
     "compensation",
+    "device_faults",
     "diagnosis_constants",
     "diagnosis_numbers",
     "faulty_rigs",
