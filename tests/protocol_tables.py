@@ -95,7 +95,7 @@ def json_code(value: object) -> str:
     return f"`{json.dumps(value)}`"
 
 
-OPTIONAL = ("ControllerForm", "LinearModel", "Setpoint", "Feedback", "Following")
+OPTIONAL = ("ControllerForm", "LinearModel", "GainBounds", "Setpoint", "Feedback", "Following")
 """Messages and parts of docs/reference/rig-options.md that others name."""
 
 _PLAIN: dict[Any, str] = {

@@ -51,8 +51,8 @@ REFERENCE = Path(__file__).parents[1] / "docs" / "reference"
 PAGE = REFERENCE / "rig-protocol.md"
 PAGES = (PAGE, REFERENCE / "rig-options.md")
 
-PARTS = (TrialRequest, Gains, RigDescription, ControllerSettings, RigLimits, GainBounds)
-OPTIONAL_PARTS = (Setpoint, Feedback, ControllerForm, LinearModel)
+PARTS = (TrialRequest, Gains, RigDescription, ControllerSettings, RigLimits)
+OPTIONAL_PARTS = (Setpoint, Feedback, ControllerForm, LinearModel, GainBounds)
 OPTIONAL_MESSAGES = (SwitchOff, Follow, Following, Failure)
 
 

@@ -155,9 +155,9 @@ class RigDescription(NamedSignals):
         measurement: What is measured, and its unit, "speed, rad/s"; fields in N have this unit.
         command: What the controller commands, as `measurement`: "voltage, V".
         compensation: Its own compensations, as in a request.
-        live_bounds: Bounds of live gains. What is open (0, null) ends where one suggested step
-            takes the effort 100 times over its limit.
-        trial_bounds: Bounds of a trial's gains, likewise; 10000 times.
+        live_bounds: Bounds of live gains; open ones end where one suggested step takes the effort
+            100 times over its limit.
+        trial_bounds: The same of a trial's gains; 10000 times.
 
     Raises:
         InvalidInput: a number is not finite, or not above zero.
