@@ -81,6 +81,26 @@ def test_dropped_log_is_mapped_by_hand_and_explained_with_a_model_by_form(page, 
     assert improved.drum_inertia_kg_m2 == pytest.approx(0.002, rel=0.1)
 
 
+@pytest.mark.slow
+@needs_browser
+def test_lists_of_numbers_need_no_brackets_and_a_fault_stands_beside_its_field(page):
+    with browser() as chromium, opened(chromium, page.address) as shown:
+        shown.locator("#described summary").click()
+        shown.get_by_label("Kind").select_option("linear plant")
+        for text in ("[45.8]", "45.8", " [ 45.8 ] "):
+            shown.get_by_label("numerator").fill(text)
+            expect(shown.locator("#toml")).to_have_value("[linear_plant]\nnumerator = [45.8]\n")
+        shown.get_by_label("denominator").fill("0.1, one")
+        shown.get_by_role("button", name="Use this model").click()
+        wrong = shown.locator("#key-denominator + .wrong")
+        expect(wrong).to_have_text('this is "one"; it must be a number')
+        expect(shown.locator("#message")).to_be_empty()
+        shown.get_by_label("denominator").fill("[0.1, 1]")
+        shown.get_by_role("button", name="Use this model").click()
+        expect(shown.locator("#model")).to_contain_text("model.toml")
+        expect(shown.locator(".wrong")).to_have_count(0)
+
+
 def asked(page, path, method="GET", body=b"", key=None):
     """Status and content of an answer."""
     address, _, token = page.address.partition("#key=")

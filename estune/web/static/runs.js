@@ -108,8 +108,7 @@ export class RunTable {
   }
 }
 
-// Puts rows into a table in this order. A row in its place is not taken out: it would lose the
-// focus, and with it the next key of somebody who works by keyboard.
+// Puts rows into a table in this order. A row in its place is not taken out: it would lose the focus.
 function place(body, rows) {
   const wanted = new Set(rows), focused = document.activeElement;
   for (const row of [...body.rows]) if (!wanted.has(row)) row.remove();
