@@ -226,6 +226,7 @@ def resume(
     run_folder: str | Path,
     target: Any = None,
     *,
+    trials: int | None = None,
     security: Security | None = None,
     patience_s: float | None = None,
     watch: ProgressListener | Literal["auto"] | None = "auto",
@@ -236,14 +237,15 @@ def resume(
     Args:
         run_folder: The run's folder.
         target: Present address of its rig; the earlier one by default.
+        trials: Another maximum number of search trials, with which a finished search goes on.
         security: As in `tune`.
         patience_s: As in `tune`.
         watch: As in `tune`.
         ask: As in `tune`; required if the run was begun with it.
 
     Raises:
-        InvalidInput: the run was made on an object, to be given as target, or needs an approval
-            callback.
+        InvalidInput: the run was made on an object, to be given as target, needs an approval
+            callback, or took as many trials already.
         JournalError: the run cannot be read, or another process is writing it.
         RigError: the rig cannot be reached, or is not the one the run was made on.
     """
@@ -261,6 +263,8 @@ def resume(
             target, journal.fact("rig_name"), security, patience_s, **own, gains=tuning_.plan.start
         ) as rig:
             check_same_rig(tuning_.description, rig.describe())
+            if trials is not None:
+                loop.extend(tuning_, trials)
             wanted = bool(journal.fact("tracking"))
             return _run(tuning_, rig, watch, ask, tracking=wanted)
     finally:

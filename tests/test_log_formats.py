@@ -327,3 +327,12 @@ def test_log_of_another_rate_or_without_a_loop_is_left_out_and_named(tmp_path):
     left_out = {issue.source for issue in found.issues if issue.level == "refused"}
     assert left_out == {"slow.csv", "notes.csv"}
     assert read_logs(tmp_path, None, 100.5).logs[0].sampling_Hz == pytest.approx(100.5)
+
+
+def test_reports_of_a_printer_without_times_ask_for_the_rate(tmp_path):
+    path = tmp_path / "octopi.txt"
+    path.write_text("\n".join(line.partition("Recv:")[2] for line in marlin()))
+    extruder = {"measurement": "extruder.temp"}
+    with pytest.raises(Unusable, match=r"no channel is the time; .* or give --sampling"):
+        read_loop_log(path, extruder)
+    check(read_loop_log(path, extruder, 2.0), rate=2.0)

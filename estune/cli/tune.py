@@ -138,6 +138,7 @@ def resume(
     /,
     *,
     target: str | None = None,
+    trials: int | None = None,
     security: Path | None = None,
     patience: float | None = None,
     folder: Path = Path(RUNS),
@@ -145,11 +146,12 @@ def resume(
     quiet: Flag = False,
     json: Flag = False,
 ) -> int:
-    """Continue a run that was stopped or interrupted.
+    """Continue a run that was stopped or interrupted, or extend a finished search.
 
     Args:
         run: The run: its name, or its folder.
         target: Present address of its rig; the earlier one by default.
+        trials: Another maximum number of search trials, with which a finished search goes on.
         security: Credentials file, if the rig requires authentication.
         patience: How long to wait for the rig to appear, and where it stops
             replying, s; 3 s and 30 s by default.
@@ -167,7 +169,13 @@ def resume(
     watch: Literal["auto"] | None = None if quiet else "auto"
     with continued_with_credentials(security), stopped_outside_trials():
         result = api.resume(
-            path, where, security=credentials, patience_s=patience, watch=watch, ask=ask
+            path,
+            where,
+            trials=trials,
+            security=credentials,
+            patience_s=patience,
+            watch=watch,
+            ask=ask,
         )
     if json:
         return print_result(result, report)

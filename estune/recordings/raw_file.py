@@ -54,7 +54,7 @@ programs as a rule."""
 _OWN = {
     ".csv": "text:read_text",
     ".tsv": "text:read_text",
-    ".txt": "text:read_text",
+    ".txt": "program_log:read_log",
     ".parquet": "parquet:read_parquet",
     ".mat": "matlab:read_mat",
     ".bag": "ros:read_bag",

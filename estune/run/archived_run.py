@@ -115,7 +115,8 @@ def _session(session: Session, entries: list[JournalEntry], journal: Journal) ->
     done = Outcome.DONE  # compared first: a run may have 100 000 trials
     counted = [e for e in entries if e.outcome is done or (e.outcome and not e.outcome.is_void)]
     search = [e for e in counted if e.phase is Phase.SEARCH]
-    others = [e for e in counted if e.phase is not Phase.SEARCH]
+    repeated_from = max((number for number, _ in journal.fact("extensions") or ()), default=0)
+    others = [e for e in counted if e.phase is not Phase.SEARCH and _counts(e, repeated_from)]
     excited = [e for e in others if e.phase is Phase.EXCITE]
     session = replace(
         session,
@@ -140,6 +141,11 @@ def _session(session: Session, entries: list[JournalEntry], journal: Journal) ->
     )
 
 
+def _counts(entry: JournalEntry, repeated_from: int) -> bool:
+    """Whether a trial counts at the end of a run: not one that confirmed before an extension."""
+    return entry.number >= repeated_from or entry.phase in (Phase.BASELINE, Phase.EXCITE)
+
+
 def _confirming(session: Session, entries: list[JournalEntry]) -> list[JournalEntry]:
     """Trials of the confirmation, with those of the baseline where it does not begin with one."""
     found = [e for e in entries if e.phase is Phase.CONFIRM]
@@ -159,7 +165,8 @@ def _repeats(
         tuple(math.inf if _censored(session, e) else e.cost for e in entries if e.gains == g)
         for g in gains
     )
-    return InterleavedRepeats(gains, max(map(len, costs)), costs)
+    # A confirmation ends as soon as its interval is narrow: within a round, as a rule.
+    return InterleavedRepeats(gains, min(map(len, costs)), costs)
 
 
 def _censored(session: Session, entry: JournalEntry) -> bool:

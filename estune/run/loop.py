@@ -21,6 +21,7 @@ from estune.run.recorded import with_recorded
 from estune.run.session import (
     Session,
     after_trial,
+    extended_search,
     is_unsafe,
     new_session,
     next_request,
@@ -143,9 +144,12 @@ def replay(plan: Plan, description: RigDescription, journal: Journal) -> TuningR
     tuning = start(plan, description, journal)
     entries = list(journal.entries())
     tuning.entries = [entry for entry in entries if entry.outcome is not None]
-    replayed, session = snapshot.read(journal, plan, tuning.entries)
-    tuning.session = session or tuning.session
-    for entry in entries[replayed:]:
+    extensions = journal.fact("extensions") or []
+    if not extensions:  # a snapshot is of one plan
+        replayed, session = snapshot.read(journal, plan, tuning.entries)
+        tuning.session, entries = session or tuning.session, entries[replayed:]
+    for entry in entries:
+        _extend_where_due(tuning, extensions)
         recorded = entry.trial_id, entry.gain_values
         requested = _requested(tuning.session)
         if requested != recorded:
@@ -157,10 +161,45 @@ def replay(plan: Plan, description: RigDescription, journal: Journal) -> TuningR
                 f"plan asks for ({requested}); the journal is of another version or was changed"
             )
         tuning.session = session_after(tuning, entry, journal)
+    _extend_where_due(tuning, extensions)
     read_kept_records(tuning, journal)
     if tuning.first_record is not None:
         adopt_first(tuning, tuning.first_record)
     return tuning
+
+
+def extend(tuning: TuningRun, trials: int) -> None:
+    """Gives a run a greater number of search trials, and notes it in its journal.
+
+    Raises:
+        InvalidInput: the search took as many trials already, or the run cannot go on.
+    """
+    session, run = tuning.session, tuning.plan.run
+    if session.failure:
+        raise InvalidInput(f"run {run} cannot go on: {session.failure}")
+    if trials <= session.search_trials:
+        raise InvalidInput(
+            f"trials is {trials}; the search of run {run} took {session.search_trials}: give more"
+        )
+    if session.phase in (Phase.CHOOSE, Phase.CONFIRM):
+        raise InvalidInput(
+            f"run {run} is confirming its gains; resume it without trials first, so that it ends"
+        )
+    if tuning.journal is not None:
+        earlier = tuning.journal.fact("extensions") or []
+        tuning.journal.note(extensions=[*earlier, [session.number, trials]], status="running")
+    _set_trials(tuning, trials)
+
+
+def _extend_where_due(tuning: TuningRun, extensions: Iterable[tuple[int, int]]) -> None:
+    for number, trials in extensions:
+        if number == tuning.session.number and not tuning.session.attempt:
+            _set_trials(tuning, trials)
+
+
+def _set_trials(tuning: TuningRun, trials: int) -> None:
+    tuning.session = extended_search(tuning.session, trials)
+    tuning.plan = tuning.session.plan
 
 
 def _requested(session: Session) -> tuple[str, tuple[float, ...]] | None:

@@ -190,6 +190,19 @@ def new_session(plan: Plan) -> Session:
     return Session(plan, plan.tuner.start(), Tally(plan.eta_max))
 
 
+def extended_search(session: Session, trials: int) -> Session:
+    """The session with another number of search trials; a search that has ended goes on."""
+    return replace(
+        session,
+        plan=replace(session.plan, trials=trials),
+        search_end="",
+        choice=None,
+        confirmation=None,
+        consecutive_settled=0,
+        consecutive_censored=0,
+    )
+
+
 def next_request(session: Session) -> TrialRequest | None:
     """The next trial; None when the run is complete or has failed."""
     gains = _next_gains(session)
