@@ -1,5 +1,6 @@
 """The runs of a folder, each read once for all pages that show it."""
 
+import math
 import os
 import threading
 import time
@@ -26,8 +27,7 @@ class RunFolder:
         self.path = path
         self._known: dict[Path, ListedRun] = {}
         self._lock = threading.Lock()
-        self._looked_at_s = -LOOK_S
-        self._of_rigs: dict[str, list[ListedRun]] = {}
+        self._of_rigs: dict[str, tuple[float, list[ListedRun]]] = {}
 
     def newest(self) -> list[ListedRun]:
         """At most `RUNS_MAX` runs, the one written last first; the same objects each time."""
@@ -44,10 +44,9 @@ class RunFolder:
 
     def of_rig(self, rig: str) -> list[ListedRun]:
         """The runs that name a rig, but for those on a model; the last trial's run first."""
-        if time.monotonic() - self._looked_at_s >= LOOK_S:
-            self._of_rigs = {}
-            self._looked_at_s = time.monotonic()
-        if rig not in self._of_rigs:
+        looked_at_s, found = self._of_rigs.get(rig, (-math.inf, []))
+        if time.monotonic() - looked_at_s >= LOOK_S:
             runs = [one for one in self.newest() if one.row().get("rig") == rig and one.is_of_rig]
-            self._of_rigs[rig] = sorted(runs, key=lambda one: one.last_at, reverse=True)
-        return self._of_rigs[rig]
+            found = sorted(runs, key=lambda one: one.last_at, reverse=True)
+            self._of_rigs[rig] = time.monotonic(), found
+        return found
