@@ -89,10 +89,17 @@ class BoardLink:
         """Sends a request that is answered by the board's status.
 
         Raises:
-            RigError: the board does not answer.
+            RigError: the board does not answer, or not by a status.
         """
-        numbers = _STATUS.unpack(self.exchange(kind, body))
-        return BoardStatus(BoardState(numbers[0]), *numbers[1:])
+        answer = self.exchange(kind, body)
+        try:
+            numbers = _STATUS.unpack(answer)
+            return BoardStatus(BoardState(numbers[0]), *numbers[1:])
+        except (struct.error, ValueError) as error:
+            raise RigError(
+                f"the board at {self._name} answers {kind!r} by {answer.hex()}, no status "
+                f"({error}); flash the program that this version exports"
+            ) from error
 
     def exchange(self, kind: bytes, body: bytes) -> bytes:
         """The body of the answer to a request.
@@ -110,9 +117,10 @@ class BoardLink:
                     answer = self._taken(data, kind)
                     if answer is not None:
                         return answer
+        lost = self._port.fault and f" ({self._port.fault})"
         raise RigError(
-            f"the board at {self._name} has not answered {self._attempts} requests; it stops by "
-            "itself: check its supply and the cable"
+            f"the board at {self._name} has not answered {self._attempts} requests{lost}; it "
+            "stops by itself: check its supply and the cable"
         )
 
     def close(self) -> None:
