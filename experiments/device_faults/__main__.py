@@ -43,7 +43,7 @@ WATCHED_s = 0.6
 LATCHED = "clear it"
 
 
-class Fault(NamedTuple):
+class DeviceFault(NamedTuple):
     """A fault of a device, of so many messages or, for none, of so many seconds."""
 
     name: str
@@ -57,18 +57,18 @@ _ONCE = {
 }
 _SILENCES_s = (0.01, 1.0, 5.0)
 _LONG = {"no heartbeats": 1.5, "unplugged": 1.0}
-_MINUTE = Fault("silence", seconds=60.0)
+_MINUTE = DeviceFault("silence", seconds=60.0)
 
 
-def faults(kind: str) -> list[Fault]:
+def faults(kind: str) -> list[DeviceFault]:
     """The 25 faults of a device."""
-    lasting = [Fault(name, 0, _LONG.get(name, 0.3)) for name in FAULTY[kind].faults]
-    once = [Fault(name, 1) for name in _ONCE[kind]]
-    return [*lasting, *once, *(Fault("silence", 0, seconds) for seconds in _SILENCES_s)]
+    lasting = [DeviceFault(name, 0, _LONG.get(name, 0.3)) for name in FAULTY[kind].faults]
+    once = [DeviceFault(name, 1) for name in _ONCE[kind]]
+    return [*lasting, *once, *(DeviceFault("silence", 0, seconds) for seconds in _SILENCES_s)]
 
 
 @dataclass(frozen=True)
-class Run:
+class FaultRun:
     """What a fault came to; what must not happen is True where it has.
 
     Attributes:
@@ -145,7 +145,9 @@ _WORDS = {
 """What a reason names that comes from the device."""
 
 
-def run(kind: str, fault: Fault, moment: str, rig: ServedRig, device: DeviceProcess) -> Run:
+def run(
+    kind: str, fault: DeviceFault, moment: str, rig: ServedRig, device: DeviceProcess
+) -> FaultRun:
     """One fault at one moment."""
     trial = MOMENTS[moment](rig, device)
     device.begin(fault.name, fault.messages)
@@ -165,7 +167,7 @@ def run(kind: str, fault: Fault, moment: str, rig: ServedRig, device: DeviceProc
     by_hand = moment == "while stopping" and "a hand in the cable" in told
     rig.call("clear")
     unusable = not until(lambda: _runs(rig), USABLE_WITHIN_s)
-    return Run(
+    return FaultRun(
         device=kind,
         fault=f"{fault.name}, {'once' if fault.messages else f'{fault.seconds:g} s'}",
         moment=moment,
@@ -201,7 +203,7 @@ def _same(first: Result | None, again: Result | None) -> bool:
     return not isinstance(again, TrialRecord)
 
 
-def campaign(kind: str, cases: list[tuple[Fault, str]], folder: Path) -> list[Run]:
+def campaign(kind: str, cases: list[tuple[DeviceFault, str]], folder: Path) -> list[FaultRun]:
     """The faults of one device."""
     runs = []
     with (
@@ -220,7 +222,7 @@ def campaign(kind: str, cases: list[tuple[Fault, str]], folder: Path) -> list[Ru
 COUNTED = ("ended", "moved", "lost", "twice", "gains_wrong", "untold", "unusable")
 
 
-def figures_of(runs: list[Run]) -> dict[str, Any]:
+def figures_of(runs: list[FaultRun]) -> dict[str, Any]:
     """Figures of runs."""
     counts = {name: sum(int(asdict(run)[name]) for run in runs) for name in COUNTED}
     by_moment = Counter(f"{run.device} {run.moment}" for run in runs if run.latched)
@@ -232,7 +234,7 @@ def main() -> int:
     parser = command_line(__doc__, quick="a fault of each moment")
     parser.add_argument("--device", choices=tuple(FAULTY), help="one device only")
     options = parser.parse_args()
-    runs: list[Run] = []
+    runs: list[FaultRun] = []
     for kind in [options.device] if options.device else FAULTY:
         cases = [*product(faults(kind), MOMENTS), (_MINUTE, "in a trial")]
         if options.quick:

@@ -45,12 +45,12 @@ export async function openForm(view, start) {
   dialog.showModal();
 }
 
-// Whether somebody agrees that gains become live; rows are [label, before, after].
+// Whether gains are to become live.
 export function confirmGains(gains, heads, rows, notes) {
   const table = (head, lines) => make("table", {}, make("tr", {}, ...head.map((textContent) => make("th", { scope: "col" }, textContent))),
     ...lines.map(([name, ...cells]) => make("tr", {}, make("th", { scope: "row" }, name), ...cells.map((textContent) => make("td", {}, textContent)))));
   dialog.replaceChildren(make("form", { method: "dialog" }, make("h2", { id: "form-title", textContent: "Make these gains live on the rig?" }),
-    table(["gain", "live now", "new", "the rig accepts"], gains), table(["response", ...heads], rows), ...notes.map((textContent) => make("p", {}, textContent)),
+    table(["gain", "live now", "new", "bounds"], gains), table(["response", ...heads], rows), ...notes.map((textContent) => make("p", {}, textContent)),
     make("div", { className: "buttons" }, button("Make live", { value: "yes", className: "primary" }), button("Cancel", { value: "" }))));
   dialog.returnValue = "";
   dialog.showModal();

@@ -141,7 +141,7 @@ function confirm(values) {
   say(`${name}: done; ${sentence}`);
 }
 
-// Makes gains live once somebody has agreed, seeing what changes.
+// Makes gains live once that is agreed.
 async function apply({ gains, heads, rows, limits }) {
   const { description: about, "curve.tried": tried } = shown.values;
   if (!about) return say("apply: without a link to the rig nothing can be applied");
