@@ -1,4 +1,4 @@
-"""Writes the generated sections of docs/reference/rig-protocol.md and rig-options.md.
+"""Writes the generated sections of the pages on the rig protocol, its options and security.
 
 The prose of the pages is written by hand. Its tables, examples and bytes lie between markers and
 are made from the code. Run it after each change of the protocol:
@@ -17,6 +17,7 @@ from estune.core.pidf import ControllerSettings
 from estune.remote import messages
 from estune.remote.messages import VERBS, Failure, Following, Keys
 from estune.remote.messages.commands import VERB_OF, Follow, SwitchOff
+from estune.remote.messages.rights import Right
 from estune.remote.state_machine import rig, state
 from estune.remote.state_machine.reply_codes import OF_TRIAL, ReplyCode
 from estune.remote.state_machine.state import Mode
@@ -49,7 +50,7 @@ from tests.state_tables import matrix
 
 REFERENCE = Path(__file__).parents[1] / "docs" / "reference"
 PAGE = REFERENCE / "rig-protocol.md"
-PAGES = (PAGE, REFERENCE / "rig-options.md")
+PAGES = (PAGE, REFERENCE / "rig-options.md", REFERENCE.parent / "how-to" / "security.md")
 
 PARTS = (TrialRequest, Gains, RigDescription, ControllerSettings, RigLimits)
 OPTIONAL_PARTS = (Setpoint, Feedback, ControllerForm, LinearModel, GainBounds)
@@ -160,6 +161,21 @@ def live_bytes() -> Iterator[str]:
     yield from hex_dump(messages.encode_live(SAMPLES))
 
 
+def rights() -> Iterator[str]:
+    """What each right lets a user do."""
+    yield from table(
+        ("", *(f"`{right}`" for right in Right)),
+        (
+            (what, *("yes" if right.includes(least) else "" for right in Right))
+            for what, least in (
+                ("descriptions, states, records, live samples", Right.LOOK),
+                *((f"`{name}`", verb.right) for name, verb in VERBS.items()),
+                ("commands to a daemon", Right.COMMAND),
+            )
+        ),
+    )
+
+
 def limits() -> Iterator[str]:
     """Limits and times."""
     rows = (
@@ -183,7 +199,7 @@ SECTIONS: dict[str, Callable[[], Iterator[str]]] = {
     for made in (
         *(keys, message_examples, optional_messages, parts, optional_parts, step_profile),
         *(profiles, verdicts, modes),
-        *(trials, outcomes, header, frame_bytes, part_bytes, live_bytes, limits),
+        *(trials, outcomes, header, frame_bytes, part_bytes, live_bytes, limits, rights),
     )
 }
 

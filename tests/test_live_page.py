@@ -11,6 +11,7 @@ from playwright.sync_api import expect
 from estune import tune
 from estune.errors import JournalError
 from estune.remote import zenoh
+from estune.remote.messages.rights import Right
 from estune.remote.zenoh.local_endpoints import local_endpoints
 from estune.run.journal import Journal
 from estune.support.user import user_at_host
@@ -39,7 +40,7 @@ def run(tmp_path_factory):
                 while not (folder / "live" / "run.sqlite").exists():
                     assert process.poll() is None
                 view = run_view_when_there(folder / "live")
-                server = PageServer(lambda: [view], may_command=True)
+                server = PageServer(lambda: [view], right=Right.COMMAND)
                 try:
                     yield rig, server, folder
                 finally:
@@ -165,7 +166,7 @@ def test_one_page_lists_all_on_this_machine_and_marks_what_has_gone(
     tune(ArithmeticRig(), trials=2, run="first", folder=runs, watch=None)
     folder = RunFolder(runs)
     here, listed = EndpointViews(local_endpoints, runs=folder), folder_views(folder)
-    server = PageServer(lambda: [*here(), *listed()], may_command=True)
+    server = PageServer(lambda: [*here(), *listed()], right=Right.COMMAND)
     try:
         with (
             rig_served() as (_, endpoint),

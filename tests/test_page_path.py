@@ -8,6 +8,7 @@ from playwright.sync_api import expect
 
 from estune.errors import InvalidInput, RigError
 from estune.remote import zenoh
+from estune.remote.messages.rights import Right
 from estune.support.user import user_at_host
 from estune.web.run_folder import RunFolder
 from estune.web.server import PageServer
@@ -25,7 +26,7 @@ def emulated(tmp_path):
     """A simulated reel in a process of its own, and the server of its page."""
     with served("paced simulated") as rig:
         view = rig_view(rig.endpoint, "reel", runs=RunFolder(tmp_path))
-        server = PageServer(lambda: [view], may_command=True)
+        server = PageServer(lambda: [view], right=Right.COMMAND)
         try:
             yield rig, server, tmp_path
         finally:

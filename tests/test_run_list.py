@@ -10,6 +10,7 @@ from playwright.sync_api import expect
 from estune import api, tune
 from estune.cli import run as estune
 from estune.errors import InvalidInput
+from estune.remote.messages.rights import Right
 from estune.run.journal import Journal
 from estune.run.labels import (
     LABELS,
@@ -42,7 +43,7 @@ def runs(tmp_path):
 @needs_browser
 def test_runs_are_laid_over_each_other_labelled_and_deleted_by_keyboard(chromium, runs):
     (runs / "first" / NUMBERS).write_text('{"rise_time_s": 0.0303, "overshoot": 0.05, "Ms": 1.6}')
-    server = PageServer(folder_views(RunFolder(runs)), may_command=True)
+    server = PageServer(folder_views(RunFolder(runs)), right=Right.COMMAND)
     try:
         with opened(chromium, server.address) as page:
             row = page.locator("#views tbody tr", has_text="first")
@@ -98,7 +99,7 @@ def test_list_that_changes_leaves_the_focus_where_it_is_and_sorts(chromium, runs
 
 
 def test_labels_and_deletion_are_refused_without_the_key_and_without_the_name(runs):
-    server = PageServer(folder_views(RunFolder(runs)), may_command=True)
+    server = PageServer(folder_views(RunFolder(runs)), right=Right.COMMAND)
     key = server.address.partition("#key=")[2]
     try:
         for token, arguments, status in (

@@ -14,11 +14,15 @@ import pytest
 from estune.cli import run
 from estune.errors import InvalidInput, RigError
 from estune.remote import zenoh
+from estune.remote.messages import VERBS
+from estune.remote.messages.rights import Right
 from estune.remote.security import OPEN, read_security
 from estune.remote.state_machine.state import Mode
 from estune.remote.zenoh.daemon_service import DaemonClient
 from estune.run.trial_file import TrialFile
 from estune.trial import Outcome
+from estune.web.board import Board
+from estune.web.rig_reader import RigReader
 from tests.support_daemon import daemon, rig_table
 from tests.support_rigs import ScriptedRig, description
 from tests.test_bus import trial
@@ -48,14 +52,16 @@ def served(endpoint: str, **options):
 
 # --- passwords ---
 
-ACCESS = '[access]\ncommand = ["anna"]\nlook = ["guest"]\n'
+ACCESS = '[access]\ncommand = ["anna"]\nstop = ["ben"]\nlook = ["guest"]\n'
+HOLDERS = {"anna": Right.COMMAND, "ben": Right.STOP, "guest": Right.LOOK}
 
 
 @pytest.fixture
 def users(tmp_path):
     """Settings of the rig, of anna, of a guest, of a liar and of a stranger."""
-    secret(tmp_path / "users", "anna:horse battery\nguest:look\nstranger:odd\n")
-    given = {"anna": "horse battery", "guest": "look", "liar": "wrong", "stranger": "odd"}
+    secret(tmp_path / "users", "anna:horse battery\nben:halt\nguest:look\nstranger:odd\n")
+    given = {"anna": "horse battery", "ben": "halt", "guest": "look"}
+    given |= {"liar": "wrong", "stranger": "odd"}
     found = {"rig": security(tmp_path / "rig.toml", f'[password]\nusers_file = "users"\n{ACCESS}')}
     for name, word in given.items():
         secret(tmp_path / f"{name}.password", word)
@@ -220,7 +226,7 @@ def holders(tmp_path_factory):
     for name in ("ca", "other"):
         authority(folder, name)
     found = {}
-    for name in ("rig", "anna", "guest", "forger", *EXTENSIONS):
+    for name in ("rig", *HOLDERS, "forger", *EXTENSIONS):
         signer = "other" if name == "forger" else "ca"
         certificate(folder, name, signer)
         text = (
@@ -325,6 +331,29 @@ def test_idle_connections_keep_out_neither_a_newcomer_nor_a_stop(holders, what):
         with zenoh.connect(server.endpoint, security=anna) as newcomer:
             newcomer.estop("smoke again")
         assert time.monotonic() - began_s < NEWCOMER_S
+
+
+# --- the table of verbs and rights ---
+
+
+@pytest.mark.parametrize("way", ["users", "holders"])
+@pytest.mark.parametrize(("who", "right"), HOLDERS.items())
+def test_right_includes_the_verbs_of_the_table_and_no_others(way, who, right, request):
+    known = request.getfixturevalue(way)
+    scheme = "tls" if way == "holders" else "tcp"
+    with (
+        served(f"{scheme}/127.0.0.1:0", security=known["rig"]) as (_, server),
+        zenoh.connect(server.endpoint, security=known[who]) as client,
+    ):
+        link = client._connection
+        keys = {verb: link.keys.command(link.instance, verb) for verb in VERBS}
+        answered = {verb for verb, key in keys.items() if link.ask(key, b"{}")}
+        assert answered == {name for name, verb in VERBS.items() if right.includes(verb.right)}
+        assert client.right is right
+        reader = RigReader(Board(), lambda: client)
+        reader.read()
+        assert reader.board.get("right") == right
+        reader.release()
 
 
 # --- the file ---

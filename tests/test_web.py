@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 
 from estune import tune
 from estune.errors import InvalidInput
+from estune.remote.messages.rights import Right
 from estune.remote.zenoh import connect
 from estune.run.journal import Journal
 from estune.support.user import user_at_host
@@ -92,7 +93,7 @@ def server():
         [],
         commands={"estop": lambda who, _given: done.append(who) or "asked"},
     )
-    server = PageServer(lambda: [view], may_command=True)
+    server = PageServer(lambda: [view], right=Right.COMMAND)
     server.done = done
     yield server
     server.close()
@@ -139,6 +140,32 @@ def test_command_needs_the_key_and_a_known_name(server):
     answer = ask(server, "/api/command", "POST", body, **with_key)
     assert json.loads(answer.text) == {"done": True, "sentence": "asked"}
     assert server.done == [f"{user_at_host()} on the live page"]
+
+
+@pytest.mark.parametrize(
+    ("page", "at_rig", "allowed"),
+    [
+        (Right.COMMAND, None, ["apply", "estop", "label"]),  # no link yet
+        (Right.COMMAND, Right.STOP, ["estop", "label"]),
+        (Right.COMMAND, Right.LOOK, ["label"]),
+        (Right.STOP, Right.COMMAND, ["estop"]),
+        (Right.LOOK, Right.COMMAND, []),
+    ],
+)
+def test_page_shows_and_does_what_it_and_its_server_have_a_right_to(page, at_rig, allowed):
+    commands = dict.fromkeys(("estop", "apply", "label"), lambda *_: "done")
+    view = View("reel", "rig", Board(), [], commands=commands)
+    view.board.put("right", at_rig)
+    server = PageServer(lambda: [view], right=page)
+    found = KEY.search(server.address)
+    headers = {"Authorization": f"Bearer {found[1] if found else ''}"}
+    done = []
+    for name in commands:
+        body = json.dumps({"view": "reel", "command": name})
+        if ask(server, "/api/command", "POST", body, **headers).status == 200:
+            done.append(name)
+    assert sorted(done) == view.allowed(page) == allowed
+    server.close()
 
 
 def test_server_without_leave_to_command_has_no_key_and_refuses():

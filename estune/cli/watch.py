@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 from estune.cli.runs import find_run
 from estune.cli.values import Flag, RunName, security_from
 from estune.errors import RigError
+from estune.remote.messages.rights import Right
 from estune.remote.security import Security
 from estune.remote.zenoh.endpoints import check_endpoint
 from estune.run.journal import FILE_NAME, RUNS
@@ -26,6 +27,7 @@ def watch(
     port: int = PORT,
     host: str = "127.0.0.1",
     allow_commands: Flag = False,
+    allow_stop: Flag = False,
     allow_remote: Flag = False,
     security: Path | None = None,
     folder: Path = Path(RUNS),
@@ -44,6 +46,7 @@ def watch(
         host: Address of this machine at which the page is served.
         allow_commands: Let the page stop the rig and command the daemon. The printed address
             contains the key that commands need.
+        allow_stop: Let the page stop the rig, and nothing else; with such a key.
         allow_remote: Serve the page to other machines; whoever reaches it can read it.
         security: Credentials file, if a rig or daemon requires authentication.
         folder: Folder of runs: those that are shown by default and of the rigs, and in which a run
@@ -53,6 +56,8 @@ def watch(
     from estune.web.server import PageServer  # noqa: PLC0415  as above
     from estune.web.views import folder_views  # noqa: PLC0415  as above
 
+    stop = Right.STOP if allow_stop else Right.LOOK
+    right = Right.COMMAND if allow_commands else stop
     credentials, runs = security_from(security), RunFolder(folder)
     with ExitStack() as ends:
         alone = len(what) == 1
@@ -66,7 +71,7 @@ def watch(
             lambda: [view for views in sources for view in views()],
             host=host,
             port=port,
-            may_command=allow_commands,
+            right=right,
             allow_remote=allow_remote,
         )
         ends.callback(server.close)

@@ -9,6 +9,7 @@ from pydantic import Field, model_validator
 
 from estune.core.control_chart import ControlChart
 from estune.daemon.events import EventKind
+from estune.remote.messages.rights import Right
 from estune.remote.zenoh.endpoints import check_endpoint, check_loopback
 from estune.run.planning import suited_step
 from estune.run.toml_tables import (
@@ -72,10 +73,18 @@ class PageTable(TomlTable):
         http_port: Port of 127.0.0.1 that serves the page; 0 takes a free one.
         allow_commands: Let the page command the daemon and stop the rigs, with a key that is part
             of the address printed at the start.
+        allow_stop: Let the page stop the rigs alone, with such a key.
     """
 
     http_port: Annotated[int, Field(ge=0, le=65535)] | None = None
     allow_commands: bool = False
+    allow_stop: bool = False
+
+    @property
+    def right(self) -> Right:
+        """What a page with the key may do."""
+        stop = Right.STOP if self.allow_stop else Right.LOOK
+        return Right.COMMAND if self.allow_commands else stop
 
 
 class HookTable(TomlTable):

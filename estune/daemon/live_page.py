@@ -34,5 +34,4 @@ def serve_page(
         )
         for rig in config.rig
     ]
-    page = config.page
-    return PageServer(lambda: views, port=page.http_port or 0, may_command=page.allow_commands)
+    return PageServer(lambda: views, port=config.page.http_port or 0, right=config.page.right)

@@ -14,6 +14,7 @@
 
     [access]  # of a listener: the rights of each user; others have none
     command = ["anna"]
+    stop = ["ben"]
     look = ["guest"]
 
 Relative paths start at this file. A file with a secret must be readable by its owner alone. See
@@ -22,20 +23,21 @@ docs/how-to/security.md.
 
 import ssl
 from collections.abc import Mapping
-from contextlib import suppress
 from pathlib import Path
 from typing import Any, Self
 
 from pydantic import Field, model_validator
 
 from estune.errors import InvalidInput
+from estune.remote.messages.commands import VERBS
+from estune.remote.messages.rights import Right
 from estune.support.toml_file import TomlTable, read_toml, validate
 
 _IN, _OUT = ["ingress"], ["egress"]
 # Messages that an observer sends and receives; commands have keys of their own.
 _QUERIES = ["query", "declare_subscriber", "liveliness_query", "declare_liveliness_subscriber"]
 _REPLIES = ["reply", "put", "declare_queryable", "liveliness_token"]
-_KEYS, _COMMANDS = ["reel/**"], ["reel/**/@cmd/**"]
+_KEYS = ["reel/**"]
 
 
 class Password(TomlTable):
@@ -81,31 +83,6 @@ class Tls(TomlTable):
             **{f"{side}_private_key": self.key for side in ("listen", "connect")},
         }
 
-    @property
-    def own_name(self) -> str:
-        """Common name of the certificate, as the authority's other end reads it.
-
-        Raises:
-            InvalidInput: a file cannot be used, or the authority does not accept the certificate.
-        """
-        sides = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT), ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
-        for side in sides:
-            side.check_hostname, side.verify_mode = False, ssl.CERT_REQUIRED
-            self.load_into(side)
-        there, back = ssl.MemoryBIO(), ssl.MemoryBIO()
-        client = sides[0].wrap_bio(back, there)
-        server = sides[1].wrap_bio(there, back, server_side=True)
-        try:
-            for end in (client, server, client, server):
-                with suppress(ssl.SSLWantReadError):
-                    end.do_handshake()
-        except ssl.SSLError as error:
-            raise InvalidInput(
-                f"{self.authority} does not accept {self.certificate}, which must serve for both "
-                f"sides of a connection: {getattr(error, 'verify_message', error.reason)}"
-            ) from error
-        return common_name(server.getpeercert() or {})
-
     def load_into(self, context: ssl.SSLContext) -> None:
         """Makes a context identify itself by the certificate and trust the authority.
 
@@ -149,35 +126,30 @@ class Access(TomlTable):
     """Rights: names of users, or common names of certificates."""
 
     command: list[str] = Field(default_factory=list)
+    stop: list[str] = Field(default_factory=list)
     look: list[str] = Field(default_factory=list)
 
-    def settings(self, names_are: str, own_name: str = "") -> dict[str, Any]:
+    def right_of(self, name: str) -> Right | None:
+        """The greatest right of a name; None if it has none."""
+        return next((right for right in reversed(Right) if name in getattr(self, right)), None)
+
+    def settings(self, names_are: str, of_front: Right | None = None) -> dict[str, Any]:
         """Zenoh settings of this table.
 
         Args:
             names_are: The kind of names, as Zenoh calls it.
-            own_name: Common name of a listener behind a TLS front, which has compared the
-                clients' names itself and passes on those with all rights by a socket of their
-                own, the others as itself. Names then are those of routers.
+            of_front: The right of whatever comes by a socket of Unix: a TLS front has compared
+                the clients' names.
         """
-        observers, commanders = {*self.look, *self.command}, {*self.command}
-        subjects: list[tuple[str, str, set[str]]] = [
-            ("look", names_are, observers - {own_name}),
-            ("command", names_are, commanders - {own_name}),
-        ]
-        if own_name:
-            subjects += [
-                ("look", "cert_common_names", {own_name}),
-                ("look", "link_protocols", {"unixsock-stream"}),
-                ("command", "link_protocols", {"unixsock-stream"}),
-            ]
-        named = [(i, *subject) for i, subject in enumerate(subjects) if subject[2]]
-        rules = [
-            ("look sends", _IN, _QUERIES, _KEYS),
-            ("look receives", _OUT, _REPLIES, _KEYS),
-            ("command sends", _IN, ["query"], _COMMANDS),
-            ("command receives", _OUT, ["reply", "declare_queryable"], _COMMANDS),
-        ]
+        subjects = [(right, names_are, sorted(getattr(self, right))) for right in Right]
+        if of_front is not None:
+            subjects.append((of_front, "link_protocols", ["unixsock-stream"]))
+        named = [(f"{i}", *subject) for i, subject in enumerate(subjects) if subject[2]]
+        rules = [("look sends", _IN, _QUERIES, _KEYS), ("look receives", _OUT, _REPLIES, _KEYS)]
+        for right in Right:
+            if keys := _command_keys(right):
+                rules.append((f"{right} sends", _IN, ["query"], keys))
+                rules.append((f"{right} receives", _OUT, ["reply", "declare_queryable"], keys))
         return {
             "enabled": True,
             "default_permission": "deny",
@@ -185,12 +157,24 @@ class Access(TomlTable):
                 {"id": name, "permission": "allow", "flows": f, "messages": m, "key_exprs": k}
                 for name, f, m, k in rules
             ],
-            "subjects": [{"id": f"{i}", kind: sorted(names)} for i, _, kind, names in named],
+            "subjects": [{"id": id_, kind: names} for id_, _, kind, names in named],
             "policies": [
-                {"rules": [f"{right} sends", f"{right} receives"], "subjects": [f"{i}"]}
-                for i, right, _, _ in named
+                {
+                    "rules": [
+                        name for name, *_ in rules if right.includes(Right(name.partition(" ")[0]))
+                    ],
+                    "subjects": [id_],
+                }
+                for id_, right, _, _ in named
             ],
         }
+
+
+def _command_keys(right: Right) -> list[str]:
+    """The keys of the commands that need a right. Of all a daemon's, that is the greatest."""
+    if right is Right.COMMAND:
+        return ["reel/**/@cmd/**"]
+    return [f"reel/*/*/@cmd/*/{name}" for name, verb in VERBS.items() if verb.right is right]
 
 
 class Security(TomlTable):
@@ -222,35 +206,37 @@ class Security(TomlTable):
             raise InvalidInput(f"endpoint {endpoint} needs certificates: add [tls] to --security")
 
     @property
-    def observers(self) -> frozenset[str]:
-        """Names of certificates whose clients may look and not command."""
+    def rights(self) -> tuple[Right, ...]:
+        """The rights by which a TLS front tells clients apart; with passwords it does not."""
         if self.access is None or self.password is not None:
-            return frozenset()
-        return frozenset(self.access.look) - frozenset(self.access.command)
+            return (Right.COMMAND,)
+        names = self.access
+        return tuple(r for r in Right if r is Right.COMMAND or getattr(names, r))
 
-    def lets_command(self, name: str) -> bool:
-        """Whether a client is let through with all rights, by the name of its certificate.
+    def right_of(self, name: str) -> Right | None:
+        """The right with which a front passes on a client, by the name of its certificate."""
+        if self.access is None or self.password is not None:
+            return Right.COMMAND
+        return self.access.right_of(name)
 
-        With passwords, the session tells clients apart.
+    def settings(self, of_front: Right | None = None) -> dict[str, Any]:
+        """Additional settings of a Zenoh session, by key.
+
+        Args:
+            of_front: The right of the clients that a TLS front passes on to it, if one does.
         """
-        if self.access is None or self.password is not None:
-            return True
-        return name in self.access.command
-
-    def settings(self, *, behind_front: bool = False) -> dict[str, Any]:
-        """Additional settings of a Zenoh session, by key; of one behind a TLS front if asked."""
         settings: dict[str, Any] = {}
         if self.password is not None:
             settings["transport/auth/usrpwd"] = self.password.settings()
         if self.tls is not None:
-            front = ["unixsock-stream"] if behind_front else []
+            front = ["unixsock-stream"] if of_front else []
             settings["transport/link/protocols"] = ["tls", "quic", *front]
             settings["transport/link/tls"] = self.tls.settings()
         if self.access is not None:
             by_password = self.password is not None
-            own = self.tls.own_name if self.tls and behind_front and not by_password else ""
             names_are = "usernames" if by_password else "cert_common_names"
-            settings["access_control"] = self.access.settings(names_are, own)
+            given = None if by_password else of_front
+            settings["access_control"] = self.access.settings(names_are, given)
         return settings
 
 

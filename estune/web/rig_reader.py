@@ -97,6 +97,7 @@ class RigReader(Reader):
         self.board.put("rig", shown)
         if self._readings % _DESCRIBED_EVERY == 0:
             self._show_description(self._rig.describe())
+            self.board.put("right", self._rig.right)
         self._readings += 1
 
     def _show_description(self, rig: RigDescription) -> None:

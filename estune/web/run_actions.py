@@ -17,6 +17,10 @@ NOTES = "actions.jsonl"
 """File in the folder of runs to which each action adds a line."""
 
 
+STORED = ("label", "delete")
+"""The actions on a run that need no rig."""
+
+
 def run_actions(run: Path, rig: str) -> dict[str, Callable[[str, Mapping[str, Any]], str]]:
     """The actions on a run by name."""
     return {"label": partial(_label, run, rig), "delete": partial(_delete, run, rig)}

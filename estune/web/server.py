@@ -15,6 +15,7 @@ from starlette.responses import JSONResponse, Response, StreamingResponse
 from starlette.routing import Route
 
 from estune.errors import EstuneError
+from estune.remote.messages.rights import Right
 from estune.support.user import user_at_host
 from estune.web.board import Seen, to_json
 from estune.web.daemon_reader import daemon_row
@@ -55,15 +56,23 @@ class PageServer:
         *,
         host: str = "127.0.0.1",
         port: int = 0,
-        may_command: bool = False,
+        right: Right = Right.LOOK,
         allow_remote: bool = False,
     ) -> None:
         """Listens; port 0 takes a free one.
+
+        Args:
+            views: What is shown.
+            host: Address at which it listens.
+            port: The port.
+            right: What a page with the key may do.
+            allow_remote: Whether other machines may open the page.
 
         Raises:
             InvalidInput: the port is taken, or other machines could open the page.
         """
         self._views = views
+        self._right = right
         self._pages = 0
         self._listing = threading.Lock()
         self._list_made = -math.inf, "", ""
@@ -79,7 +88,7 @@ class PageServer:
             *(routes, FOLDERS),
             host=host,
             port=port,
-            with_key=may_command,
+            with_key=right is not Right.LOOK,
             allow_remote=allow_remote,
         )
         self.port, self.address = self._http.port, self._http.address
@@ -159,9 +168,12 @@ class PageServer:
         self._pages += 1
         try:
             seen, waited_s = Seen(), BEAT_S
-            allowed = sorted(view.commands) if self._http.key else []
-            yield f"event: hello\ndata: {to_json({'kind': view.kind, 'commands': allowed})}\n\n"
+            yield f"event: hello\ndata: {to_json({'kind': view.kind})}\n\n"
+            allowed: list[str] | None = None
             while not self._http.is_ending:
+                if (now := view.allowed(self._right)) != allowed:
+                    allowed = now
+                    yield f"event: commands\ndata: {to_json(allowed)}\n\n"
                 text, seen = view.changes(seen)
                 if text:
                     yield f"data: {text}\n\n"
@@ -182,12 +194,14 @@ class PageServer:
         try:
             asked = json.loads(await body_of(request, COMMAND_MAX_BYTES))
             view = await self._view(asked["view"])
-            execute = view.commands[asked["command"]] if view is not None else None
+            name = asked["command"]
+            allowed = view is not None and name in view.allowed(self._right)
+            execute = view.commands[name] if view is not None and allowed else None
             given = asked.get("arguments") or {}
         except (ValueError, KeyError, TypeError, AttributeError):
             execute, given = None, {}
         if execute is None:
-            sentence = "there is no such command"
+            sentence = "there is no such command, or this page has no right to it"
             return JSONResponse({"done": False, "sentence": sentence}, 400, headers=HEADERS)
         try:
             client = request.client.host if request.client else "unknown"

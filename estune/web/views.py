@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from estune.errors import InvalidInput, JournalError
+from estune.remote.messages.commands import VERBS
 from estune.remote.messages.daemon import (
     DAEMON_VERBS,
     Command,
@@ -17,6 +18,7 @@ from estune.remote.messages.daemon import (
     History,
     Request,
 )
+from estune.remote.messages.rights import Right
 from estune.remote.security import OPEN, Security
 from estune.remote.zenoh import RemoteRig, connect
 from estune.remote.zenoh.daemon_service import DaemonClient, Supervised
@@ -29,7 +31,7 @@ from estune.web.listed_run import ListedRun
 from estune.web.reader import Reader
 from estune.web.rig_actions import TRIED, RigActions
 from estune.web.rig_reader import RigReader, run_of
-from estune.web.run_actions import run_actions
+from estune.web.run_actions import STORED, run_actions
 from estune.web.run_folder import RunFolder
 from estune.web.run_reader import RunReader
 from estune.web.tuning_form import form
@@ -49,7 +51,7 @@ class View:
         name: Identifies it in addresses.
         kind: What it shows.
         board: Its values.
-        commands: What a page may command, by name.
+        commands: What can be commanded, by name.
         tuning: What its tuning page shows.
         gone: Since when it is no longer there, in words; empty while it is.
         summary: What the list of views shows of it beside its state.
@@ -79,6 +81,16 @@ class View:
         self.board = board
         self.commands = dict(commands or {})
         self._readers = list(readers)
+
+    def allowed(self, right: Right) -> list[str]:
+        """The commands that a page of a right may give now: its server needs the right, too."""
+        at_rig = Right(self.board.get("right") or Right.COMMAND)  # not known yet: the rig refuses
+        return sorted(name for name in self.commands if self._allows(name, right, at_rig))
+
+    def _allows(self, name: str, right: Right, at_rig: Right) -> bool:
+        needed = VERBS[name].right if name == "estop" else Right.COMMAND
+        elsewhere = name in STORED or (self.kind == "daemon" and name != "estop")
+        return right.includes(needed) and (elsewhere or at_rig.includes(needed))
 
     def form(self) -> dict[str, Any]:
         """The form that starts a tuning."""

@@ -12,6 +12,7 @@ from pydantic import Field
 from estune.core.gains import Gains
 from estune.core.setting import stated
 from estune.remote.messages.codec import Message
+from estune.remote.messages.rights import Right
 from estune.trial import Setpoint, TrialRequest
 from estune.trial.description import omitted_if
 
@@ -179,11 +180,13 @@ class Verb(NamedTuple):
         message: Class of its payload.
         reply: The reply, in words of the protocol page.
         threads: Number of threads that serve it alone; 0 for one that it shares.
+        right: Least right of its sender.
     """
 
     message: type[Message]
     reply: str = "[Answer](#answer)"
     threads: int = 0
+    right: Right = Right.COMMAND
 
     @property
     def needs_lease(self) -> bool:
@@ -211,12 +214,15 @@ VERBS: Mapping[str, Verb] = MappingProxyType(
             Follow, "[Following](#following) if it is in force, else [Answer](#answer)", threads=1
         ),
         "estop": Verb(
-            Estop, "[Answer](#answer), once the rig is on its way to its safe state", threads=1
+            Estop,
+            "[Answer](#answer), once the rig is on its way to its safe state",
+            threads=1,
+            right=Right.STOP,
         ),
         "clear": Verb(Clear),
     }
 )
-"""All commands, by verb: the table from which server, client and protocol page are made."""
+"""All commands, by verb: the table from which server, client, access and pages are made."""
 
 VERB_OF: Mapping[type[Message], str] = MappingProxyType(
     {verb.message: name for name, verb in VERBS.items()}

@@ -4,13 +4,14 @@ import logging
 import re
 import threading
 from collections.abc import Callable, Iterable
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from functools import partial
 from queue import Empty, SimpleQueue
 
 import zenoh
 
 from estune.errors import RigError
+from estune.remote.messages.rights import Right
 from estune.remote.security import OPEN, Security, Tls
 from estune.remote.zenoh.endpoints import check_endpoint, check_loopback, with_port
 from estune.remote.zenoh.local_endpoints import EndpointNote
@@ -71,6 +72,9 @@ class Lane:
 class ListeningSession:
     """A session that listens, answers queries in lanes, and publishes.
 
+    Behind a TLS front it is one session for each right, as a session knows nothing of the
+    certificates there; all serve the same.
+
     Attributes:
         endpoint: Where it listens.
         instance: Identity of this start, attached to every reply and publication.
@@ -100,18 +104,19 @@ class ListeningSession:
         self.instance = instance
         self._front: TlsFront | None = None
         if security.tls is not None and endpoint.startswith("tls/"):
-            self._session, self._front = _listen_behind_front(
+            self._sessions, self._front = _listen_behind_front(
                 endpoint, routers, security, security.tls
             )
             self.endpoint = self._front.endpoint
         else:
-            self._session, self.endpoint = _listen(endpoint, routers, security)
+            session, self.endpoint = _listen(endpoint, routers, security)
+            self._sessions = (session,)
         self._note = EndpointNote(self.endpoint)
         self._threads: list[threading.Thread] = []
         self._lanes: list[Lane] = []
         self._queryables: list[zenoh.Queryable[None]] = []
         self._audiences: list[zenoh.MatchingListener[None]] = []
-        self._tokens: dict[str, zenoh.LivelinessToken] = {}
+        self._tokens: dict[str, list[zenoh.LivelinessToken]] = {}
 
     def lane(self, threads: int = 1) -> Lane:
         """A lane for queries that may wait for each other, but for no others."""
@@ -170,38 +175,40 @@ class ListeningSession:
 
     def announce(self, key: str) -> None:
         """Declares a liveliness token; last, when all queries are answered."""
-        self._tokens[key] = self._session.liveliness().declare_token(key)  # dropped, it vanishes
+        self._tokens[key] = [  # dropped, they vanish
+            session.liveliness().declare_token(key) for session in self._sessions
+        ]
 
     def withdraw(self, key: str) -> None:
         """Undeclares a liveliness token, if it is declared."""
-        token = self._tokens.pop(key, None)
-        if token is not None:
+        for token in self._tokens.pop(key, ()):
             with suppress(zenoh.ZError):
                 token.undeclare()  # type: ignore[no-untyped-call]
 
     def publish(self, key: str, data: bytes) -> None:
         """Publishes; a subscriber that is too slow misses it."""
-        with suppress(zenoh.ZError):
-            self._session.put(
-                key,
-                data,
-                congestion_control=zenoh.CongestionControl.DROP,
-                attachment=self.instance,
-            )
+        for session in self._sessions:
+            with suppress(zenoh.ZError):
+                session.put(
+                    key,
+                    data,
+                    congestion_control=zenoh.CongestionControl.DROP,
+                    attachment=self.instance,
+                )
 
     def audience(self, key: str, changed: Callable[[], None]) -> Callable[[], bool]:
         """A function that tells whether anyone subscribes to a key, or to some of a wildcard.
 
         `changed` is called whenever that changes, in a thread of the network that must not wait.
         """
-        publisher = self._session.declare_publisher(key)
+        publishers = [session.declare_publisher(key) for session in self._sessions]
 
         def receive(_: zenoh.MatchingStatus) -> None:
             changed()
 
         callback = zenoh.handlers.Callback(receive, indirect=False)
-        self._audiences.append(publisher.declare_matching_listener(callback))
-        return lambda: publisher.matching_status.matching  # type: ignore[attr-defined]
+        self._audiences += [one.declare_matching_listener(callback) for one in publishers]
+        return lambda: any(one.matching_status.matching for one in publishers)  # type: ignore[attr-defined]
 
     def start(self, work: Callable[[], None]) -> None:
         """Starts a thread that ends by itself when the session is being closed."""
@@ -214,7 +221,8 @@ class ListeningSession:
         self._note.close()
         if self._front is not None:
             self._front.close()
-        close_session(self._session)
+        for session in self._sessions:
+            close_session(session)
         for lane in self._lanes:
             lane.close()
         for thread in self._threads:
@@ -222,8 +230,10 @@ class ListeningSession:
 
     def _declare(self, key: str, handle: _Handle, lane: Lane, *, complete: bool = True) -> None:
         callback = zenoh.handlers.Callback(partial(lane.put, handle), indirect=False)
-        declared = self._session.declare_queryable(key, callback, complete=complete)
-        self._queryables.append(declared)
+        self._queryables += [
+            session.declare_queryable(key, callback, complete=complete)
+            for session in self._sessions
+        ]
 
     def _reply(self, query: zenoh.Query, key: str, data: bytes) -> None:
         with query:  # the sender must not wait for what follows the reply
@@ -238,22 +248,25 @@ class ListeningSession:
 
 def _listen_behind_front(
     endpoint: str, routers: tuple[str, ...], security: Security, tls: Tls
-) -> tuple[zenoh.Session, TlsFront]:
-    """A session that only a TLS front reaches, and the front."""
+) -> tuple[tuple[zenoh.Session, ...], TlsFront]:
+    """Sessions that only a TLS front reaches, one for each right, and the front."""
     front = TlsFront(endpoint, tls, InnerEndpoints(security))
-    try:
-        session = open_session(
-            "peer",
-            listen=front.inner.listened,
-            connect=routers,
-            message_max_bytes=COMMANDS_MAX_BYTES,
-            security=security,
-            behind_front=True,
-        )
-    except BaseException:
-        front.close()
-        raise
-    return session, front
+    with ExitStack() as opened:
+        opened.callback(front.close)
+        sessions = []
+        for right, path in front.inner.paths.items():
+            session = open_session(
+                "peer",
+                listen=(f"unixsock-stream/{path}",),
+                connect=routers if right is Right.COMMAND else (),  # they show it once
+                message_max_bytes=COMMANDS_MAX_BYTES,
+                security=security,
+                of_front=right,
+            )
+            opened.callback(close_session, session)
+            sessions.append(session)
+        opened.pop_all()
+    return tuple(sessions), front
 
 
 def _listen(

@@ -25,6 +25,7 @@ from estune.remote.messages.commands import (
     SwitchOff,
     Void,
 )
+from estune.remote.messages.rights import Right
 from estune.remote.state_machine.client import Action
 from estune.remote.state_machine.reply_codes import ReplyCode
 from estune.remote.zenoh.client_lease import ClientLease
@@ -251,6 +252,15 @@ class RemoteRig(Closing):
     def daemons(self) -> list[str]:
         """Instances of the daemons that supervise the rig, as far as they join its network."""
         return daemon_instances(self._connection.session, self.name)
+
+    @property
+    def right(self) -> Right:
+        """What this client may do: a rig shows it only the commands to which it has a right."""
+        for right in (Right.COMMAND, Right.STOP):
+            verb = next(name for name, verb in messages.VERBS.items() if verb.right is right)
+            if self._connection.is_served(verb):
+                return right
+        return Right.LOOK
 
     @property
     def leases_lost(self) -> int:

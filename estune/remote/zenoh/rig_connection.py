@@ -18,6 +18,9 @@ from estune.remote.zenoh.zenoh_session import AGAIN_S
 
 ASK_S = 1.0
 _REPORTED_AFTER_S = 1.5
+_SHOWN_WITHIN_S = 0.3
+"""Time in which a verb is shown to a client that may send it, s; 20 ms at the most on loopback."""
+_SHOWN_AGAIN_S = 0.01
 
 _log = logging.getLogger(__name__)
 
@@ -64,6 +67,7 @@ class RigConnection:
         self.session = session
         self.closed = False
         self.about: Description | None = None
+        self._queriers: dict[str, zenoh.Querier] = {}
         self._label = f"rig {presence.rig!r} at {endpoint}"
 
     @contextmanager
@@ -91,6 +95,21 @@ class RigConnection:
     def close(self) -> None:
         """Refuses further queries."""
         self.closed = True
+
+    def is_served(self, verb: str) -> bool:
+        """Whether the rig shows this client a verb."""
+        key = self.keys.command(self.instance, verb)
+        with self._link_failures():
+            if key not in self._queriers:
+                self._queriers[key] = self.session.declare_querier(key)
+                deadline_s = time.monotonic() + _SHOWN_WITHIN_S
+                while not self._matches(key) and time.monotonic() < deadline_s:
+                    time.sleep(_SHOWN_AGAIN_S)
+            return self._matches(key)
+
+    def _matches(self, key: str) -> bool:
+        status: Any = self._queriers[key].matching_status
+        return bool(status.matching)
 
     def command_key(self, command: Message) -> str:
         """Key of a command to the current instance."""

@@ -18,7 +18,7 @@ from typing import cast
 
 from estune.errors import InvalidInput, RigError
 from estune.remote.security import Security, Tls, common_name, has_version_3
-from estune.remote.zenoh.endpoints import host_and_port, with_port
+from estune.remote.zenoh.endpoints import host_and_port
 from estune.remote.zenoh.tls_arrivals import Arrivals, Handshake
 from estune.support.open_files import allow_open_files
 from estune.support.printable import printable
@@ -41,27 +41,17 @@ _log = logging.getLogger(__name__)
 
 
 class InnerEndpoints:
-    """Where the session itself listens: no other user of this machine gets through.
-
-    Attributes:
-        command: A socket in a folder of this user's own: clients with all rights.
-        look: For clients that may only look, where there are any; needs the rig's own key. The
-            access rules tell the two by their protocol.
-        listened: Both, or the first alone.
-    """
+    """Where the session of each right listens: sockets in a folder of this user's own."""
 
     def __init__(self, security: Security) -> None:
-        self.security = security
+        self._security = security
         self._folder = tempfile.TemporaryDirectory(prefix="estune-")
-        self.command = f"unixsock-stream/{Path(self._folder.name) / 'link'}"
-        self.look = with_port("tls/127.0.0.1:0") if security.observers else ""
-        self.listened = tuple(filter(None, (self.command, self.look)))
+        self.paths = {right: Path(self._folder.name) / right for right in security.rights}
 
-    def for_client(self, name: str) -> str:
-        """The endpoint of the client whose certificate has a name; empty without any right."""
-        if self.security.lets_command(name):
-            return self.command
-        return self.look if name in self.security.observers else ""
+    def for_client(self, name: str) -> Path | None:
+        """The socket of the client whose certificate has a name; None without any right."""
+        right = self._security.right_of(name)
+        return self.paths[right] if right else None
 
     def close(self) -> None:
         """Removes the folder."""
@@ -73,7 +63,7 @@ class TlsFront:
 
     Attributes:
         endpoint: Where it listens.
-        inner: Where the session listens.
+        inner: Where the sessions listen.
         ends: The ends of connections that are open.
     """
 
@@ -86,7 +76,6 @@ class TlsFront:
         self.inner = inner
         try:
             self._context = _listener_context(endpoint, tls)
-            self.inner_context = _inner_context(tls)
             self._socket = _listening_socket(endpoint)
         except BaseException:
             inner.close()
@@ -202,7 +191,8 @@ class _Client(_End):
     def __init__(self, front: TlsFront, loop: asyncio.AbstractEventLoop) -> None:
         super().__init__(front.ends)
         self._front, self._loop = front, loop
-        self._endpoint, self._waiting = "", b""
+        self._way: Path | None = None
+        self._waiting = b""
         self._opening: asyncio.Task[None] | None = None
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
@@ -210,8 +200,8 @@ class _Client(_End):
         super().connection_made(transport)
         certificate = transport.get_extra_info("ssl_object").getpeercert(binary_form=True)
         name = common_name(transport.get_extra_info("peercert"))
-        self._endpoint = self._front.inner.for_client(name) if has_version_3(certificate) else ""
-        if not self._endpoint:
+        self._way = self._front.inner.for_client(name) if has_version_3(certificate) else None
+        if self._way is None:
             _log.warning("client %r has a certificate and no right", printable(name))
             self.transport.abort()
             return
@@ -232,13 +222,7 @@ class _Client(_End):
         """Connects to the session."""
         made = partial(_End, self._front.ends)
         try:
-            if self._endpoint.startswith("tls/"):
-                context = self._front.inner_context
-                where = host_and_port(self._endpoint)
-                _, end = await self._loop.create_connection(made, *where, ssl=context)
-            else:
-                path = self._endpoint.partition("/")[2]
-                _, end = await self._loop.create_unix_connection(made, path)
+            _, end = await self._loop.create_unix_connection(made, str(self._way))
         except OSError as error:
             _log.warning("the session does not take a connection: %s", error)
             self.transport.abort()
@@ -264,14 +248,6 @@ def _listener_context(endpoint: str, tls: Tls) -> ssl.SSLContext:
         raise RigError(
             f"cannot listen at {endpoint} with the certificate of --security: {error}"
         ) from error
-    return context
-
-
-def _inner_context(tls: Tls) -> ssl.SSLContext:
-    """Of the connection to our own listener, which no other program can have opened."""
-    context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
-    context.check_hostname = False
-    tls.load_into(context)
     return context
 
 

@@ -14,6 +14,7 @@ from typing import Any, Literal
 import zenoh
 
 from estune.errors import RigError
+from estune.remote.messages.rights import Right
 from estune.remote.security import OPEN, Security
 from estune.remote.zenoh.endpoints import connection_fault
 from estune.support.closing import Closing
@@ -47,7 +48,7 @@ def open_session(
     connect: tuple[str, ...] = (),
     message_max_bytes: int,
     security: Security = OPEN,
-    behind_front: bool = False,
+    of_front: Right | None = None,
 ) -> zenoh.Session:
     """Opens a session.
 
@@ -59,7 +60,7 @@ def open_session(
             connected, it reconnects by itself after a cut.
         message_max_bytes: Largest message accepted.
         security: Identity of this process, and the rights of others.
-        behind_front: Whether a TLS front identifies the clients of this listener.
+        of_front: The right of the clients that a TLS front passes on to this listener.
 
     Raises:
         InvalidInput: an endpoint does not match the security settings.
@@ -97,7 +98,7 @@ def open_session(
         },
     }
     config = zenoh.Config.from_json5(json.dumps(settings))
-    for key, value in security.settings(behind_front=behind_front).items():
+    for key, value in security.settings(of_front).items():
         config.insert_json5(key, json.dumps(value))
     return zenoh.open(config)
 

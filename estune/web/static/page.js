@@ -1,4 +1,4 @@
-// The page: follows one view by server-sent events, and draws what has changed.
+// The page: follows one view by server-sent events.
 
 import { confirmGains, openForm } from "./form.js";
 import { LabelForm } from "./labels.js";
@@ -37,10 +37,12 @@ function open(name) {
   tuning.show(name);
   beat = { at: performance.now(), ages: {} };
   stream = new EventSource(`api/events?view=${encodeURIComponent(name)}`);
-  stream.addEventListener("hello", (event) => {
-    shown.clear(); // a new connection sends everything again
-    ({ kind, commands: allowed } = JSON.parse(event.data));
-    if (!key) allowed = [];
+  stream.addEventListener("hello", ({ data }) => {
+    shown.clear(); // a new one sends all again
+    ({ kind } = JSON.parse(data));
+  });
+  stream.addEventListener("commands", ({ data }) => {
+    allowed = key ? JSON.parse(data) : [];
     showCommands();
   });
   stream.addEventListener("beat", (event) => {
@@ -87,7 +89,7 @@ function showState() {
 
 const duration = (s) => (s < 90 ? `${Math.round(s)} s` : `${Math.round(s / 60)} min`);
 
-// What the rig must show before a command counts as done.
+// What a rig must show before a command is done.
 const applied = (daemon, gains) => daemon.home === gains && daemon.live === gains
   && !["readying", "waiting", "retrying"].includes(daemon.mode);
 const BY_RIG = "the rig confirms: ", DONE = {
@@ -101,14 +103,14 @@ const BY_RIG = "the rig confirms: ", DONE = {
 };
 let pending = null, spoken;
 
-// Says what came of a command, for a while: the state stands at the top.
+// Says for a while what came of a command.
 function say(sentence) {
   text($("answer"), sentence);
   clearTimeout(spoken);
   if (!pending) spoken = setTimeout(() => text($("answer"), ""), SPOKEN_MS);
 }
 
-// Sends a command; what came of it is said, and comes back.
+// Sends a command; its answer is said and returned.
 async function command(name, given) {
   pending = null;
   say(`${name}: sent, not confirmed yet`);
