@@ -162,18 +162,14 @@ def live_bytes() -> Iterator[str]:
 
 
 def rights() -> Iterator[str]:
-    """What each right lets a user do."""
-    yield from table(
-        ("", *(f"`{right}`" for right in Right)),
-        (
-            (what, *("yes" if right.includes(least) else "" for right in Right))
-            for what, least in (
-                ("descriptions, states, records, live samples", Right.LOOK),
-                *((f"`{name}`", verb.right) for name, verb in VERBS.items()),
-                ("commands to a daemon", Right.COMMAND),
-            )
-        ),
+    """What each right adds to those above it."""
+    seen = {Right.LOOK: ["descriptions, states, records, live samples"]}
+    rows = (
+        (f"`{right}`", ", ".join([*seen.get(right, []), *(f"`{n}`" for n in verbs)]))
+        for right in Right
+        for verbs in [[name for name, verb in VERBS.items() if verb.right is right]]
     )
+    yield from table(("right", "adds"), rows)
 
 
 def limits() -> Iterator[str]:
