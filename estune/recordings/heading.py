@@ -32,7 +32,7 @@ NEAREST = 3
 """Channels that a message proposes."""
 
 
-class Heading(NamedTuple):
+class ColumnHeading(NamedTuple):
     """A heading taken apart.
 
     Attributes:
@@ -59,26 +59,26 @@ class Heading(NamedTuple):
         return frozenset(word.lower() for word in re.findall(r"[^\W\d_]+", parted))
 
 
-def heading(text: str) -> Heading:
+def heading(text: str) -> ColumnHeading:
     """The name and the unit of a heading."""
     whole = unicodedata.normalize("NFKC", _REPEATED.sub("", text)).strip().strip('"').strip()
     bracketed = _BRACKETED.match(whole)
     if bracketed and bracketed["name"] and not bracketed["unit"].isdecimal():  # an index
         unit = find_unit(bracketed["unit"]) or ""
-        return Heading(bracketed["name"].rstrip(" /"), unit, said=bool(unit))
+        return ColumnHeading(bracketed["name"].rstrip(" /"), unit, said=bool(unit))
     for form in (*_BEHIND, _BLANK):
         found = form.match(whole)
         apart = find_unit(found["unit"]) if found else None
         if found and apart:
-            return Heading(found["name"], apart, said=True)
+            return ColumnHeading(found["name"], apart, said=True)
     for form in _JOINED:
         found = form.match(whole)
         written = found["unit"] if found else ""
         joined = find_unit(_CAMEL.get(written, written))
         if found and joined and written not in _WORDS:
-            return Heading(found["name"], joined)
+            return ColumnHeading(found["name"], joined)
     alone = find_unit(whole)  # a column "ms" or "rpm"
-    return Heading(whole, alone or "", said=False)
+    return ColumnHeading(whole, alone or "", said=False)
 
 
 def nearest(wanted: Iterable[str], names: Iterable[str]) -> list[str]:

@@ -27,7 +27,7 @@ from typing import NamedTuple
 
 from experiments.results import Target, at_least, command_line, print_results
 from experiments.small_faults.areas import AREAS, UNCHANGED, Area
-from experiments.small_faults.faults import Fault, faults_of
+from experiments.small_faults.faults import SourceFault, faults_of
 
 ROOT = Path(__file__).resolve().parents[2]
 LANES = {"day": "not slow", "slow": "slow"}
@@ -44,7 +44,7 @@ class Drawn(NamedTuple):
     """A fault of a file."""
 
     file: str
-    fault: Fault
+    fault: SourceFault
     source: bytes
 
     @property

@@ -33,7 +33,7 @@ SCALE = 2
 """Factor of a constant."""
 
 
-class Fault(NamedTuple):
+class SourceFault(NamedTuple):
     """A small fault of one file.
 
     Attributes:
@@ -61,7 +61,7 @@ class Fault(NamedTuple):
         return f"{self.kind}: `{old}` becomes `{new}`"
 
 
-def faults_of(source: bytes) -> list[Fault]:
+def faults_of(source: bytes) -> list[SourceFault]:
     """All small faults of a file."""
     places = _Places(source)
     found = [f for node in _nodes(ast.parse(source)) for f in places.faults(node)]
@@ -88,13 +88,13 @@ class _Places:
         for line in source.splitlines(keepends=True):
             self._lines.append(self._lines[-1] + len(line))
 
-    def faults(self, node: ast.AST) -> Iterator[Fault]:
+    def faults(self, node: ast.AST) -> Iterator[SourceFault]:
         """Faults at one node."""
         yield from self._conditions(node)
         yield from self._numbers(node)
         yield from self._orders(node)
 
-    def _conditions(self, node: ast.AST) -> Iterator[Fault]:
+    def _conditions(self, node: ast.AST) -> Iterator[SourceFault]:
         match node:
             case ast.Compare(left=left, ops=[op, *_], comparators=[right, *_]):
                 yield from self._between("comparison flipped", left, right, *COMPARED[type(op)])
@@ -111,7 +111,7 @@ class _Places:
             case ast.comprehension(ifs=[test, *_]):
                 yield self._whole("condition replaced", test, "True")
 
-    def _numbers(self, node: ast.AST) -> Iterator[Fault]:
+    def _numbers(self, node: ast.AST) -> Iterator[SourceFault]:
         match node:
             case ast.BinOp(op=op, left=left, right=right) if type(op) in COUNTED:
                 if not (_is_text(left) or _is_text(right)):
@@ -125,7 +125,7 @@ class _Places:
             case ast.Call():
                 yield from self._extreme(node)
 
-    def _orders(self, node: ast.AST) -> Iterator[Fault]:
+    def _orders(self, node: ast.AST) -> Iterator[SourceFault]:
         match node:
             case ast.Subscript(slice=ast.Constant(value=0) as place):
                 yield self._whole("first and last exchanged", place, "-1")
@@ -137,7 +137,7 @@ class _Places:
             case ast.Expr(value=ast.Call() as call) if not _is_logged(call):
                 yield self._whole("call dropped", call, "None")
 
-    def _extreme(self, call: ast.Call) -> Iterator[Fault]:
+    def _extreme(self, call: ast.Call) -> Iterator[SourceFault]:
         name = _name(call.func)
         if name in EXTREMES:
             end = self._span(call.func)[1]
@@ -151,7 +151,7 @@ class _Places:
 
     def _between(
         self, kind: str, left: ast.expr, right: ast.expr, token: str, new: str
-    ) -> Iterator[Fault]:
+    ) -> Iterator[SourceFault]:
         """The operator between two operands, beside which may be parentheses and comments."""
         start, end = self._span(left)[1], self._span(right)[0]
         gap = re.sub(rb"#[^\n]*", lambda c: b" " * len(c[0]), self._source[start:end])
@@ -159,11 +159,11 @@ class _Places:
             line = left.end_lineno or left.lineno
             yield self._at(kind, line, (start + found.start(), start + found.end()), new)
 
-    def _whole(self, kind: str, node: ast.expr, new: str) -> Fault:
+    def _whole(self, kind: str, node: ast.expr, new: str) -> SourceFault:
         return self._at(kind, node.lineno, self._span(node), new)
 
-    def _at(self, kind: str, line: int, span: tuple[int, int], new: str) -> Fault:
-        return Fault(line, kind, *span, self._source[slice(*span)].decode(), new)
+    def _at(self, kind: str, line: int, span: tuple[int, int], new: str) -> SourceFault:
+        return SourceFault(line, kind, *span, self._source[slice(*span)].decode(), new)
 
     def _text(self, node: ast.expr) -> str:
         return self._source[slice(*self._span(node))].decode()
