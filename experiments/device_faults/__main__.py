@@ -58,6 +58,7 @@ _ONCE = {
 _SILENCES_s = (0.01, 1.0, 5.0)
 _LONG = {"no heartbeats": 1.5, "unplugged": 1.0}
 _MINUTE = DeviceFault("silence", seconds=60.0)
+NONE = DeviceFault("none")
 
 
 def faults(kind: str) -> list[DeviceFault]:
@@ -225,8 +226,15 @@ COUNTED = ("ended", "moved", "lost", "twice", "gains_wrong", "untold", "unusable
 def figures_of(runs: list[FaultRun]) -> dict[str, Any]:
     """Figures of runs."""
     counts = {name: sum(int(asdict(run)[name]) for run in runs) for name in COUNTED}
-    by_moment = Counter(f"{run.device} {run.moment}" for run in runs if run.latched)
-    return {"runs": len(runs), **counts, "latched": dict(sorted(by_moment.items()))}
+    latched = [run for run in runs if run.latched]
+    by_moment = Counter(f"{run.device} {run.moment}" for run in latched)
+    without = sum(run.fault.startswith(NONE.name) for run in latched)
+    return {
+        "runs": len(runs),
+        **counts,
+        "latched_without_a_fault": without,
+        "latched": dict(sorted(by_moment.items())),
+    }
 
 
 def main() -> int:
@@ -236,7 +244,7 @@ def main() -> int:
     options = parser.parse_args()
     runs: list[FaultRun] = []
     for kind in [options.device] if options.device else FAULTY:
-        cases = [*product(faults(kind), MOMENTS), (_MINUTE, "in a trial")]
+        cases = [*product([*faults(kind), NONE], MOMENTS), (_MINUTE, "in a trial")]
         if options.quick:
             cases = [(faults(kind)[3 * n], moment) for n, moment in enumerate(MOMENTS)]
         with tempfile.TemporaryDirectory(prefix="estune-devices-") as folder:
