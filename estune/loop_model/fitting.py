@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Sequence
-from operator import itemgetter
 
 import numpy as np
 
@@ -77,24 +76,29 @@ def fit_loop(
     return _fit_of_those_that_agree(records, settling, starts, last)
 
 
-def fit_loop_of_any_scale(
-    records: Sequence[LoopRecord], sampling_Hz: float, settling_times_s: Sequence[float]
-) -> LoopFit:
-    """The fit with the settling time whose search begins with the least prediction error.
+def best_scale(
+    choices: Sequence[Sequence[LoopRecord]], sampling_Hz: float, settling_times_s: Sequence[float]
+) -> tuple[int, float]:
+    """Number of the records and settling time with which a search begins with the least error.
+
+    Later records are chosen only where their prediction errors are no larger than chance allows.
 
     Args:
-        records: At least one, of any setpoints, lengths and gains.
+        choices: Records of the same signals in several forms, at least one.
         sampling_Hz: Sampling rate.
         settling_times_s: Those that are tried, at least one.
     """
-
-    def begun(settling_time_s: float) -> tuple[float, float, list[PoleFit]]:
-        settling = settling_time_s * sampling_Hz
-        signals, starts = _cold_starts(records, settling)
-        return starts[0].cost / signals.samples, settling, starts
-
-    _, settling, starts = min(map(begun, settling_times_s), key=itemgetter(0))
-    return _fit_of_those_that_agree(records, settling, starts, None)
+    chosen, least = (0, settling_times_s[0]), math.inf
+    for number, records in enumerate(choices):
+        if any(records is earlier for earlier in choices[:number]):
+            continue
+        for settling_time_s in settling_times_s:
+            signals, starts = _cold_starts(records, settling_time_s * sampling_Hz)
+            power = starts[0].cost / signals.samples
+            chance = 1.0 + 5.0 * math.sqrt(2.0 / signals.samples) if number > chosen[0] else 1.0
+            if power < chance * least:
+                chosen, least = (number, settling_time_s), power
+    return chosen
 
 
 def _fit_of_those_that_agree(

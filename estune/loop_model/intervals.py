@@ -16,9 +16,9 @@ from estune.loop_model.drawn_models import (
     white_factor,
 )
 from estune.loop_model.least_squares import Solution, signals_of
+from estune.loop_model.limited_loop import setpoint_response
 from estune.loop_model.loop_fit import LoopFit
 from estune.loop_model.margins import robustness
-from estune.loop_model.model import close_loop
 from estune.loop_model.prediction import Prediction, StepTrial, predict, predictions
 from estune.loop_model.records import LoopRecord
 
@@ -109,9 +109,13 @@ def setpoint_deviation(
     for record in records:
         if record.gains is None or not np.ptp(record.setpoint):
             continue
+        held = np.isfinite(record.limits).any()
+        if not (held or math.isfinite(robustness(fit.model, record.gains, controller)[0])):
+            return math.inf
+        output, effort = setpoint_response(fit.model, record, record.gains, controller)
+        if not (np.isfinite(output).all() and np.isfinite(effort).all()):
+            return math.inf
         moves = record.setpoint - record.setpoint[0]
-        loop = close_loop(fit.model, record.gains, controller)
-        output, effort = loop.setpoint_response(moves)
         answers.append(LoopRecord(effort, output, moves, record.gains, record.at_rest))
     if not answers:
         return math.inf
@@ -127,7 +131,11 @@ def setpoint_deviation(
     count = model.order + len(model.numerator)
     J = at.slopes(signals)[:, :count]
     size = np.maximum(np.linalg.norm(J, axis=0), 1e-300)
+    if not np.isfinite(size).all():  # poles that no record of this length resolves
+        return math.inf
     values, vectors = np.linalg.eigh((J / size).T @ (J / size))
+    if not values[-1] > 0.0:
+        return math.inf
     if values[0] <= 1e-13 * values[-1]:
         values = np.maximum(values, 1e-13 * values[-1])
     columns = fit.residual_std * (vectors / np.sqrt(values)) / size[:, np.newaxis]

@@ -178,7 +178,7 @@ class ClosedLoop(NamedTuple):
 
 
 @lru_cache(maxsize=64)
-def _plant_polynomials(model: LoopModel) -> tuple[FloatArray, FloatArray]:
+def plant_polynomials(model: LoopModel) -> tuple[FloatArray, FloatArray]:
     """A, and B with its dead time, in powers of q^-1."""
     B = np.concatenate([np.zeros(model.dead_samples + 1), exchanged(np.array(model.numerator))])
     return polynomial(model.coordinates), B
@@ -187,7 +187,7 @@ def _plant_polynomials(model: LoopModel) -> tuple[FloatArray, FloatArray]:
 def close_loop(model: LoopModel, gains: Gains, settings: ControllerSettings) -> ClosedLoop:
     """The closed loop of a model and a controller with these gains."""
     law = controller_law(settings, gains)
-    A, B = _plant_polynomials(model)
+    A, B = plant_polynomials(model)
     forward, feedback = np.convolve(A, law.denominator), np.convolve(B, law.measurement)
     characteristic = np.zeros(max(forward.size, feedback.size))
     characteristic[: forward.size] += forward

@@ -1,5 +1,6 @@
 """The signals of one record that the identification uses."""
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -17,6 +18,7 @@ class LoopRecord(NamedTuple):
         setpoint: Setpoint before its filter, shape (samples,).
         gains: Gains of the controller; None in open loop, or where they are not known.
         at_rest: Whether the loop was at rest before the first sample.
+        limits: Limits at which the effort was held, in its unit.
     """
 
     effort: FloatArray
@@ -24,6 +26,7 @@ class LoopRecord(NamedTuple):
     setpoint: FloatArray
     gains: Gains | None = None
     at_rest: bool = False
+    limits: tuple[float, float] = (-math.inf, math.inf)
 
     @classmethod
     def of_step(

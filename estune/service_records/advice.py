@@ -81,8 +81,8 @@ def advise(
         still = np.zeros(setpoint.size)
         record = LoopRecord(still, still, setpoint, gains)
         half = DEVIATIONS * setpoint_deviation(fit, [record], gains, trial.controller)
-        periods = max(math.ceil((half / aim) ** 2), 1) if math.isfinite(half) else math.inf
-        if periods * PERIOD <= LONGEST:
+        if half <= aim * math.sqrt(LONGEST / PERIOD):
+            periods = max(math.ceil((half / aim) ** 2), 1)
             length_s = periods * profile.period_s
             whole = replace(profile, duration_s=length_s)
             file = TrialFile("multisine", whole, gains, "to know the margins of the gains in use")

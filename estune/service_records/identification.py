@@ -10,8 +10,11 @@ from estune.core.controller_equation import unlimited_effort
 from estune.core.gains import Gains
 from estune.core.pidf import ControllerSettings
 from estune.core.quantities import FloatArray
-from estune.loop_model.fitting import fit_loop_of_any_scale
+from estune.loop_model.fitting import best_scale, fit_loop
+from estune.loop_model.least_squares import REACH
+from estune.loop_model.limited_loop import setpoint_response
 from estune.loop_model.loop_fit import LoopFit
+from estune.loop_model.margins import robustness
 from estune.loop_model.model import close_loop
 from estune.loop_model.plant_error import PlantErrorBound, plant_error
 from estune.loop_model.records import LoopRecord
@@ -29,8 +32,13 @@ LONGEST_SHARE = 0.1
 """Share of the longest stretch that the longest settling time may be."""
 
 
-LONGEST_RESPONSE = 1 << 20
-"""Samples of the longest step response by which a settling time is found."""
+LONGEST_RESPONSE = 1 << 16
+"""Samples of the longest step response that is predicted; nor is one longer than the records, for
+what takes longer they do not show."""
+
+OFF = 10.0
+"""Distance of setpoint and measurement, over the noise, from which a loop was switched on with the
+first sample of a record."""
 
 
 class ServicePart(NamedTuple):
@@ -69,8 +77,45 @@ def identify(
     records = tuple(loop_record(part, settings) for part in parts)
     rate = settings.sampling_Hz
     scales = [settling_time_s] if settling_time_s else _scales(records, rate)
-    fit = fit_loop_of_any_scale(records, rate, scales)
+    settling = best_scale([records], rate, scales)[1]
+    rest = round(settling * rate) + REACH
+    switched = tuple(_switched_on(r, rest) if _begins_off(r, rest) else r for r in records)
+    chosen, _ = best_scale([records, switched], rate, [settling])
+    records = (records, switched)[chosen]
+    fit = fit_loop(records, rate, settling)
     return ServiceLoop(fit, records, settings, plant_error(fit, records))
+
+
+def _begins_off(record: LoopRecord, rest: int) -> bool:
+    """Whether a controller was switched on with the first sample: a cold start.
+
+    The measurement covers half of its distance to the setpoint before that moves. Where it does
+    not the distance is that of a loop in service, without integral or at a limit.
+    """
+    setpoint, measurement = record.setpoint, record.measurement
+    noise = float(np.std(np.diff(measurement))) / math.sqrt(2.0)
+    distance = setpoint[0] - measurement[0]
+    if record.samples < rest or abs(distance) <= OFF * noise or not record.effort[0]:
+        return False
+    covered = (measurement - measurement[0]) / distance
+    half = int(np.argmax(covered > 0.5)) or record.samples
+    return half < int(np.argmax(setpoint != setpoint[0])) or (
+        half < record.samples and not np.ptp(setpoint)
+    )
+
+
+def _switched_on(record: LoopRecord, rest: int) -> LoopRecord:
+    """A record behind a rest of so many samples, without effort and error."""
+    first = record.measurement[0]
+
+    def behind(value: float, signal: FloatArray) -> FloatArray:
+        return np.concatenate([np.full(rest, value), signal])
+
+    return record._replace(
+        effort=behind(0.0, record.effort),
+        measurement=behind(first, record.measurement),
+        setpoint=behind(first, record.setpoint),
+    )
 
 
 def _scales(records: Sequence[LoopRecord], rate: float) -> list[float]:
@@ -93,7 +138,8 @@ def loop_record(part: ServicePart, settings: ControllerSettings) -> LoopRecord:
             cut = slice(begun, None)
             signals = effort[cut], stretch.measurement[cut], stretch.setpoint[cut]
             return LoopRecord(*signals, gains)
-    return LoopRecord(effort, stretch.measurement, stretch.setpoint, gains)
+    signals = effort, stretch.measurement, stretch.setpoint
+    return LoopRecord(*signals, gains, limits=stretch.limits)
 
 
 def _forgotten(settings: ControllerSettings, gains: Gains) -> int:
@@ -105,28 +151,27 @@ def _forgotten(settings: ControllerSettings, gains: Gains) -> int:
 def settling_time(loop: ServiceLoop, gains: Gains) -> float:
     """Time after which a step response with these gains stays within 2 % of its end, s.
 
-    Infinite where the loop is unstable.
+    At most that of the longest record; of an unstable loop a share of it.
     """
-    closed = close_loop(loop.fit.model, gains, loop.settings)
+    closed, rate = close_loop(loop.fit.model, gains, loop.settings), loop.settings.sampling_Hz
+    longest = min(max(record.samples for record in loop.records), LONGEST_RESPONSE)
+    if not math.isfinite(robustness(loop.fit.model, gains, loop.settings).sensitivity):
+        return LONGEST_SHARE * longest / rate
     samples = 64
-    while samples <= LONGEST_RESPONSE:
+    while samples <= 2 * longest:
         output = closed.setpoint_response(np.ones(samples))[0]
-        if not np.isfinite(output).all():
-            return math.inf
         end = float(output[-1])
         outside = np.flatnonzero(np.abs(output - end) > 0.02 * abs(end))
         last = int(outside[-1]) + 1 if outside.size else 1
         if last < samples // 2:
-            return last / loop.settings.sampling_Hz
+            return last / rate
         samples *= 4
-    return math.inf
+    return longest / rate
 
 
 def effort_span(loop: ServiceLoop, record: LoopRecord) -> float:
     """Range of the effort that the setpoint of a record alone causes, in its unit."""
     if record.gains is None:
         return 0.0
-    moves: FloatArray = record.setpoint - record.setpoint[0]
-    closed = close_loop(loop.fit.model, record.gains, loop.settings)
-    effort = closed.setpoint_response(moves)[1]
+    effort = setpoint_response(loop.fit.model, record, record.gains, loop.settings)[1]
     return float(np.ptp(effort)) if np.isfinite(effort).all() else 0.0

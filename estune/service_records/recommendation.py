@@ -1,7 +1,9 @@
 """The gains of least predicted cost whose limits hold by the upper ends of their intervals."""
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
+from operator import itemgetter
 from typing import NamedTuple
 
 import numpy as np
@@ -10,7 +12,7 @@ from estune.core.gains import Gains
 from estune.core.quantities import FloatArray
 from estune.loop_model.intervals import PredictedMargins
 from estune.loop_model.model import LoopModel
-from estune.loop_model.optimum import RegionSearch, RobustnessLimits
+from estune.loop_model.optimum import GENTLER, RegionSearch, RobustnessLimits
 from estune.loop_model.prediction import StepTrial, predict
 from estune.loop_model.rival import rival_model
 from estune.service_records.identification import ServiceLoop
@@ -27,6 +29,9 @@ the step: with a limit of Ms of 1.6 and an overshoot of 5 %, at most 1.65 and 6 
 
 ROUNDS = 6
 """Most optima, each within tighter limits than the last."""
+
+GENTLER_BY = (0.25, 0.5, 1.0, 2.0, 4.0)
+"""Steps along `GENTLER` at which gains are checked before it is said that none keep the limits."""
 
 SCATTERED = 64
 """Low-discrepancy points of which the best is one of the starts of an optimum."""
@@ -65,6 +70,10 @@ def recommend(
         return Gains(*np.exp(x).tolist())
 
     rival = rival_model(loop.fit, loop.records)
+
+    def margins_at(x: FloatArray) -> PredictedMargins:
+        return _with_rival(margins_of(loop, trial, gains_of(x))[0], rival, trial, gains_of(x))
+
     within, first_cost, x = limits, math.nan, start
     for _ in range(ROUNDS):
         search = RegionSearch(
@@ -73,16 +82,46 @@ def recommend(
         )
         best = search.minimise([x, start], scattered=SCATTERED)
         if not (best.feasible and math.isfinite(best.prediction.cost)):
-            return None
-        x, gains = best.coordinates, gains_of(best.coordinates)
-        margins = _with_rival(margins_of(loop, trial, gains)[0], rival, trial, gains)
+            break
+        x, margins = best.coordinates, margins_at(best.coordinates)
         if math.isnan(first_cost):
             first_cost = margins.cost.value
         tighter = _tightened(within, limits, margins)
         if tighter is None:
-            return Recommendation(gains, margins, max(margins.cost.value / first_cost - 1.0, 0.0))
+            return Recommendation(gains_of(x), margins, _price(margins, first_cost))
+        if tighter == within:
+            break
         within = tighter
-    return None
+    found = [
+        (margins.cost.value, x + step, margins)
+        for base in (x, start)
+        for step, margins in [_first_kept(base, margins_at, limits)]
+        if margins is not None
+    ]
+    if not found:
+        return None
+    _, x, margins = min(found, key=itemgetter(0))
+    return Recommendation(gains_of(x), margins, _price(margins, first_cost))
+
+
+def _price(margins: PredictedMargins, first_cost: float) -> float:
+    price = margins.cost.value / first_cost - 1.0
+    return max(price, 0.0) if math.isfinite(price) else 0.0
+
+
+def _first_kept(
+    x: FloatArray, margins_at: Callable[[FloatArray], PredictedMargins], limits: RobustnessLimits
+) -> tuple[FloatArray, PredictedMargins | None]:
+    """The least step towards gentler gains from which the limits hold by their intervals.
+
+    The optimiser's own limits stop at an overshoot of none, where an interval may still be wide;
+    less integral and a slower setpoint narrow it.
+    """
+    for share in GENTLER_BY:
+        margins = margins_at(x + share * GENTLER)
+        if _tightened(limits, limits, margins) is None:
+            return share * GENTLER, margins
+    return np.zeros(x.size), None
 
 
 def _with_rival(

@@ -1,5 +1,9 @@
-"""Stretches of a log in which the controller's equation holds, and why others are left out."""
+"""Stretches of a log without a gap, and those in which the controller's equation holds.
 
+The first show the plant, the second the gains.
+"""
+
+import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -27,6 +31,7 @@ class Stretch(NamedTuple):
         setpoint: Setpoint before its filter.
         measurement: Measurement.
         effort: Effort as logged, or None.
+        limits: Limits at which the effort was held, in its unit.
     """
 
     log: str
@@ -34,6 +39,7 @@ class Stretch(NamedTuple):
     setpoint: FloatArray
     measurement: FloatArray
     effort: FloatArray | None
+    limits: tuple[float, float] = (-math.inf, math.inf)
 
     @property
     def samples(self) -> int:
@@ -57,8 +63,25 @@ class LeftOut(NamedTuple):
     reason: str
 
 
+def whole_stretches(log: LoopLog) -> tuple[list[Stretch], list[LeftOut]]:
+    """The stretches of a log without a gap, and what lies between or is too short.
+
+    The logged effort drives the plant at a limit or by hand as well: a warm-up at the limit shows
+    more of it than anything else.
+    """
+    stretches, left_out = [], _gaps(log)
+    for part in log.parts:
+        rows = slice(0, part["time"].size)
+        if rows.stop < SHORTEST:
+            left_out.append(_too_short(log, part, rows))
+        else:
+            limits = _limits(part, _stands_still(part, _proportional(log)))
+            stretches.append(_stretch(log.name, part, rows)._replace(limits=limits))
+    return stretches, left_out
+
+
 def find_stretches(log: LoopLog, P: float | None) -> tuple[list[Stretch], list[LeftOut]]:
-    """The usable stretches of a log, and its other parts with the reason.
+    """The stretches of a log in which the controller's equation holds, and the rest with reasons.
 
     Args:
         log: The log.
@@ -66,10 +89,7 @@ def find_stretches(log: LoopLog, P: float | None) -> tuple[list[Stretch], list[L
             None estimates it from the moves of effort and error.
     """
     P = _proportional(log) if P is None else P
-    stretches, left_out = [], []
-    for before, after in zip(log.parts, log.parts[1:], strict=False):
-        ends = float(before["time"][-1]), float(after["time"][0])
-        left_out.append(LeftOut(log.name, *ends, "samples are missing"))
+    stretches, left_out = [], _gaps(log)
     for part in log.parts:
         time, held = part["time"], _stands_still(part, P)
         for rows in _runs(held):
@@ -77,11 +97,34 @@ def find_stretches(log: LoopLog, P: float | None) -> tuple[list[Stretch], list[L
             left_out.append(LeftOut(log.name, *_ends(time, rows), why))
         for rows in _runs(~held):
             if rows.stop - rows.start < SHORTEST:
-                why = f"shorter than {SHORTEST} samples"
-                left_out.append(LeftOut(log.name, *_ends(time, rows), why))
+                left_out.append(_too_short(log, part, rows))
             else:
                 stretches.append(_stretch(log.name, part, rows))
     return stretches, sorted(left_out, key=lambda part: part.start_s)
+
+
+def _gaps(log: LoopLog) -> list[LeftOut]:
+    ends = [
+        (float(before["time"][-1]), float(after["time"][0]))
+        for before, after in zip(log.parts, log.parts[1:], strict=False)
+    ]
+    return [LeftOut(log.name, *pair, "samples are missing") for pair in ends]
+
+
+def _too_short(log: LoopLog, part: Columns, rows: slice) -> LeftOut:
+    return LeftOut(log.name, *_ends(part["time"], rows), f"shorter than {SHORTEST} samples")
+
+
+def _limits(part: Columns, held: BoolArray) -> tuple[float, float]:
+    """Least and greatest effort where it was held there, else infinite."""
+    if not held.any():
+        return -math.inf, math.inf
+    effort, at = part["effort"], part["effort"][held]
+    least, most = float(effort.min()), float(effort.max())
+    return (
+        least if (at == least).any() else -math.inf,
+        most if (at == most).any() else math.inf,
+    )
 
 
 def _proportional(log: LoopLog) -> float:

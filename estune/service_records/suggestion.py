@@ -29,7 +29,7 @@ from estune.service_records.judgement import judge, margins_of
 from estune.service_records.recommendation import Recommendation, recommend
 from estune.service_records.replay import Replay, replay
 from estune.service_records.sources import Logs, check_names, gains_of, read_logs
-from estune.service_records.stretches import LeftOut, find_stretches
+from estune.service_records.stretches import LeftOut, find_stretches, whole_stretches
 from estune.support.blas import one_blas_thread
 
 TRIAL_SPAN = 3.0
@@ -181,12 +181,12 @@ def _usable(
         check_names(logs.logs, given)
     for log in logs.logs:
         stated = gains_of(log, given)
-        stretches, without = find_stretches(log, stated.P if stated else None)
+        whole, without = whole_stretches(log)
         left_out += without
-        if not stretches:
+        if not whole:
             continue
-        ran = stated
-        if all(s.effort is not None for s in stretches):
+        ran, stretches = stated, find_stretches(log, stated.P if stated else None)[0]
+        if stretches and all(s.effort is not None for s in stretches):
             compared = replay(stretches, settings, stated)
             replays.append(compared)
             ran = compared.ran if compared.explained and not compared.agrees else stated
@@ -195,10 +195,12 @@ def _usable(
                 f"the gains that ran in {log.name} are not known; give them, as in "
                 '--gains "P=2,I=0.5,D=0", or log the effort of the controller beside'
             )
-        parts += [ServicePart(stretch, ran) for stretch in stretches]
+        parts += [ServicePart(stretch, ran) for stretch in whole]
     if not parts:
         reasons = "; ".join(dict.fromkeys(part.reason for part in left_out))
         raise InvalidInput(f"no stretch of the logs can be used: {reasons}; record more of them")
+    if not any(np.ptp(part.stretch.measurement) for part in parts):
+        raise InvalidInput("the measurement does not move; map the channel that the loop controls")
     return parts, left_out, replays
 
 
@@ -222,8 +224,6 @@ def _trial(
     rate = settings.sampling_Hz
     if settling_time_s is None:
         settling_time_s = settling_time(loop, in_use)
-    if not math.isfinite(settling_time_s):
-        settling_time_s = model.natural_period / rate
     setpoint = np.concatenate([record.setpoint for record in loop.records])
     measured = np.concatenate([record.measurement for record in loop.records])
     size = step or float(np.ptp(setpoint)) or float(np.ptp(measured)) or 1.0
