@@ -1,0 +1,74 @@
+"""Suggestions from whole logs: warm-ups at a limit, short logs, and verdicts that do not flip."""
+
+import math
+
+import numpy as np
+import pytest
+
+from estune.core.controller_form import ControllerForm
+from estune.core.gains import Gains
+from estune.loop_model.margins import robustness
+from estune.loop_model.model import LoopModel
+from estune.recordings.loop_log import LoopLog
+from estune.service_records.suggestion import Suggestion, suggest
+from experiments.service_records.short_logs import verdict
+
+FORM = ControllerForm(integral="backward")
+PLANT = LoopModel.of_taps((-1.8, 0.805), (0.0004,), 2)  # two lags of 10 and 15 samples
+GAINS = Gains(60.0, 2.0, 0.0, 0.0)
+
+
+def warm_up(rows: int = 240, *, scale: float = 1.0, begun_s: float = 0.0) -> LoopLog:
+    """A cold start at the limit to one setpoint, a sample a second."""
+    rng = np.random.default_rng(4)
+    y, u, sums = np.zeros(rows), np.zeros(rows), 0.0
+    measured = np.zeros(rows)
+    for k in range(rows):
+        past = u[k - 3] if k >= 3 else 0.0
+        y[k] = 1.8 * y[max(k - 1, 0)] - 0.805 * y[max(k - 2, 0)] + 0.0004 * past if k else 0.0
+        measured[k] = y[k] + 0.005 * rng.standard_normal()
+        error = 5.0 - measured[k]
+        sums = min(max(sums + GAINS.I * error, 0.0), 100.0)
+        u[k] = min(max(GAINS.P * error + sums, 0.0), 100.0)
+    columns = {
+        "time": begun_s + np.arange(rows),
+        "setpoint": np.full(rows, 20.0 + 5.0) * scale,
+        "measurement": (20.0 + measured) * scale,
+        "effort": u,
+    }
+    return LoopLog("warm-up.csv", 1.0, (columns,), None, {}, {}, ())
+
+
+def judged(log: LoopLog, gains: Gains = GAINS) -> Suggestion:
+    return suggest([log], gains=gains, form=FORM)
+
+
+def test_a_warm_up_at_the_limit_with_one_setpoint_shows_ms():
+    found = judged(warm_up())
+
+    assert found.margins is not None
+    Ms = found.margins.sensitivity
+    true = robustness(PLANT, GAINS, found.trial.controller).sensitivity
+    assert math.isfinite(true)
+    assert Ms.low <= true <= Ms.high
+    assert Ms.high < 1.2 * Ms.low
+
+
+@pytest.mark.slow
+def test_verdict_is_the_same_for_a_row_less_other_units_a_later_start_and_rounded_gains():
+    first = judged(warm_up())
+
+    others = [
+        judged(warm_up(239)),
+        judged(warm_up(scale=100.0), Gains(0.6, 0.02, 0.0, 0.0)),
+        judged(warm_up(begun_s=1e6)),
+        judged(warm_up(), Gains(60.01, 2.0003, 0.0, 0.0)),
+    ]
+
+    assert {one.verdict for one in others} == {first.verdict}
+
+
+def test_random_short_logs_end_in_a_verdict_or_a_refusal_of_one_line():
+    said = [verdict(seed)[0] for seed in (2, 29, 61, 64, 70, 77)]
+
+    assert not [one for one in said if one.startswith("failed")]
