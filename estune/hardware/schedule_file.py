@@ -1,6 +1,5 @@
 """Files of a gain schedule: the JSON of a sweep, and a C header for firmware."""
 
-import json
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -8,6 +7,7 @@ from typing import Any
 from estune.core.gains import GAIN_NAMES, GAIN_UNITS
 from estune.core.schedule import GainCurve, GainSchedule
 from estune.errors import InvalidInput
+from estune.support.file_limits import parse_json
 
 _ALONG = {"linear": "length_m", "log": "log(length_m)", "inverse": "1 / length_m"}
 
@@ -54,8 +54,8 @@ def read_schedule(path: Path) -> GainSchedule:
         InvalidInput: the file cannot be read, holds no usable schedule, or several laws.
     """
     try:
-        return GainSchedule.from_dict(_schedule_in(json.loads(path.read_text(encoding="utf-8"))))
-    except (OSError, UnicodeDecodeError, json.JSONDecodeError) as error:
+        return GainSchedule.from_dict(_schedule_in(parse_json(path.read_text(encoding="utf-8"))))
+    except (OSError, ValueError) as error:
         why = getattr(error, "strerror", None) or error
         raise InvalidInput(f"gain schedule {path}: {why}") from error
     except InvalidInput as error:

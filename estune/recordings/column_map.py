@@ -19,6 +19,7 @@ from estune.recordings.raw_file import Channel
 from estune.recordings.time_unit import epoch_unit
 from estune.recordings.units import UNITS, Drum, find_unit, si_factor
 from estune.reel.calibration import CurrentCalibration, GaugeCalibration
+from estune.support.file_limits import parse_json
 from estune.support.toml_file import TomlTable, read_toml, validate
 
 _OWN_UNITS = ("setpoint_N", "tension_N", "reference_N", "current_A")
@@ -230,7 +231,7 @@ def _unknown_unit(unit: str, where: str) -> str:
 
 def _calibrated(name: str, counts: FloatArray, path: Path) -> FloatArray:
     try:
-        stored = json.loads(path.read_text(encoding="utf-8"))
+        stored = parse_json(path.read_text(encoding="utf-8"))
         if name == "current_A":
             return np.asarray(CurrentCalibration.from_dict(stored).current_A(counts))
         return np.asarray(GaugeCalibration.from_dict(stored).force_N(counts))

@@ -1,6 +1,5 @@
 """Metadata of a record, as other programs may write it."""
 
-import json
 import math
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -8,6 +7,7 @@ from typing import Any, NamedTuple
 from estune.core.gains import Gains
 from estune.errors import InvalidInput
 from estune.recordings.issue import Unusable
+from estune.support.file_limits import parse_json
 
 
 class Metadata(NamedTuple):
@@ -52,7 +52,7 @@ def metadata_beside(path: Path) -> dict[str, Any]:
     if not beside.is_file():
         return {}
     try:
-        found = json.loads(beside.read_bytes().decode("utf-8-sig"))
+        found = parse_json(beside.read_bytes().decode("utf-8-sig"))
     except ValueError as error:
         raise Unusable(f"{beside.name} is no JSON ({error}); correct it or remove it") from error
     if not isinstance(found, dict):

@@ -11,6 +11,7 @@ from estune.core.quantities import FloatArray
 from estune.errors import InvalidInput
 from estune.recordings.heading import heading
 from estune.recordings.issue import Unusable
+from estune.support.file_limits import bounded_memory, check_lines, check_rows, check_size
 from estune.support.plugins import load_plugin, plugins
 
 ENTRY_POINTS = "estune.record_readers"
@@ -50,6 +51,8 @@ BAG = "metadata.yaml"
 _NAMED_ONLY = (".txt", ".log", ".bin")
 """Endings of files that are read where they are named: in a folder they are notes and logs of
 programs as a rule."""
+
+_TEXTS = (".csv", ".tsv", ".txt", ".lvm", ".jsonl", ".ndjson", ".lp", ".log")
 
 _OWN = {
     ".csv": "text:read_text",
@@ -103,13 +106,21 @@ def read_raw(path: Path) -> RawFile:
         Unusable: it cannot be read; the message is one line.
     """
     try:
-        raw = _reader(path)(path)
+        reader, size = _reader(path), _size(path)
+        check_size(path, size)
+        if path.suffix.lower() in _TEXTS:
+            check_lines(path)
+        with bounded_memory(size):
+            raw = reader(path)
+        check_rows(max((channel.values.size for channel in raw.channels), default=0))
     except Unusable:
         raise
     except ModuleNotFoundError as error:
         raise Unusable(_missing(path, error)) from error
     except InvalidInput as error:
         raise Unusable(str(error)) from error
+    except RecursionError as error:
+        raise Unusable("the file is nested too deeply; write it flatter") from error
     except UnicodeDecodeError as error:
         raise Unusable("the file is no UTF-8 text; save it as UTF-8") from error
     except OSError as error:
@@ -123,6 +134,12 @@ def read_raw(path: Path) -> RawFile:
     if not any(channel.values.size for channel in raw.channels):
         raise Unusable("the file has no rows; record the trial again or remove the file")
     return raw._replace(channels=tuple(map(_with_unit, raw.channels)))
+
+
+def _size(path: Path) -> int:
+    """Size of a file, or of all files of a bag."""
+    files = path.parent.iterdir() if path.name == BAG else (path,)
+    return sum(file.stat().st_size for file in files)
 
 
 def _with_unit(channel: Channel) -> Channel:

@@ -13,6 +13,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 from pydantic_core import ErrorDetails
 
 from estune.errors import InvalidInput
+from estune.support.file_limits import SETTINGS_MAX, check_depth, check_size
 from estune.support.plain_fault import plain_fault
 
 
@@ -33,11 +34,16 @@ def read_toml(path: Path) -> dict[str, Any]:
     """
     try:
         # Editors on Windows write a byte-order mark, which TOML does not allow.
-        return tomllib.loads(path.read_text(encoding="utf-8-sig"))
+        check_size(path, path.stat().st_size, SETTINGS_MAX)
+        found = tomllib.loads(path.read_text(encoding="utf-8-sig"))
     except (OSError, UnicodeDecodeError) as error:
         raise InvalidInput(f"{path}: {getattr(error, 'strerror', None) or error}") from error
     except tomllib.TOMLDecodeError as error:
         raise InvalidInput(f"{path}: no TOML: {error}") from error
+    except RecursionError as error:
+        raise InvalidInput(f"{path}: nested too deeply; write it flatter") from error
+    check_depth(found, path)
+    return found
 
 
 def validate(kind: type[_Table], data: dict[str, Any], source: str) -> _Table:

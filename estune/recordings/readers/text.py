@@ -58,6 +58,8 @@ def table(text: str) -> RawFile:
     except pd.errors.EmptyDataError:
         return RawFile((), {})
     except pd.errors.ParserError as error:
+        if "out of memory" in str(error):
+            raise MemoryError from error
         line = re.search(r"line (\d+)", str(error))
         raise Unusable(
             "the row has more cells than the heading, or a quote is not closed; correct it",
