@@ -281,6 +281,18 @@ def test_bad_readings_in_a_trial_are_bridged_up_to_the_rule_then_stop_and_latch(
     assert loop.answer().outcome is Outcome.DONE
 
 
+def test_ramp_lasts_its_time_where_samples_are_long():
+    loop = VirtualLoop(config(safe__state="ramp"))
+    in_trial(loop)
+    while loop.machine.phase is not MotionPhase.RAMP:
+        loop.step(no_answer(loop))
+    for _ in range(10):  # of 0.2 s
+        loop.time_s += 0.02
+        loop.step(no_answer(loop))
+    assert loop.machine.phase is MotionPhase.STOPPED
+    assert loop.current_A[-1] == 0.0
+
+
 def test_time_without_a_good_reading_stops_the_reel_however_few_were_bad():
     loop = VirtualLoop(config(guard__bad_in_a_row=1000, guard__bad_s=0.02, guard__gap_s=1.0))
     in_trial(loop)

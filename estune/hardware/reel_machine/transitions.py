@@ -7,7 +7,7 @@ from typing import Any
 from estune.core.pidf import Coefficients
 from estune.hardware.loop_messages import BeginTrial, Refused
 from estune.hardware.reel_machine.reel import ReelState
-from estune.hardware.shared_memory import MotionPhase, Word
+from estune.hardware.shared_memory import MotionPhase, SensorLevels, Word
 from estune.reel.guard import GuardTrip, Reason
 from estune.support.state_table import StateTable, TableRow
 from estune.trial import Outcome
@@ -215,10 +215,13 @@ def run(reel: ReelState, time_s: float, tension_N: float) -> float:
     return effort
 
 
-def ramp(reel: ReelState, _time_s: float, _tension_N: float) -> float:
+def ramp(reel: ReelState, time_s: float, _tension_N: float) -> float:
     """A ramp to the effort of the safe state; then stopped."""
-    target, step = reel.plan.safe.effort_N, reel.ramp_step_N
-    effort = reel.effort_N + step
+    # By time: a device that does not answer makes samples many times as long as a period.
+    passed_s = time_s - reel.memory.levels[SensorLevels.TIME_s]
+    samples = max(passed_s * reel.plan.sampling_Hz, 1.0)
+    target, step = reel.plan.safe.effort_N, reel.ramp_step_N * samples
+    effort: float = reel.effort_N + step
     if step == 0.0 or (target - effort) * step <= 0.0:
         reel.phase = MotionPhase.STOPPED
         return target
