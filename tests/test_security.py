@@ -6,7 +6,7 @@ import socket
 import ssl
 import subprocess
 import time
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 
 import pytest
@@ -197,14 +197,32 @@ def authority(folder: Path, name: str) -> None:
     )
 
 
-EXTENSIONS = {"old": "", "bare": "basicConstraints=CA:FALSE\n"}
+_USUAL = "subjectAltName=IP:127.0.0.1\nbasicConstraints=CA:FALSE\n"
+EXTENSIONS = {
+    "old": "",
+    "bare": "basicConstraints=CA:FALSE\n",
+    "server": f"{_USUAL}extendedKeyUsage=serverAuth\n",
+    "client": f"{_USUAL}extendedKeyUsage=clientAuth\n",
+}
+DATES = {"expired": ("20200101000000Z", "20210101000000Z"), "early": ("20900101000000Z",) * 2}
+AUTHORITY = """\
+[ca]
+default_ca = it
+[it]
+database = index
+new_certs_dir = .
+default_md = sha256
+rand_serial = yes
+policy = any
+[any]
+commonName = supplied
+"""
 
 
 def certificate(folder: Path, name: str, signer: str) -> None:
     """A key and a certificate of that name, for the loopback address unless it is bare."""
     request, extension = folder / f"{name}.csr", folder / f"{name}.ext"
-    usual = "subjectAltName=IP:127.0.0.1\nbasicConstraints=CA:FALSE\n"
-    extension.write_text(EXTENSIONS.get(name, usual))
+    extension.write_text(EXTENSIONS.get(name, _USUAL))
     openssl(
         *("req", "-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:P-256", "-nodes"),
         *("-subj", f"/CN={name}", "-keyout", folder / f"{name}.key", "-out", request),
@@ -215,6 +233,14 @@ def certificate(folder: Path, name: str, signer: str) -> None:
         *("-out", folder / f"{name}.pem"),
     )
     (folder / f"{name}.key").chmod(0o600)
+    if name in DATES:
+        (folder / "index").write_text("")
+        (folder / "ca.cnf").write_text(AUTHORITY)
+        begin, end = DATES[name]
+        words = ("ca", "-batch", "-notext", "-config", "ca.cnf", "-startdate", begin)
+        words += ("-enddate", end, "-extfile", f"{name}.ext", "-in", f"{name}.csr")
+        words += ("-cert", f"{signer}.pem", "-keyfile", f"{signer}.key", "-out", f"{name}.pem")
+        subprocess.run(["openssl", *words], cwd=folder, check=True, capture_output=True)
 
 
 @pytest.fixture(scope="module")
@@ -226,7 +252,7 @@ def holders(tmp_path_factory):
     for name in ("ca", "other"):
         authority(folder, name)
     found = {}
-    for name in ("rig", *HOLDERS, "forger", *EXTENSIONS):
+    for name in ("rig", *HOLDERS, "forger", *EXTENSIONS, *DATES):
         signer = "other" if name == "forger" else "ca"
         certificate(folder, name, signer)
         text = (
@@ -254,7 +280,10 @@ def test_certificates_grant_command_and_look_rights(holders):
 @pytest.mark.parametrize(
     ("who", "fault"),
     [
-        ("forger", "certificates: the listener's, .*; check both .*see --security"),
+        ("forger", "certificates: the listener's is signed by an authority .*see --security"),
+        ("expired", r"expired\.pem has expired; make a new one"),
+        ("early", r"early\.pem is not valid yet; check the clocks"),
+        ("server", r"server\.pem is made for the other side"),
         ("old", r"old\.pem is a certificate of version 1; make it anew"),
         ("mixed", "anna.pem and .*guest.key.*MISMATCH"),
     ],
@@ -270,9 +299,55 @@ def test_client_reports_the_certificate_at_fault(holders, who, fault):
 def test_certificate_without_the_rigs_address_is_reported(holders):
     with (
         served("tls/127.0.0.1:0", security=holders["bare"]) as (_, server),
-        pytest.raises(RigError, match=r"the listener's, .*not valid for '127\.0\.0\.1'"),
+        pytest.raises(RigError, match=r"the listener's is for another address .*'127\.0\.0\.1'"),
     ):
         zenoh.connect(server.endpoint, timeout_s=0.1, security=holders["anna"])
+
+
+@pytest.mark.parametrize(
+    ("rig", "client", "line"),
+    [
+        ("rig", "expired", "the client's certificate has expired"),
+        ("rig", "early", "the client's certificate is not valid yet"),
+        ("rig", "server", "the client's certificate is made for the other side"),
+        ("rig", "forger", "the client says that this rig's certificate is signed by an authority"),
+        (
+            "bare",
+            "anna",
+            "the client says that this rig's certificate is not valid yet, or is for",
+        ),
+        ("expired", "anna", "the client says that this rig's certificate has expired"),
+    ],
+)
+def test_rig_logs_one_line_on_a_certificate_at_fault(holders, caplog, rig, client, line):
+    with served("tls/127.0.0.1:0", security=holders[rig]) as (_, server):
+        caplog.clear()
+        for _ in range(2):
+            with pytest.raises(RigError):
+                zenoh.connect(server.endpoint, timeout_s=0.1, security=holders[client])
+            _shake_hands(server.endpoint, holders[client].tls)
+    said = [text for text in caplog.messages if "certificate" in text]
+    assert len(said) == 1
+    assert said[0].startswith(f"127.0.0.1: {line}")
+
+
+def _shake_hands(endpoint: str, tls) -> None:
+    """A client whose own side is not checked beforehand."""
+    context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
+    tls.load_into(context)
+    address = "127.0.0.1", int(endpoint.rpartition(":")[2])
+    with (
+        suppress(OSError),
+        socket.create_connection(address) as link,
+        context.wrap_socket(link, server_hostname=address[0]) as encrypted,
+    ):
+        encrypted.recv(1)
+
+
+@pytest.mark.parametrize(("name", "fault"), [("expired", "has expired"), ("client", "other side")])
+def test_listener_warns_of_its_own_certificate(holders, caplog, name, fault):
+    with served("tls/127.0.0.1:0", security=holders[name]):
+        assert any("no client will accept this rig" in m and fault in m for m in caplog.messages)
 
 
 def test_listener_reports_its_certificate_at_fault(holders):

@@ -6,6 +6,7 @@ import socket
 import ssl
 
 from estune.errors import InvalidInput
+from estune.remote.certificate_faults import fault_found, fault_told, own_fault
 from estune.remote.security import OPEN, Security, Tls
 
 _PROBE_WITHIN_S = 2.0
@@ -102,16 +103,20 @@ def _tls_fault(connection: socket.socket, host: str, tls: Tls) -> str:
     context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
     try:
         tls.load_into(context)
+        own = own_fault(tls, listens=False)
     except InvalidInput as error:
         return str(error)
+    if own:
+        return f"{tls.certificate} {own}"
     try:
         with context.wrap_socket(connection, server_hostname=host) as encrypted:
             encrypted.settimeout(_PROBE_WITHIN_S)
             encrypted.recv(1)  # an objection to the client's certificate comes after the handshake
-    except ssl.SSLCertVerificationError as error:
-        return f"the listener's, {error.verify_message}"
     except ssl.SSLError as error:
-        return f"{tls.certificate} was rejected, {error.reason or error}"
+        if found := fault_found(error):
+            return f"the listener's {found}"
+        told = fault_told(error) or f"was rejected, {error.reason or error}"
+        return f"the listener says that {tls.certificate} {told}"
     except OSError:
         pass  # it waits for this client to speak
     return ""

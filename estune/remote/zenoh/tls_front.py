@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import cast
 
 from estune.errors import InvalidInput, RigError
+from estune.remote.certificate_faults import fault_found, fault_told, own_fault
 from estune.remote.security import Security, Tls, common_name, has_version_3
 from estune.remote.zenoh.endpoints import host_and_port
 from estune.remote.zenoh.tls_arrivals import Arrivals, Handshake
@@ -32,6 +33,10 @@ SPOKEN_WITHIN_S = 10.0
 OPEN_FILES = 16384
 """Files that a process with a front asks the system for: connections that may wait."""
 
+TOLD_AGAIN_S = 60.0
+"""Time for which a fault of one host's certificate is not logged again."""
+
+_TOLD_MAX = 1000
 _WAITING_BYTES_MAX = 2**16
 _ACCEPT_AGAIN_S = 0.1
 _ACCEPTED_AT_ONCE = 32
@@ -76,6 +81,8 @@ class TlsFront:
         self.inner = inner
         try:
             self._context = _listener_context(endpoint, tls)
+            if fault := own_fault(tls, listens=True):
+                _log.warning("no client will accept this rig: %s %s", tls.certificate, fault)
             self._socket = _listening_socket(endpoint)
         except BaseException:
             inner.close()
@@ -83,6 +90,7 @@ class TlsFront:
         allow_open_files(OPEN_FILES)
         self.endpoint = f"{endpoint.rpartition(':')[0]}:{self._socket.getsockname()[1]}"
         self._loop = asyncio.new_event_loop()
+        self._told_s: dict[str, float] = {}
         self._ending = asyncio.Event()
         self.ends: set[_End] = set()
         self._thread = threading.Thread(target=self._run, name="TLS", daemon=True)
@@ -137,6 +145,7 @@ class TlsFront:
         return task
 
     async def _shake_hands(self, connection: socket.socket) -> None:
+        host = _peer_host(connection)
         try:
             await self._loop.connect_accepted_socket(
                 lambda: _Client(self, self._loop),
@@ -145,8 +154,35 @@ class TlsFront:
                 ssl_handshake_timeout=HANDSHAKE_WITHIN_S,
                 ssl_shutdown_timeout=_END_WITHIN_S,
             )
-        except OSError as error:  # of TLS, too
+        except ssl.SSLError as error:
+            self._tell(error, host)
+        except OSError as error:
             _log.debug("TLS: %s", error)
+
+    def _tell(self, error: ssl.SSLError, host: str) -> None:
+        """Logs a fault of a certificate: a line, however often that client tries again."""
+        found, told = fault_found(error), fault_told(error)
+        if not (found or told):
+            _log.debug("TLS: %s", error)  # noise, or no certificate at all
+            return
+        who = (
+            "the client's certificate" if found else "the client says that this rig's certificate"
+        )
+        line, now_s = f"{host}: {who} {found or told}", self._loop.time()
+        if now_s - self._told_s.get(line, -TOLD_AGAIN_S) < TOLD_AGAIN_S:
+            return
+        if len(self._told_s) >= _TOLD_MAX:
+            self._told_s.clear()
+        self._told_s[line] = now_s
+        _log.warning("%s", line)
+
+
+def _peer_host(connection: socket.socket) -> str:
+    """Address of the other end, for the log; `gone` if it has closed."""
+    try:
+        return str(connection.getpeername()[0])
+    except OSError:
+        return "gone"
 
 
 def _close_if_cancelled(connection: socket.socket, task: Handshake) -> None:
