@@ -20,10 +20,16 @@ import pytest
 import estune
 import plants
 from estune.cli import app, main, run
+from estune.daemon.config_check import check_file
 from estune.hardware import read_config
 from estune.remote import zenoh
 from estune.run.targets import open_target
+from estune.studies.sweep.design import read_design
+from estune.trial.tracking import resting_profile, tracking_profile
 from estune.tuners import TUNERS
+from plants import load_model, reference_reel
+from plants.emulator import HIDDEN, RIG_FILE
+from plants.emulator.settings import make_board
 
 COMMAND = [sys.executable, "-m", "estune"]
 COMMANDS = {
@@ -161,10 +167,34 @@ def test_version_is_that_of_the_distribution():
     assert call("--version").stdout.strip() == estune.__version__ == version("estune")
 
 
-def test_example_rig_file_is_complete(here, tmp_path):
+@pytest.mark.parametrize("hidden", [None, *HIDDEN])
+def test_example_rig_file_is_accepted_and_hides_what_is_asked_for(hidden, here, tmp_path):
     file = tmp_path / "my-rig.toml"
-    file.write_text(here("serve-hardware", "--example"))
-    assert read_config(file).name == "reel"
+    options = () if hidden is None else ("--hidden", hidden)
+    file.write_text(here("serve-hardware", "--example", *options))
+    driver = read_config(file).driver.settings
+    make_board(driver, 0.0)
+    assert len(driver.get("effects", ())) == (hidden is not None)
+
+
+def test_example_rig_allows_the_trials_of_other_commands():
+    about = read_config(RIG_FILE).describe()
+    longest = tracking_profile(about.step, about.settling_time_s, about.limits)
+    for profile in (longest, resting_profile(about.step, about.settling_time_s)):
+        about.limits.check(profile)
+
+
+def test_example_files_of_sweep_daemon_and_model_are_accepted(here, tmp_path):
+    for name, reader in {
+        "sweep": read_design,
+        "daemon": check_file,
+        "explain": load_model,
+    }.items():
+        file = tmp_path / f"{name}.toml"
+        file.write_text(here(name, "--example"))
+        assert reader(file)
+    reel = load_model(tmp_path / "explain.toml")
+    assert reel == reference_reel(**read_config(RIG_FILE).driver.settings["reel"])
 
 
 def test_setting_with_its_unit_is_refused_with_its_name(refused):

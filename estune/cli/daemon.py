@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from rich.live import Live
 from rich.text import Text
 
+import estune.daemon
 from estune.cli import output
 from estune.cli.values import Flag, OptionalText, security_from, share_from
 from estune.core.gains import GAIN_NAMES
@@ -23,6 +24,7 @@ from estune.support.user import user_at_host
 if TYPE_CHECKING:
     from estune.remote.zenoh.daemon_service import DaemonClient
 
+_EXAMPLE = Path(estune.daemon.__file__).with_name("example.toml")
 _TAKES_EFFECT_WITHIN_S = 10.0
 """Time for which a command is waited for; a rig that is away may take longer."""
 _POLL_S = 0.1
@@ -33,7 +35,7 @@ _OVERVIEW = ("rig", "mode", "live", "run", "cost", "next check", "paused", "trou
 
 
 def daemon(
-    config: Path,
+    config: Path | None = None,
     /,
     *,
     check: Flag = False,
@@ -41,6 +43,7 @@ def daemon(
     security: Path | None = None,
     log_format: LogFormat = "auto",
     verbose: Flag = False,
+    example: Flag = False,
 ) -> None:
     """Tune rigs, monitor the accepted gains, and tune again when the cost drifts; until stopped.
 
@@ -52,7 +55,13 @@ def daemon(
         security: Credentials file, if a rig requires authentication.
         log_format: JSON lines or text, on standard error; auto is text on a terminal.
         verbose: Log every check trial, too.
+        example: Print a complete file and exit.
     """
+    if example:
+        print(_EXAMPLE.read_text("utf-8"), end="")
+        return
+    if config is None:
+        raise InvalidInput("give the daemon's file; for one to begin from, use --example")
     from estune.daemon.config import read_config  # noqa: PLC0415  slow to import
     from estune.daemon.config_check import check_file  # noqa: PLC0415
     from estune.daemon.service import DaemonService  # noqa: PLC0415  as above

@@ -30,6 +30,7 @@ def serve_hardware(
     log_format: LogFormat = "text",
     http_port: int | None = None,
     example: Flag = False,
+    hidden: str | None = None,
 ) -> None:
     """Serve a reel on hardware, or an emulated one, as a rig on the network, until Ctrl-C.
 
@@ -43,10 +44,14 @@ def serve_hardware(
         log_format: JSON lines or text, on standard error; auto is text on a terminal.
         http_port: Port of 127.0.0.1 that serves /metrics, /health and /ready.
         example: Print a complete rig file, of an emulated reel, and exit.
+        hidden: With --example, an effect that the emulated machine has and its model lacks:
+            coulomb, cogging, ripple or gravity.
     """
     if example:
-        print(_example(), end="")
+        print(_example(hidden), end="")
         return
+    if hidden is not None:
+        raise InvalidInput("--hidden is for an emulated machine; give --example with it")
     if file is None:
         raise InvalidInput("give the rig's file; for one to begin from, use --example")
     from estune.cli.rig_metrics import rig_metrics  # noqa: PLC0415  slow to import
@@ -94,11 +99,11 @@ def serve_hardware(
         hardware.describe()  # raises the failure of its control loop, if that ended the wait
 
 
-def _example() -> str:
+def _example(hidden: str | None) -> str:
     examples = plugins("estune.examples")
     if "rig" not in examples:
         raise InvalidInput("no installed package offers an example; reinstall estune")
-    return str(load_plugin(examples["rig"])())
+    return str(load_plugin(examples["rig"])(hidden))
 
 
 def _close_after(

@@ -21,12 +21,13 @@ from estune.studies.sweep.exclusions import LISTED_MAX, exclusion_sentences
 from estune.studies.sweep.result import SweepResult
 from estune.support.whole_file import write_file
 
+EXAMPLE = Path(sweeping.__file__).with_name("example.toml")
 REPORT, LAW = "report.html", "law.json"
 """Files in the folder of the sweep beside its store."""
 
 
 def sweep(
-    design: Path,
+    design: Path | None = None,
     /,
     *,
     folder: Path | None = None,
@@ -36,6 +37,7 @@ def sweep(
     dry_run: Flag = False,
     quiet: Flag = False,
     json: Flag = False,
+    example: Flag = False,
 ) -> None:
     """Tune at every length, tension, tuner, seed and rig of a file, and fit the gains over length.
 
@@ -52,10 +54,16 @@ def sweep(
         dry_run: Only check the limits and list what would be commanded; nothing moves.
         quiet: Show no progress.
         json: Print the laws as JSON.
+        example: Print a complete file, of a simulated reel, and exit.
 
     Raises:
         InvalidInput: something in the file does not fit.
     """
+    if example:
+        print(EXAMPLE.read_text("utf-8"), end="")
+        return
+    if design is None:
+        raise InvalidInput("give the sweep's file; for one to begin from, use --example")
     check_folder_exists("--report", report)
     if dry_run:
         _show_plan(expand_cells(read_design(design)))

@@ -1,5 +1,6 @@
 """`estune explain`: the effect that is missing from a model, identified from records."""
 
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -10,6 +11,7 @@ from rich.text import Text
 
 from estune.cli import output
 from estune.cli.values import Effects, Flag, Values, check_folder_exists, command_line
+from estune.errors import InvalidInput
 from estune.run.progress import showing_phases
 from plants.commands.columns import Sources, column_map
 
@@ -17,6 +19,7 @@ if TYPE_CHECKING:
     from plants.diagnosis.report.diagnosis import Diagnosis
     from plants.diagnosis.report.summary import TextTable as Rows
 
+EXAMPLE = Path(__file__).with_name("reel.toml")
 _STYLES = {"named": "bold green", "none": "bold green"}
 _CANDIDATES = 5
 """Candidates in the table."""
@@ -24,8 +27,8 @@ _CANDIDATES = 5
 
 def explain(
     *,
-    model: str,
-    data: Path,
+    model: str | None = None,
+    data: Path | None = None,
     json: Flag = False,
     report: Path | None = None,
     save: Path | None = None,
@@ -37,6 +40,7 @@ def explain(
     scale: Values = (),
     save_map: Path | None = None,
     quiet: Flag = False,
+    example: Flag = False,
 ) -> int:
     """Identify the effect missing from a model, from records.
 
@@ -57,6 +61,8 @@ def explain(
         scale: Factors to the unit, such as current=35.15.
         save_map: Write the map as a TOML file, for --map.
         quiet: Show no progress.
+        example: Print a model file, of the reel that estune serve-hardware --example emulates, and
+            exit.
 
     Exits with 9 where the records do not show enough for the verdict to stand alone, as motion
     in one direction only, and with 10 where data have faults to be corrected first.
@@ -64,6 +70,12 @@ def explain(
     Raises:
         InvalidInput: an option cannot be used, or no record can, with the reason for each.
     """
+    if example:
+        print(EXAMPLE.read_text("utf-8"), end="")
+        return 0
+    if model is None or data is None:
+        missing = "--model" if model is None else "--data"
+        raise InvalidInput(f"{missing} is missing; for a model file to begin from, use --example")
     check_folder_exists("--report", report)
     check_folder_exists("--save", save)
     import plants  # noqa: PLC0415  slow to import
@@ -95,15 +107,27 @@ def explain(
     if not json:
         again = partial(command_line, "explain", model=model, data=data)
         facts: dict[str, object] = {"report": report or again(report="report.html")}
-        if save is not None:
-            facts["model"] = save
-            if can_be_tuned(diagnosis.augmented):
-                facts["try it"] = command_line("tune", save)
-        if diagnosis.next_experiment is not None:
-            run = command_line("run-experiment", trial, "RIG", data=data)
-            facts["next trial"] = run if trial else again(next=".")
-        output.show_next(facts)
+        output.show_next(facts | _next_steps(diagnosis, save, trial, again, data))
     return diagnosis.exit_code
+
+
+def _next_steps(
+    diagnosis: "Diagnosis",
+    save: Path | None,
+    trial: Path | None,
+    again: Callable[..., str],
+    data: Path,
+) -> dict[str, object]:
+    """Commands that come next: of the saved model, and of the trial that would decide."""
+    facts: dict[str, object] = {}
+    if save is not None:
+        facts["model"] = save
+        if can_be_tuned(diagnosis.augmented):
+            facts["try it"] = command_line("tune", save)
+    if diagnosis.next_experiment is not None:
+        run = command_line("run-experiment", trial, "RIG", data=data)
+        facts["next trial"] = run if trial else again(next=".")
+    return facts
 
 
 def can_be_tuned(model: Any) -> bool:
