@@ -77,7 +77,8 @@ def price_of(
 
     def best(within: RobustnessLimits) -> Optimum:
         low, high = np.maximum(bounds[0], at - EXTENT), np.minimum(bounds[1], at + EXTENT)
-        search = RegionSearch(fit.model, trial, within, gains_of, low, high, fit.noise_std)
+        aimed = within.aimed(fit.noise_std / abs(trial.step.size))  # as of the tuned gains
+        search = RegionSearch(fit.model, trial, aimed, gains_of, low, high, fit.noise_std)
         return search.minimise([at])
 
     free = best(RobustnessLimits(None, None, None)).prediction.cost

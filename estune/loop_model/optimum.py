@@ -19,6 +19,19 @@ SENSITIVITY_MAX = 1.6
 """Largest Ms by default; 1.4 is robust, 2 aggressive."""
 
 
+SENSITIVITY_MARGIN = 0.03
+"""Logarithm of Ms that a search keeps from its limit. The upper end of an interval lies at least
+2 % above Ms (`intervals.MODEL_ERROR`), and the confirmation moves the estimate by up to 1 %."""
+
+OVERSHOOT_MARGIN, NOISE_MARGIN = 0.003, 2.0
+"""The same of the overshoot, as a share of the step, and as a multiple of the noise. The peak of a
+record is 0.4 times its noise too high on average and scatters by 0.7 times (15 random loops, noise
+of 0.2 to 2 % of the step), so that of two records the upper end of the interval lies 1.4 times
+higher on average, and 2 times higher in one of ten."""
+
+PHASE_MARGIN_deg = 2.0
+"""The same of the phase margin, whose intervals are 1 to 2 degrees wide."""
+
 _NONE = "no limit"
 
 
@@ -102,6 +115,22 @@ class RobustnessLimits:
                     else []
                 ),
             )
+        )
+
+    def aimed(self, noise: float) -> "RobustnessLimits":
+        """Limits of a search at whose optimum the upper ends of the intervals keep these.
+
+        Half of a small overshoot and of the logarithm of a small Ms is left at least.
+
+        Args:
+            noise: Standard deviation of the measurement noise, as a share of the step.
+        """
+        Ms, overshoot, angle = self.max_sensitivity, self.max_overshoot, self.min_phase_margin_deg
+        margin = OVERSHOOT_MARGIN + NOISE_MARGIN * noise
+        return RobustnessLimits(
+            None if Ms is None else max(Ms * math.exp(-SENSITIVITY_MARGIN), math.sqrt(Ms)),
+            None if overshoot is None else max(overshoot - margin, overshoot / 2.0),
+            None if angle is None else min(angle + PHASE_MARGIN_deg, 90.0),
         )
 
     def loosened_to(self, p: Prediction) -> "RobustnessLimits":

@@ -95,12 +95,17 @@ def plant_error(fit: LoopFit, records: Sequence[LoopRecord]) -> PlantErrorBound:
 
 
 def _edges(samples: int) -> FloatArray:
-    """Centres of the bands: as far apart as half their width, or as the records resolve."""
+    """Centres of the bands: as far apart as half their width, or as the records resolve.
+
+    The last band ends at half the sampling rate. One that reached beyond it had so few bins that
+    nothing was known of a loop there, whatever the records were.
+    """
     resolved = 2.0 * math.pi / samples
+    last = min(math.pi / (1.0 + HALF_WIDTH), math.pi - resolved)
     centres = [resolved]
-    while centres[-1] < math.pi - resolved:
+    while centres[-1] < last:
         centres.append(centres[-1] + max(HALF_WIDTH * centres[-1], resolved))
-    return np.array(centres)
+    return np.array([*centres[:-1], last])
 
 
 def _spectra(

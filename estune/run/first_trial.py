@@ -25,7 +25,9 @@ BACKWARDS = (
 )
 
 MEANS = 4
-"""The last quarter of the samples after the step is compared with those before it."""
+"""The last quarter of the samples after the step, before a load, is compared with those before it.
+After a load the effort that meets it says nothing of the plant's sign: an integrating plant ends
+where it was while the effort stays at the load with the sign changed."""
 
 
 def adopted(plan: Plan, rig: RigDescription, record: TrialRecord) -> tuple[Plan, RigDescription]:
@@ -58,16 +60,19 @@ def check_answer(record: TrialRecord, plan: Plan, rig: RigDescription) -> None:
             the wrong sign, or the effort stays at its limit.
     """
     index = plan.step.step_index(record.sampling_Hz)
-    effort = record.current_A * rig.newtons_per_ampere
+    load = plan.step.shape(record.sampling_Hz).load
+    before_load = slice(None if load is None else load.sample)
+    effort = record.current_A[before_load] * rig.newtons_per_ampere
+    measurement = record.tension_N[before_load]
     if not 1 < index < effort.size - MEANS:
         return
     moved, moved_error = _change(effort, index)
-    answer, error = _change(record.tension_N, index)
+    answer, error = _change(measurement, index)
     if not abs(moved) > ANSWERED * moved_error:
         return
     what = f"trial {record.trial_id}: the {rig.measurement_name}"
     moves = f"while the {rig.command_name} changes by {rig.commanded(moved)}"
-    rounding = 1e-12 * float(np.abs(record.tension_N).max())
+    rounding = 1e-12 * float(np.abs(measurement).max())
     if abs(answer) <= max(ANSWERED * error, rounding):
         raise InvalidInput(
             f"{what} does not answer: it changes by {rig.measured(answer, 2)} {moves}; check the "

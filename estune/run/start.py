@@ -169,7 +169,7 @@ def _optimum(fit: LoopFit, trial: StepTrial, limits: RobustnessLimits, at: Gains
     search = RegionSearch(
         model=fit.model,
         trial=trial,
-        limits=limits,
+        limits=limits.aimed(NOISE_ASSUMED),
         gains_of=lambda x: Gains(*np.exp(x).tolist()),
         low=centre - EXTENT,
         high=centre + EXTENT,

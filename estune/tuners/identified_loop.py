@@ -346,14 +346,15 @@ class IdentifiedLoopTuner:
         best = np.array(state.base)
         radius = self.reach * state.step_scale
         low, high = self.space.coordinate_bounds
+        trial, noise_std = self._trial(state), state.fit.noise_std if state.fit else 0.0
         return RegionSearch(
             model=model,
-            trial=self._trial(state),
-            limits=self.limits,
+            trial=trial,
+            limits=self.limits.aimed(noise_std / abs(trial.step.size)),
             gains_of=lambda x: self.space.gains(self.space.point(tuple(x.tolist()))),
             low=np.maximum(low, best - radius),
             high=np.minimum(high, best + radius),
-            noise_std=state.fit.noise_std if state.fit else 0.0,
+            noise_std=noise_std,
             corrected=state.surface.corrected if state.surface else None,
         )
 

@@ -106,10 +106,11 @@ def outside() -> Iterator[LoopCase]:
 def modes(count: int, seed0: int) -> Iterator[LoopCase]:
     """A plant of two poles with a mode beside it in phase or antiphase, or behind it."""
     for seed in range(seed0 + RANDOM_BEYOND, seed0 + RANDOM_BEYOND + count):
-        yield _with_mode(seed)
+        yield mode_case(seed)
 
 
-def _with_mode(seed: int) -> LoopCase:
+def mode_case(seed: int) -> LoopCase:
+    """The mode of a seed."""
     import control  # noqa: PLC0415  slow to import
 
     rng = np.random.default_rng(seed)

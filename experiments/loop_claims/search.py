@@ -14,7 +14,7 @@ from estune.run.phase import Phase
 from estune.run.planning import make_plan
 from estune.run.results.result import from_tuning
 from estune.run.session import after_trial, next_request, with_excitation
-from estune.trial import TrialRecord
+from estune.trial import Rig, TrialRecord
 from estune.trial.loop_records import loop_signals
 from estune.trial.scoring import constraint_margin, cost_of
 from experiments.loop_claims.cases import LoopCase
@@ -69,23 +69,7 @@ def search(case: LoopCase, optimum: Truth, noise: float, seed: int, trials_max: 
     """
     began_s = time.process_time()
     rig = SimulatedRig(case.plant, seed=seed, gains=case.start)
-    description = rig.describe()
-    plan = make_plan(
-        description,
-        f"seed{seed}",
-        tuner="model_based",
-        start=case.start,
-        bounds=None,
-        step=None,
-        cost=case.cost,
-        trials=trials_max,
-    )
-    run = start(plan, description, None)
-    rng = np.random.default_rng(seed)
-    while (request := next_request(run.session)) is not None:
-        record = rig.run(request)
-        factor = math.exp(noise * rng.standard_normal())
-        advance(run, record, factor)
+    run = tuned_run(rig, case, seed, trials_max, noise)
     rig.close()
     result = from_tuning(run)
     margins = result.claim.margins
@@ -110,6 +94,30 @@ def search(case: LoopCase, optimum: Truth, noise: float, seed: int, trials_max: 
         misfit=result.claim.misfit,
         cpu_s=cpu_s,
     )
+
+
+def tuned_run(
+    rig: Rig, case: LoopCase, seed: int, trials_max: int, noise: float = 0.0
+) -> TuningRun:
+    """A run to its end on a rig, with noise on the costs as of `search`."""
+    description = rig.describe()
+    plan = make_plan(
+        description,
+        f"seed{seed}",
+        tuner="model_based",
+        start=case.start,
+        bounds=None,
+        step=None,
+        cost=case.cost,
+        trials=trials_max,
+    )
+    run = start(plan, description, None)
+    rng = np.random.default_rng(seed)
+    while (request := next_request(run.session)) is not None:
+        record = rig.run(request)
+        factor = math.exp(noise * rng.standard_normal())
+        advance(run, record, factor)
+    return run
 
 
 def advance(run: TuningRun, record: TrialRecord, factor: float) -> None:
