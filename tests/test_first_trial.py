@@ -9,8 +9,10 @@ import pytest
 import estune
 import plants
 from estune.core.gains import Gains
-from estune.errors import InvalidInput, UnsafeStart
+from estune.errors import InvalidInput, RigError, UnsafeStart
 from estune.interop import margins
+from estune.run.first_trial import check_answer
+from estune.trial import TrialRequest
 from estune.trial.profiles import StepProfile
 from tests.support_targets import slowly_unstable
 
@@ -74,6 +76,37 @@ def test_diverging_first_trial_tells_a_wrong_sign_from_large_gains(plant_gain, g
     with pytest.raises(UnsafeStart, match=match) as refused:
         tune(plant(plant_gain, gains=gains, dead_time_s=0.1))
     assert "eta_max" not in str(refused.value)
+
+
+@pytest.mark.parametrize(
+    ("change", "match"),
+    [
+        (lambda r: {"setpoint_N": np.roll(r.setpoint_N, 5)}, "setpoint at sample 21 is 0 where"),
+        (lambda r: {"setpoint_N": 1.05 * r.setpoint_N}, "setpoint at sample 20 is 1.05 where"),
+        (lambda _: {"sampling_Hz": 99.0}, "sampled at 99 Hz"),
+        (lambda r: {"current_A": r.current_A + 9.0}, "beyond the limits of -2 to 2"),
+    ],
+)
+def test_record_of_another_trial_is_refused_with_its_first_difference(change, match):
+    limited = plant(output_min_N=-2.0, output_max_N=2.0)
+    rig = Changed(limited.rig(), lambda record: replace(record, **change(record)))
+    with pytest.raises(RigError, match=match):
+        tune(rig)
+    assert rig.ran == 1
+
+
+def test_load_of_a_slow_integrating_plant_is_not_taken_for_a_wrong_sign():
+    slow = plants.linear_plant(
+        *(control.tf([0.2], [1.0, 0.0]), 0.3, 20.0),
+        noise_rms_N=0.003,
+        gains=Gains(0.8, 0.02, 0.1, 0.1),
+        profile=StepProfile(0.0, 1.0, 1.0, 40.0),
+        settling_time_s=15.0,
+    )
+    rig = slow.rig(seed=1)
+    made = estune.tune(rig, cost="rejection", trials=1, journal=False, watch=None).plan
+    first = rig.run(TrialRequest("again", 0, made.start, made.step))
+    check_answer(first, made, rig.describe())
 
 
 def test_effort_that_stays_at_its_limit_is_refused():

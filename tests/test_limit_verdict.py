@@ -126,8 +126,8 @@ def test_overshoot_within_its_noise_of_the_limit_is_not_shown(peaks):
         request = TrialRequest("run", number, rig.best, rig.describe().step)
         record, size = rig.run(request), request.profile.step_N
         tension = record.setpoint_N.copy()
-        tension[30] += peak * size
-        tension[40:] += 0.004 * size * rng.standard_normal(tension.size - 40)
+        tension[10:] += 0.004 * size * rng.standard_normal(tension.size - 10)
+        tension[30] = record.setpoint_N[30] + peak * size
         records.append(replace(record, tension_N=tension))
     unknown = Claim(None, "", math.nan)
     assert limit_verdict(plan(limits), unknown, rig.best, records).state is LimitState.NOT_SHOWN

@@ -107,7 +107,7 @@ def test_response_settles_about_the_value_it_ends_at(reel, swing_N, says):
 
 
 def test_price_of_limits_is_small_on_a_reel_and_names_softer_limits_where_dear(fast, reel):
-    said = "Without the limits on Ms and overshoot the model predicts a cost lower by 2."
+    said = "Without the limits on Ms and overshoot the model predicts a cost lower by 3."
     assert any(remark.startswith(said) for remark in reel.remarks())
     _, free = fast
     space, plan = free.plan.tuner.space, free.plan

@@ -32,6 +32,7 @@ from estune.run.trial_quality import check_noise
 from estune.support.blas import one_blas_thread
 from estune.trial import Outcome, Rig, RigDescription, TrialRecord, TrialRequest
 from estune.trial.loop_records import loop_signals
+from estune.trial.record_checks import request_fault
 from estune.trial.scoring import constraint_margin, cost_of, unscored
 
 CONSECUTIVE_VOID_MAX = 10
@@ -323,13 +324,13 @@ def _record_trial(
         The next request.
 
     Raises:
-        RigError: the rig ran other gains than requested; nothing is committed.
+        RigError: the rig ran another trial than requested; nothing is committed.
     """
     was_run = not record.outcome.is_void and record.outcome is not Outcome.DECLINED
-    if was_run and record.gains != request.gains:
+    if was_run and (fault := request_fault(record, request, tuning.description)):
         raise RigError(
-            f"trial {request.trial_id}: rig {record.rig} ran {record.gains} where "
-            f"{request.gains} were requested; check its limits and its software, then resume"
+            f"the record of trial {request.trial_id} of rig {record.rig} is not of the trial that "
+            f"was asked for: {fault}; check the rig's limits and its software, then resume"
         )
     if not tuning.session.baseline:
         adopt_first(tuning, record)

@@ -109,7 +109,7 @@ def modes(count: int, seed0: int) -> Iterator[LoopCase]:
         yield mode_case(seed)
 
 
-def mode_case(seed: int) -> LoopCase:
+def mode_case(seed: int, noise: float = MODE_NOISE) -> LoopCase:
     """The mode of a seed."""
     import control  # noqa: PLC0415  slow to import
 
@@ -128,10 +128,10 @@ def mode_case(seed: int) -> LoopCase:
         sign = 1.0 if where == "in phase" else -1.0
         system, name = plant + sign * share * mode, f"{where}, share {share:.1%}"
     label = f"mode {seed}: {ratio * BASE_Hz:.0f} Hz, {name}, damping {damping:.1%}"
-    return of_system(label, system)
+    return of_system(label, system, noise)
 
 
-def of_system(name: str, system: Any) -> LoopCase:
+def of_system(name: str, system: Any, noise: float = MODE_NOISE) -> LoopCase:
     """The tuning of a linear system of python-control whose slowest mode is at `BASE_Hz`."""
     rate = SAMPLING_HZ
     made = plants.linear_plant(
@@ -144,7 +144,7 @@ def of_system(name: str, system: Any) -> LoopCase:
         profile=StepProfile(0.0, 1.0, 0.1, 1.5),
     )
     cost = StepCost(1.0 / BASE_Hz, time_unit="settling_time", move_weight=2.0)
-    plant = with_noise(made, MODE_NOISE)
+    plant = with_noise(made, noise)
     return LoopCase(name, "mode", plant, cost, Gains(0.15, 4.0, 0.003, 0.08))
 
 

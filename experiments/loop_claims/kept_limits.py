@@ -80,13 +80,11 @@ def drawn_case(seed: int) -> LoopCase:
     if kind == "nonlinear":
         names = list(OUTSIDE)
         name = names[int(rng.integers(len(names)))]
-        plant = plants.reference_reel() + OUTSIDE[name]()
-        return LoopCase(name, kind, plant, PROBLEMS["friction"].cost, WEAK_ON_A_REEL)
+        reel = plants.reference_reel() + OUTSIDE[name]()
+        return LoopCase(name, kind, reel, PROBLEMS["friction"].cost, WEAK_ON_A_REEL)
     noise = math.exp(rng.uniform(*np.log(NOISE)))
     if kind == "mode":
-        case = mode_case(seed)
-        mounting = replace(case.plant.mounting, noise_rms_N=noise)
-        return case._replace(kind=kind, plant=replace(case.plant, mounting=mounting))
+        return mode_case(seed, noise)._replace(kind=kind)
     drawn, cost, _ = random_plant(rng)
     plant = with_noise(drawn, noise)
     return LoopCase(f"random {seed}", kind, plant, cost, plant.describe("rig", None).gains)
@@ -96,9 +94,9 @@ def measure(seed: int) -> dict[str, Any]:
     """The row of a seed: what was said, and what is true."""
     case = drawn_case(seed)
     row: dict[str, Any] = {"seed": seed, "kind": case.kind, "plant": case.name}
-    rig: Rig = SimulatedRig(case.plant, seed=seed, gains=case.start)
-    if case.kind == "load":
-        rig = LoadedRig(rig, np.random.default_rng([12, seed]))
+    quiet = SimulatedRig(case.plant, seed=seed, gains=case.start)
+    is_loaded, rng = case.kind == "load", np.random.default_rng([12, seed])
+    rig: Rig = LoadedRig(quiet, rng) if is_loaded else quiet
     try:
         run = tuned_run(rig, case, seed, TRIALS_MAX)
     except EstuneError as error:
