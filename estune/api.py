@@ -15,6 +15,7 @@ from estune.errors import EstuneError, InvalidInput, JournalError, RigError
 from estune.loop_model.optimum import RobustnessLimits
 from estune.run import archived_run, loop, progress
 from estune.run.approval import ApprovalCallback
+from estune.run.behaviour import behaviour_profiles
 from estune.run.journal import RECORDS_LEAST, RUNS, Journal
 from estune.run.labels import write_numbers
 from estune.run.loop import ProgressListener, Stopped, TuningRun
@@ -199,6 +200,8 @@ def tune(target: Any, options: TuneOptions) -> "TuneResult":  # noqa: D417  from
             **{member.name: getattr(options, member.name) for member in declared(Search)},
         )
         description.limits.check(plan.step)
+        if options.tracking:
+            behaviour_profiles(description)
         book = None
         if options.journal:
             facts = {

@@ -19,7 +19,7 @@ SENSITIVITY_MAX = 1.6
 """Largest Ms by default; 1.4 is robust, 2 aggressive."""
 
 
-SENSITIVITY_MARGIN, LARGEST_MARGIN = 0.03, 0.08
+SENSITIVITY_MARGIN, LARGEST_MARGIN = 0.03, 0.05
 """Logarithm of Ms that a search keeps from its limit, and the most where the interval is wider.
 The upper end of an interval lies at least 2 % above Ms (`intervals.MODEL_ERROR`)."""
 

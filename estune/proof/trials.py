@@ -226,9 +226,10 @@ def measured(
     wide = about.limits if patch and WIDE & set(patch.tables) else None
     triangle = tracking_profile(about.step, settling, wide)
     run, number = place
-    resting = TrialRequest(
-        *(run, number, about.gains, resting_profile(about.step, settling)), compensation=text
-    )
+    step = resting_profile(about.step, settling)
+    for profile in (step, triangle):  # before the first motion
+        about.limits.check(profile)
+    resting = TrialRequest(run, number, about.gains, step, compensation=text)
     record = _trial(rig, about, resting, on=on)
     rest = rest_in(record, about)
     if calm is not None and not rest <= RESTLESS * calm:

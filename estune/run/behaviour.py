@@ -13,7 +13,7 @@ from estune.errors import InvalidInput, RigError
 from estune.run.failed_trials import run_trial
 from estune.run.journal import Journal
 from estune.trial import Outcome, Rig, RigDescription, TrialRecord, TrialRequest
-from estune.trial.profiles import Profile, TriangleProfile
+from estune.trial.profiles import StepProfile, TriangleProfile
 from estune.trial.tracking import (
     TriangleTracking,
     rest_of,
@@ -37,6 +37,19 @@ class LoopBehaviour(NamedTuple):
     rest: float
 
 
+def behaviour_profiles(about: RigDescription) -> tuple[StepProfile, TriangleProfile]:
+    """The step with the rest after it, and the slow triangle.
+
+    Raises:
+        InvalidInput: the rig's limits do not allow one of them.
+    """
+    resting = resting_profile(about.step, about.settling_time_s)
+    triangle = tracking_profile(about.step, about.settling_time_s)
+    for profile in (resting, triangle):
+        about.limits.check(profile)
+    return resting, triangle
+
+
 def measure_behaviour(rig: Rig, about: RigDescription, gains: Gains, run: str) -> LoopBehaviour:
     """Runs a step with the rest after it, and a slow triangle.
 
@@ -50,12 +63,8 @@ def measure_behaviour(rig: Rig, about: RigDescription, gains: Gains, run: str) -
         InvalidInput: the rig's limits do not allow a trial.
         RigError: the rig cannot be reached, or a trial ended early.
     """
-    settling = about.settling_time_s
-    triangle = tracking_profile(about.step, settling)
-    resting = resting_profile(about.step, settling)
-    profiles: tuple[Profile, ...] = resting, triangle
-    for profile in profiles:
-        about.limits.check(profile)
+    profiles = behaviour_profiles(about)
+    _, triangle = profiles
     records = []
     for number, profile in enumerate(profiles):
         record = run_trial(rig, TrialRequest(run, number, gains, profile), about)

@@ -132,7 +132,8 @@ class RigLimits:
         if profile.duration_s > self.duration_max_s:
             raise InvalidInput(
                 f"a trial of {profile.duration_s:g} s is longer than the rig's limit of "
-                f"{self.duration_max_s:g} s; choose a shorter one"
+                f"{self.duration_max_s:g} s; choose a shorter one, or raise duration_max_s in the "
+                f"limits of the rig's file to {math.ceil(profile.duration_s)}"
             )
 
 
