@@ -123,3 +123,10 @@ def test_low_margins_warns_below_usual_values(loop_margins, words):
     sentences = [finding.sentence for finding in low_margins(loop_margins)]
     assert len(sentences) == (words is not None)
     assert all(words in sentence for sentence in sentences)
+
+
+def test_low_margins_of_a_tuner_without_limits_are_not_put_down_to_the_loop():
+    loop = Margins(4.0, 20.0, 5.0, 20.0, stable=True)
+    (warning,) = low_margins(loop, limited=True, by_records=False)
+    assert "linear" not in warning.sentence.removeprefix("the phase margin")
+    assert "tune with --tuner model_based" in warning.sentence

@@ -20,6 +20,7 @@ from rich.progress_bar import ProgressBar
 from rich.table import Table
 from rich.text import Text
 
+from estune.loop_model.optimum import RobustnessLimits
 from estune.run.disk_space import DiskForecast
 from estune.run.loop import Progress, ProgressListener, TuningRun
 from estune.run.phase import Phase
@@ -265,8 +266,13 @@ class ProgressCounter:
         tuning = self._tuning
         folder = f", stored in {tuning.journal.folder}" if tuning.journal else ""
         again = f" from trial {self._first} on" if self._first else ""
+        by = tuning.plan.tuner.name
+        if not tuning.plan.uses_records and tuning.plan.limits != RobustnessLimits(
+            None, None, None
+        ):
+            by += ", which searches without limits (model_based keeps them)"
         return (
-            f"tuning {tuning.description.name} with {tuning.plan.tuner.name}{again}{folder}; "
+            f"tuning {tuning.description.name} with {by}{again}{folder}; "
             "Ctrl-C stops and restores the rig's own gains"
         )
 

@@ -52,20 +52,21 @@ def serve(
         stop_on_eof: Stop when standard input is closed, too: when a parent process has ended.
     """
     begin_logging(log_format)
+    credentials = security_from(security)
+    rig = _rig(load(plant, settings_from(set_)), plant, name=name, seed=seed, pace=pace)
     book = None if ledger == "memory" else Path(ledger or f"rigs/{name}.ledger")
     if book is not None and has_writer(book, LEDGER):
         raise RigError(
             f"the ledger {book} is that of another server; serve a second rig beside it with "
             f"another name, such as --name {name}-2, or give its own --ledger"
         )
-    rig = _rig(load(plant, settings_from(set_)), plant, name=name, seed=seed, pace=pace)
     with (
         suppress(KeyboardInterrupt),
         zenoh.serve(
             *(rig, listen),
             ledger=book,
             allow_remote=allow_remote,
-            security=security_from(security),
+            security=credentials,
         ) as server,
     ):
         print(f"rig {name} at {server.endpoint}", flush=True)

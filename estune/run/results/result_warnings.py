@@ -85,20 +85,27 @@ class ResultWarning(NamedTuple):
     sentence: str
 
 
-def low_margins(margins: Margins | None, *, limited: bool = False) -> tuple[ResultWarning, ...]:
+def low_margins(
+    margins: Margins | None, *, limited: bool = False, by_records: bool = True
+) -> tuple[ResultWarning, ...]:
     """Warning of low margins or instability; none without a model.
 
     Args:
         margins: Of the rig's own linear model.
-        limited: Whether the search had a limit of the sensitivity already.
+        limited: Whether the run had a limit of the sensitivity already.
+        by_records: Whether the tuner identifies the loop, without which it keeps no such limit.
     """
     if margins is None:
         return ()
-    remedy = (
-        "the loop is not linear enough for the search to keep its limit of the sensitivity"
-        if limited
-        else "limit the sensitivity: --max-sensitivity 1.6"
-    )
+    remedy = "limit the sensitivity: --max-sensitivity 1.6"
+    if limited:
+        remedy = (
+            "the loop is not linear enough for the search to keep its limit of the sensitivity"
+        )
+    if not by_records:
+        remedy = (
+            "the tuner searches without limits; tune with --tuner model_based, which keeps them"
+        )
     if not margins.stable:
         sentence = f"these gains make the rig's own linear model unstable; {remedy}"
     elif margins.phase_margin_deg < PHASE_MARGIN_LEAST_deg:

@@ -214,7 +214,7 @@ class RunResult(OptimizeResult):  # type: ignore[misc]  # scipy ships no type in
             flat = tuple(finding for finding in flat if finding.kind == "flat")
         share = math.inf if at.record is None else constraint_margin(at.record, self.rig)
         near = result_warnings.low_margins(
-            at.margins, limited=self._limited
+            at.margins, limited=self._limited, by_records=self.plan.uses_records
         ) + result_warnings.near_limits(
             share, f"{self.rig.measurement_name} or {self.rig.command_name}"
         )
