@@ -13,7 +13,7 @@ from estune.errors import InvalidInput, RigError
 from estune.run.failed_trials import run_trial
 from estune.run.journal import Journal
 from estune.trial import Outcome, Rig, RigDescription, TrialRecord, TrialRequest
-from estune.trial.profiles import StepProfile, TriangleProfile
+from estune.trial.profiles import Profile, StepProfile, TriangleProfile
 from estune.trial.tracking import (
     TriangleTracking,
     rest_of,
@@ -63,8 +63,8 @@ def measure_behaviour(rig: Rig, about: RigDescription, gains: Gains, run: str) -
         InvalidInput: the rig's limits do not allow a trial.
         RigError: the rig cannot be reached, or a trial ended early.
     """
-    profiles = behaviour_profiles(about)
-    _, triangle = profiles
+    resting, triangle = behaviour_profiles(about)
+    profiles: tuple[Profile, ...] = resting, triangle
     records = []
     for number, profile in enumerate(profiles):
         record = run_trial(rig, TrialRequest(run, number, gains, profile), about)
