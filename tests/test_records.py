@@ -110,6 +110,18 @@ def test_cell_without_a_number_is_reported_by_column_and_row(tmp_path, record, v
     assert (finding.column, finding.row) == ("tension_N", 17)
 
 
+def test_record_without_a_setpoint_is_not_taken_for_a_closed_loop(tmp_path, capsys):
+    t = np.arange(200) / 100.0
+    table = np.column_stack([t, np.where(t > 0.5, 1.0, 0.0), 1.0 - np.exp(-t)])
+    file = tmp_path / "step.csv"
+    heading = "time_s,current_A,tension_N"
+    np.savetxt(file, table, delimiter=",", header=heading, comments="")
+    (made,) = read_measurements(file).measurements
+    assert made.loop == "open"
+    assert run(["records", str(file)]) == 0
+    assert "closed" not in capsys.readouterr().out
+
+
 def swap_rows(t):
     return np.concatenate([t[:99], t[[100, 99]], t[101:]])
 

@@ -198,7 +198,8 @@ def _show(previews: list["Preview"], sources: tuple["ColumnSource", ...]) -> Non
         ("record", "rate Hz", "seconds", "loop", "steps", *columns),
         (
             (
-                *(p.name, f"{p.sampling_Hz:.6g}", f"{p.duration_s:.4g}", p.loop),
+                *(p.name, f"{p.sampling_Hz:.6g}", f"{p.duration_s:.4g}"),
+                p.loop if "setpoint_N" in p.ranges else "-",
                 "-" if p.steps is None else str(p.steps),
                 *(_range(p.ranges.get(name)) for name in columns),
             )

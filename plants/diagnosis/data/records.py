@@ -198,7 +198,10 @@ def _preload(about: Metadata, columns: Columns) -> float:
 
 
 def _loop(about: Metadata, columns: Columns) -> Literal["open", "closed"]:
-    """As stated, or open where the current is the setpoint times a constant."""
+    """As stated, or closed where the current is not the setpoint times a constant.
+
+    Without a setpoint nothing in a record shows a controller.
+    """
     stated = about.text("loop")
     if stated in ("open", "closed"):
         return "open" if stated == "open" else "closed"
@@ -206,5 +209,5 @@ def _loop(about: Metadata, columns: Columns) -> Literal["open", "closed"]:
         raise Unusable(f"loop is {stated!r} in the metadata; it is open or closed")
     current, setpoint = columns.get("current_A"), columns.get("setpoint_N")
     if current is None or setpoint is None:
-        return "open" if current is None else "closed"
+        return "open"
     return "open" if is_multiple(current, setpoint) else "closed"

@@ -49,7 +49,7 @@ async function read() {
   const ranges = [...new Set(records.records.flatMap((one) => Object.keys(one.ranges)))];
   const shown = ([low, high]) => `${number(low)} to ${number(high)}`;
   $("list").replaceChildren(...(records.records.length ? [row("th", ["record", "rate, Hz", "length, s", "loop", ...ranges])] : []),
-    ...records.records.map((one) => row("td", [one.name, number(one.sampling_Hz), number(one.duration_s), one.loop,
+    ...records.records.map((one) => row("td", [one.name, number(one.sampling_Hz), number(one.duration_s), one.ranges.setpoint_N ? one.loop : "-",
       ...ranges.map((name) => (one.ranges[name] ? shown(one.ranges[name]) : ""))])));
   $("findings").replaceChildren(...records.findings.map((text) => make("li", { textContent: text })));
   drawMapping();
