@@ -19,6 +19,7 @@ from estune.loop_model.fitting import fit_loop
 from estune.loop_model.limit_price import price_of
 from estune.loop_model.model import LoopModel
 from estune.loop_model.optimum import RobustnessLimits
+from estune.loop_model.plant_error import plant_error
 from estune.loop_model.prediction import StepTrial
 from estune.loop_model.records import LoopRecord
 from estune.run.ending import RunEnding
@@ -84,6 +85,12 @@ def test_response_that_ends_farther_from_its_setpoint_than_before_is_not_robust(
 def reel():
     """The reference reel, tuned."""
     return tune(plants.reference_reel())
+
+
+def test_plant_is_known_as_well_at_half_the_sampling_rate_as_just_below_it(reel):
+    error = plant_error(reel.identified.fit, reel.identified.signals)
+    assert error.theta[-1] < np.pi
+    assert error.bound[-1] < 1.3 * error.bound[-2]
 
 
 @pytest.mark.parametrize(("swing_N", "says"), [(0.0, ""), (0.25, "not settled")])
