@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from plants.diagnosis.search.intervals import greatest_shifts, jackknife
+from plants.diagnosis.models.free_parameters import from_zero, positive
+from plants.diagnosis.search.intervals import greatest_shifts, jackknife, prior_deviation
 
 GROUPS, EACH = 40, 50
 
@@ -68,3 +69,9 @@ def test_groups_that_know_nothing_of_a_value_do_not_narrow_its_interval():
     knowing = group < 4
     alone = jackknife(columns[:, knowing], residuals[knowing], group[knowing], unequal=True)
     assert jackknife(columns, residuals, group, unequal=True) == pytest.approx(alone, rel=1e-3)
+
+
+def test_prior_deviation_is_relative_on_a_log_scale_and_absolute_on_a_linear_one():
+    inertia, friction = positive("inertia", "kg m^2", 2.0), from_zero("friction", "N m", 2.0, 5.0)
+    assert [prior_deviation(inertia, value) for value in (0.1, 3.0)] == [0.1, 3.0]
+    assert [prior_deviation(friction, value) for value in (0.1, 3.0)] == [2.0, 3.0]

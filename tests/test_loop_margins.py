@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from estune.core.gains import Gains
-from estune.core.margins import controller_response
+from estune.core.margins import controller_response, largest_sensitivity
 from estune.core.pidf import PidfState, coefficients, state_at_rest, step
 from estune.interop import (
     linear_model,
@@ -116,6 +116,22 @@ def test_margins_match_a_brute_force_scan(name):
         assert result.gain_crossover_Hz == pytest.approx(crossover_Hz, rel=1e-3)
 
 
+SLOW_LOOP = (1 / (1 + 100 * s) / (1 + 50 * s), 0.0, Gains(100.0, 0.0, 0.0, 0.0))
+"""Ms of 5 at 1.4e-4 rad/sample, far above the slowest pole and far below half the rate."""
+
+
+@pytest.mark.parametrize("name", [*LOOPS, "slow"])
+def test_largest_sensitivity_matches_a_brute_force_scan(name):
+    system, dead_time_s, gains, controller = (LOOPS | {"slow": (*SLOW_LOOP, settings(1000.0, 0.0))})[
+        name
+    ]
+    plant = sampled_model_of(linear_model(system, dead_time_s), controller.sampling_Hz)
+    theta = np.unique(np.r_[np.geomspace(1e-6, np.pi, 50_000), np.linspace(1e-5, np.pi, 50_000)])
+    loop = controller_response(gains, controller, theta) * plant.response(theta)
+    expected = (1.0 / np.abs(1.0 + loop)).max()
+    assert largest_sensitivity(plant, gains, controller) == pytest.approx(expected, rel=0.01)
+
+
 def test_margins_match_python_control_where_well_conditioned():
     system, dead_time_s, gains, controller = REEL
     h, lag = 1.0 / controller.sampling_Hz, controller.derivative_filter_s
@@ -179,6 +195,8 @@ def test_stability_matches_the_eigenvalues():
 )
 def test_unstable_loop_has_no_margins(system, gains):
     result = margins(linear_model(system), gains, settings(632.0, 5e-4))
+    plant = sampled_model_of(linear_model(system), 632.0)
+    assert largest_sensitivity(plant, gains, settings(632.0, 5e-4)) == math.inf
     assert result.stable is False
     assert list(map(math.isnan, result[:4])) == [True] * 4
 

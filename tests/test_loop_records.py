@@ -184,6 +184,14 @@ def test_service_in_motion_under_a_slow_load_gives_sensitivity_within_its_interv
     assert setpoint_deviation(fit, [record], GAINS, SETTINGS) < 0.3
 
 
+def test_setpoint_that_moves_a_hundredth_knows_the_sensitivity_a_hundred_times_worse():
+    record = service("steps", 3200, 1)
+    fit = fit_loop([record], RATE_HZ, SETTLING_S)
+    quiet = record._replace(setpoint=0.01 * record.setpoint)
+    plain = setpoint_deviation(fit, [record], GAINS, SETTINGS)
+    assert setpoint_deviation(fit, [quiet], GAINS, SETTINGS) == pytest.approx(100 * plain, rel=0.1)
+
+
 def test_record_of_holding_still_tells_nothing_of_the_loop():
     record = service("still", 3200, 4)
     fit = fit_loop([record], RATE_HZ, SETTLING_S)

@@ -91,8 +91,8 @@ AREAS: dict[str, Area] = {
 
 UNCHANGED: dict[tuple[str, str], str] = {
     (
-        "half = max(claim.margins.overshoot.high - claim.margins.overshoot.value, 0.0)",
-        "clamp dropped",
-    ): "predict_with_intervals puts the upper end at the value or above",
+        "low = float(np.clip(1e-3 * slow, 1e-12, low))",
+        "constant scaled",
+    ): "nothing crosses or turns there: the loop is above 500 and its integrator leads",
 }
 """Faults that change no behaviour, by their line and kind, with the reason."""

@@ -57,7 +57,7 @@ def intervals(
         moves = moves[[fitted.predictor.free[n].name != FIRST_ZERO for n in moves]]
     free = [fitted.predictor.free[n] for n in moves]
     values = fitted.values[moves]
-    prior = np.array([_deviation(f, v) for f, v in zip(free, values.tolist(), strict=True)])
+    prior = np.array([prior_deviation(f, v) for f, v in zip(free, values.tolist(), strict=True)])
     record = fitted.predictor.index.measurement[fitted.entries]
     spread = np.zeros(values.size)
     for _ in range(3):
@@ -121,7 +121,7 @@ def greatest_shifts(columns: FloatArray) -> FloatArray:
     return shifts
 
 
-def _deviation(free: Free, value: float) -> float:
+def prior_deviation(free: Free, value: float) -> float:
     """Prior deviation of a value: itself where it is fitted on a log scale."""
     if free.scale == "log":
         return abs(value)
