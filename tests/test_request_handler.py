@@ -324,3 +324,10 @@ def test_lease_renewed_stays_in_force():
         handler.begin(trial())
         handler.wait()
         assert record_frame.decode(handler.ask(trial())).outcome is Outcome.DONE
+
+
+def test_lease_not_renewed_ends_though_nothing_else_happens():
+    with handling(ScriptedRig()) as handler:
+        for _ in ("acquired", "expired"):
+            assert handler.announced.acquire(timeout=60.0)
+        assert handler.now.holder == ""

@@ -3,6 +3,7 @@
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import estune
@@ -209,3 +210,25 @@ def test_record_with_other_gains_than_requested_ends_the_run(tmp_path):
     committed = len(run.entries)
     run.journal.close()
     assert committed == run.plan.repeats  # the baseline, at the gains the rig insists on
+
+
+def test_search_is_refused_where_the_first_trial_is_mostly_noise_by_its_own_cost():
+    class Noisier(ArithmeticRig):
+        """Its second trial costs sixteen times as much as its first."""
+
+        def run(self, request):
+            record = super().run(request)
+            noise_N = np.random.default_rng(9).normal(0.0, 2.0, record.time_s.size)
+            noise_N *= 4.0 if request.number else 1.0
+            current_A = record.current_A + noise_N / self.description.newtons_per_ampere
+            return replace(record, tension_N=record.tension_N + noise_N, current_A=current_A)
+
+    with pytest.raises(InvalidInput, match="noise makes up .* of the cost of trial"):
+        estune.tune(
+            Noisier(),
+            tuner="least_squares_gradient",
+            repeats=2,
+            eta_max=1e9,
+            journal=False,
+            watch=None,
+        )
