@@ -116,15 +116,16 @@ def test_margins_match_a_brute_force_scan(name):
         assert result.gain_crossover_Hz == pytest.approx(crossover_Hz, rel=1e-3)
 
 
-SLOW_LOOP = (1 / (1 + 100 * s) / (1 + 50 * s), 0.0, Gains(100.0, 0.0, 0.0, 0.0))
+SLOW_LOOP = (
+    *(1 / (1 + 100 * s) / (1 + 50 * s), 0.0),
+    *(Gains(100.0, 0.0, 0.0, 0.0), settings(1000.0, 0.0)),
+)
 """Ms of 5 at 1.4e-4 rad/sample, far above the slowest pole and far below half the rate."""
 
 
 @pytest.mark.parametrize("name", [*LOOPS, "slow"])
 def test_largest_sensitivity_matches_a_brute_force_scan(name):
-    system, dead_time_s, gains, controller = (LOOPS | {"slow": (*SLOW_LOOP, settings(1000.0, 0.0))})[
-        name
-    ]
+    system, dead_time_s, gains, controller = {**LOOPS, "slow": SLOW_LOOP}[name]
     plant = sampled_model_of(linear_model(system, dead_time_s), controller.sampling_Hz)
     theta = np.unique(np.r_[np.geomspace(1e-6, np.pi, 50_000), np.linspace(1e-5, np.pi, 50_000)])
     loop = controller_response(gains, controller, theta) * plant.response(theta)

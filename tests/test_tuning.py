@@ -223,7 +223,7 @@ def test_search_is_refused_where_the_first_trial_is_mostly_noise_by_its_own_cost
             current_A = record.current_A + noise_N / self.description.newtons_per_ampere
             return replace(record, tension_N=record.tension_N + noise_N, current_A=current_A)
 
-    with pytest.raises(InvalidInput, match="noise makes up .* of the cost of trial"):
+    with pytest.raises(InvalidInput, match="noise makes up"):
         estune.tune(
             Noisier(),
             tuner="least_squares_gradient",
