@@ -78,11 +78,14 @@ def served(
         folder.cleanup()
 
 
+BOARD = (sys.executable, "-m", "tests.small_board", "board")
+
+
 @contextmanager
-def small_board(folder: Path) -> Iterator[tuple[subprocess.Popen, str]]:
-    """Runs the board that does without estune in its own process."""
+def small_board(folder: Path, *missing: str) -> Iterator[tuple[subprocess.Popen, str]]:
+    """Runs the board that does without estune in its own process, without some verbs."""
     process = subprocess.Popen(
-        [sys.executable, "-m", "tests.small_board", "board", str(folder / "board.json")],
+        [*BOARD, str(folder / "board.json"), *missing],
         cwd=Path(__file__).parent.parent,
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,

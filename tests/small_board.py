@@ -2,7 +2,7 @@
 
 Written from docs/reference/rig-protocol.md alone. Its drum follows the setpoint with a lag. It
 supports steps only, keeps one record, sends it in parts of 1 KiB, and writes its ledger to a file.
-It prints its endpoint, and ends when its standard input is closed.
+It prints its endpoint, and ends when its standard input is closed. Verbs that it lacks may be named.
 """
 
 import json
@@ -228,6 +228,9 @@ COMMANDS = {
     "clear": (clear, set(), set()),
 }
 """Function of each verb, and the fields that its message must and may have."""
+
+for missing in sys.argv[3:]:
+    del COMMANDS[missing]
 
 
 def question(words, payload):

@@ -13,6 +13,7 @@ import pytest
 
 import estune
 import plants
+from estune.cli import run
 from estune.errors import InvalidInput
 
 ROOT = Path(__file__).parents[1]
@@ -76,3 +77,12 @@ def test_wheel_has_the_product_alone_and_runs_beside_a_module_of_the_same_name(t
     refused = estune_command("tune", "plants:my_reel")
     assert refused.returncode == InvalidInput.exit_code
     assert "plants.py here is hidden by the installed package plants" in refused.stderr
+
+
+def test_licences_list_what_is_required_and_needed_by_that(capsys):
+    assert run(["licences"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert any("casadi" in line and "LGPL" in line.upper() for line in lines)
+    names = {line.partition(" ")[0].lower() for line in lines}
+    assert {"numpy", "pydantic_core"} <= names
+    assert not [line for line in lines if line.endswith(": ")]

@@ -9,7 +9,7 @@ import pytest
 from estune.conformance.rig import RigConformance
 from estune.conformance.wire_client import WireClient
 from estune.errors import RigError
-from estune.remote.messages.commands import Cancel
+from estune.remote.messages.commands import VERBS, Cancel
 from estune.remote.state_machine.reply_codes import ReplyCode
 from estune.remote.state_machine.state import Mode
 from estune.remote.zenoh.endpoints import with_port
@@ -48,6 +48,16 @@ def test_suite_on_the_command_line_tests_the_rig_at_the_endpoint(tmp_path):
         assert " passed" in done.stdout
         done = run_suite("--endpoint", endpoint, "--rig", "another")
         assert done.returncode == RigError.exit_code
+
+
+@pytest.mark.slow
+def test_rig_without_optional_commands_conforms_and_is_told_what_it_lacks(tmp_path):
+    optional = [name for name, verb in VERBS.items() if verb.optional]
+    with small_board(tmp_path, *optional) as (_, endpoint):
+        done = run_suite("--endpoint", endpoint, "-rs", "-k", "CommandTests or Rig")
+    assert done.returncode == 0, done.stdout
+    for name in optional:
+        assert f"the rig lacks the optional command {name} of protocol 1" in done.stdout
 
 
 @pytest.mark.slow

@@ -56,6 +56,7 @@ COMMANDS = (
     ("daemon-control", "daemon:daemon_control", "Query or command a daemon.", 210),
     ("faults", "faults:faults", "Show what has failed, with a remedy for each.", 215),
     ("docs", "docs:docs", "Open the documentation in the browser.", 220),
+    ("licences", "licences:licences", "List the licences of what is installed with it.", 225),
 )
 """Name, function in `estune.cli`, help, and place in the list of commands."""
 

@@ -7,10 +7,12 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
+import pytest
 import zenoh
 
 from estune.remote import messages
 from estune.remote.messages import (
+    VERBS,
     Answer,
     Description,
     Following,
@@ -74,6 +76,25 @@ class WireClient:
     def send(self, verb: str, message: Any) -> Answer:
         """Reply to a command, given as a message or as bytes."""
         return messages.decode(Answer, self.ask(self.keys.command(self.instance, verb), message))
+
+    def lacks(self, verb: str) -> bool:
+        """Whether the rig does not serve a verb that it may leave out."""
+        key = self.keys.command(self.instance, verb)
+        return VERBS[verb].optional and not list(
+            self.session.get(key, payload=b"", timeout=ANSWERED_WITHIN_S)
+        )
+
+    def sent_if_served(self, verb: str, message: Any) -> list[Answer]:
+        """Reply to a command that the rig may lack; none if it does."""
+        return [] if self.lacks(verb) else [self.send(verb, message)]
+
+    def need(self, verb: str) -> None:
+        """Skips a test of a verb that the rig lacks, by a sentence that names it."""
+        if self.lacks(verb):
+            pytest.skip(
+                f"the rig lacks the optional command {verb} of protocol {messages.VERSION}; see "
+                "reference/rig-options.md"
+            )
 
     def describe(self) -> Description:
         """Description of the rig."""

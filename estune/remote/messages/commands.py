@@ -181,12 +181,14 @@ class Verb(NamedTuple):
         reply: The reply, in words of the protocol page.
         threads: Number of threads that serve it alone; 0 for one that it shares.
         right: Least right of its sender.
+        optional: Whether a rig may lack it: it was added after the first version.
     """
 
     message: type[Message]
     reply: str = "[Answer](#answer)"
     threads: int = 0
     right: Right = Right.COMMAND
+    optional: bool = False
 
     @property
     def needs_lease(self) -> bool:
@@ -209,9 +211,12 @@ VERBS: Mapping[str, Verb] = MappingProxyType(
         ),
         "void": Verb(Void, "[Answer](#answer): `void`, or the trial's state in the ledger"),
         "gains": Verb(SetGains),
-        "switch_off": Verb(SwitchOff),
+        "switch_off": Verb(SwitchOff, optional=True),
         "follow": Verb(
-            Follow, "[Following](#following) if it is in force, else [Answer](#answer)", threads=1
+            Follow,
+            "[Following](#following) if it is in force, else [Answer](#answer)",
+            threads=1,
+            optional=True,
         ),
         "estop": Verb(
             Estop,
