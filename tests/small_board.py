@@ -2,7 +2,8 @@
 
 Written from docs/reference/rig-protocol.md alone. Its drum follows the setpoint with a lag. It
 supports steps only, keeps one record, sends it in parts of 1 KiB, and writes its ledger to a file.
-It prints its endpoint, and ends when its standard input is closed. Verbs that it lacks may be named.
+It prints its endpoint, and ends when its standard input is closed. Verbs that
+it lacks may be named.
 """
 
 import json
