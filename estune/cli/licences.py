@@ -44,9 +44,10 @@ def _installed(name: str) -> dict[str, tuple[str, str]]:
 
 def _licence(about: metadata.PackageMetadata) -> str:
     """The licence as an expression, else by the classifiers, else the first line of its text."""
-    if expression := about.get("License-Expression"):
-        return str(expression)
+    if "License-Expression" in about:
+        return about["License-Expression"]
     classes = [str(one) for one in about.get_all("Classifier") or () if one.startswith("License")]
     named = [one.rpartition(" :: ")[2] for one in classes if one.count(" :: ") > 1]
-    first = str(about.get("License") or "").strip().partition("\n")[0]
+    text = about["License"] if "License" in about else ""
+    first = text.strip().partition("\n")[0]
     return ", ".join(named) or first or "not stated; see its files"
