@@ -48,6 +48,5 @@ def _licence(about: metadata.PackageMetadata) -> str:
         return about["License-Expression"]
     classes = [str(one) for one in about.get_all("Classifier") or () if one.startswith("License")]
     named = [one.rpartition(" :: ")[2] for one in classes if one.count(" :: ") > 1]
-    text = about["License"] if "License" in about else ""
-    first = text.strip().partition("\n")[0]
+    first = ([*(about.get_all("License") or ()), ""])[0].strip().partition("\n")[0]
     return ", ".join(named) or first or "not stated; see its files"
