@@ -34,7 +34,7 @@ from plants.emulator.settings import make_board
 COMMAND = [sys.executable, "-m", "estune"]
 COMMANDS = {
     *("demo", "serve", "serve-hardware", "tune", "resume", "sweep", "match", "list", "show"),
-    *("watch", "report", "bridge", "compare", "bench", "suggest", "docs"),
+    *("watch", "report", "bridge", "compare", "bench", "suggest", "docs", "licences"),
     *(
         "export",
         "export-controller",

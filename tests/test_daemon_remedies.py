@@ -98,7 +98,7 @@ def test_a_good_map_stays_and_one_whose_zero_moved_is_switched_off_and_stays_off
             assert not remedies(it)
         # The rig comes back with another zero of its encoder, and the same file.
         with rig_process(it, "rippled moved", *place):
-            it.until(lambda s: said(s).startswith("switched off"))
+            it.until(lambda s: said(s).startswith("switched off") and remedies(it))
             assert until_idle(place[0]).compensation == ""
             (event,) = remedies(it)
             assert event.facts["fault"] == "remedy-lost"

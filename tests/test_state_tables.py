@@ -11,7 +11,7 @@ from estune.daemon.supervisor_state import SupervisorEvent, SupervisorMode
 from estune.hardware.loop_messages import BeginTrial
 from estune.hardware.reel_machine import transitions
 from estune.hardware.reel_machine.transitions import MotionEvent
-from estune.hardware.shared_memory import MotionPhase
+from estune.hardware.shared_memory import MotionPhase, SensorLevels
 from estune.reel.guard import GuardTrip, Reason
 from estune.remote.state_machine import client, events, rig, trials
 from estune.remote.state_machine.client import ClientInput, ClientStage
@@ -93,12 +93,17 @@ def reel_in(phase: MotionPhase):
 def test_event_brings_a_reel_from_each_phase_to_the_next(event, phase):
     reel, request = reel_in(phase)
     lost = GuardTrip(Reason.HEARTBEAT, "no heartbeat")
+    last_s = float(reel.memory.levels[SensorLevels.TIME_s])
     brings = {
         MotionEvent.BEGIN: (request,),
         MotionEvent.SET_GAINS: (request.coefficients,),
         MotionEvent.STOP: (Outcome.CANCELLED, "stop"),
         MotionEvent.TRIP: (lost, 100.0, 15.0),
-        MotionEvent.SAMPLE: (100.0, reel.plan.motion.taut_N - 0.1 if phase < 2 else 15.0),
+        # One sample later: the ramp takes its time, so that a longer one ends it.
+        MotionEvent.SAMPLE: (
+            last_s + 1.0 / 632.0,
+            reel.plan.motion.taut_N - 0.1 if phase < 2 else 15.0,
+        ),
     }
     cell = transitions.TABLE.cell(event, phase)
     if not isinstance(cell, str):
