@@ -51,7 +51,7 @@ def test_suite_on_the_command_line_tests_the_rig_at_the_endpoint(tmp_path):
 
 
 @pytest.mark.slow
-def test_rig_without_optional_commands_conforms_and_is_told_what_it_lacks(tmp_path):
+def test_rig_without_optional_commands_is_told_what_it_lacks(tmp_path):
     optional = [name for name, verb in VERBS.items() if verb.optional]
     with small_board(tmp_path, *optional) as (_, endpoint):
         done = run_suite(
