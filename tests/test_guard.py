@@ -1,6 +1,8 @@
 """The guard: which limit acts at which sample; a good reel triggers none."""
 
 import math
+import re
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -13,7 +15,7 @@ from estune.hardware.guard_watch import GuardWatch
 from estune.hardware.loop_messages import BeginTrial
 from estune.hardware.shared_memory import MotionPhase
 from estune.reel import guard
-from estune.reel.guard import Limits, Reason, Sample
+from estune.reel.guard import GuardWords, Limits, Reason, Sample
 
 MS = 1e-3
 
@@ -102,10 +104,11 @@ def test_limits_trip_at_the_first_sample_above_them(case):
         (Limits(slack_N=1.0, slack_s=0.02), {"tension_N": lambda k: 15.0 if k % 20 == 0 else 0.5}),
         (Limits(current_max_A=2.0, current_s=0.03), {"current_A": lambda k: 3.0 * (k % 30 > 0)}),
         (Limits(frozen_s=0.02), {"gauge_counts": lambda k: float(k // 20)}),
+        (Limits(frozen_s=0.02), {"gauge_counts": 5.0, "held": True}),
         (Limits(late_in_a_row=10), {"late": lambda k: k % 11 > 0}),
         (Limits(slack_N=20.0, slack_s=0.0), {}),
     ],
-    ids=["tension", "slack", "current", "frozen", "late", "never taut"],
+    ids=["tension", "slack", "current", "frozen", "held", "late", "never taut"],
 )
 def test_samples_within_the_limits_do_not_trip(limits, changes):
     assert stopped_at(limits, faulty(50, **changes)) is None
@@ -196,3 +199,12 @@ def test_guard_trips_on_any_reading_that_is_not_a_number(samples):
 def test_invalid_limits_are_refused(limits, message):
     with pytest.raises(InvalidInput, match=message):
         Limits(**limits)
+
+
+@pytest.mark.parametrize("case", ["tension", "rate up", "current", "no reading"])
+def test_sentences_of_another_machine_name_its_signals(case):
+    limits, changes, _, _ = CASES[case]
+    words = GuardWords("temperature", "degC", "duty", "%")
+    _, stop = stopped_at(replace(limits, words=words), faulty(50, **changes))
+    assert re.search(r"temperature|duty .* % for", stop.sentence)
+    assert not re.search(r"tension|current|\bN\b|\bA\b", stop.sentence)

@@ -1,6 +1,7 @@
 """A rig's file: its mistakes are reported at once; its values reach the loop."""
 
 import json
+import math
 import tomllib
 
 import numpy as np
@@ -12,6 +13,7 @@ from estune.errors import InvalidInput
 from estune.hardware import read_config
 from estune.hardware.config import config_from
 from estune.hardware.scales import CurrentScale, GaugeScale
+from estune.hardware.trial_board.export import board_files
 from estune.reel.calibration import CurrentCalibration, GaugeCalibration
 from plants.emulator import RIG_FILE
 from tests.support_hardware import config, tables
@@ -41,13 +43,13 @@ def test_read_config_reports_all_mistakes_with_their_paths():
         real_time__priority=120,
         guard__slack_s=float("nan"),
     )
-    del table["motion"]["taut_N"]
+    del table["guard"]["travel_max_rad"]
     with pytest.raises(InvalidInput) as refused:
         config_from(table, "my.toml")
     lines = str(refused.value).splitlines()
     for path in (
         *("sampling_Hz", "guard.tension_max_kN", "limits", "gains.P", "real_time.priority"),
-        *("guard.slack_s", "motion.taut_N"),
+        *("guard.slack_s", "guard.travel_max_rad"),
     ):
         assert any(line.startswith(f"my.toml: {path}: ") for line in lines)
 
@@ -60,7 +62,7 @@ def test_read_config_reports_all_mistakes_with_their_paths():
         ({"step__step_N": 0.0}, "step.step_N: must not be zero"),
         ({"motion__hold_N": 41.0}, "motion.hold_N 41 N"),
         ({"guard__tension_max_N": 40.0}, "must be above limits.tension_max_N 40 N"),
-        ({"guard__slack_N": 3.0}, "guard.slack_N 3 N must be below"),
+        ({"guard__slack_N": 3.0}, "guard.slack_N 3 must be below motion.taut_N 2"),
         ({"motion__take_up_A": 7.0}, "motion.take_up_A 7 A is outside limits.current_A 0 to 6 A"),
         ({"safe__current_A": -1.0}, "safe.current_A -1 A is outside"),
         ({"motion__taut_N": 4.0}, "motion.taut_N 4 N must be below"),
@@ -79,6 +81,35 @@ def test_read_config_reports_all_mistakes_with_their_paths():
 )
 def test_inconsistent_values_are_reported(changes, words):
     assert words in faults(**changes)
+
+
+def another_machine(**more) -> dict:
+    """Tables of a heater: what only a reel has is left out."""
+    table = tables(measurement="temperature, degC", command="duty, %", **more)
+    del table["reel"], table["guard"]["slack_N"]
+    del table["motion"]["take_up_A"], table["motion"]["taut_N"], table["guard"]["frozen_s"]
+    return table
+
+
+def test_another_machine_has_names_and_units_of_its_own_and_nothing_to_take_up():
+    rig = config_from(another_machine(motion__hold_N=20.0), "heater.toml")
+    about, plan = rig.describe(), rig.plan()
+    assert (about.measurement, about.command) == ("temperature, degC", "duty, %")
+    assert about.newtons_per_ampere == 1.0
+    assert plan.motion.taut_N == plan.guard.slack_N == -math.inf
+    assert plan.guard.frozen_s == math.inf
+    assert plan.guard.words == ("temperature", "degC", "duty", "%")
+    with pytest.raises(InvalidInput, match=r"step_N 49 degC is outside limits"):
+        config_from(another_machine(motion__hold_N=20.0, step__preload_N=39.0), "h.toml")
+    with pytest.raises(InvalidInput, match="a board's program takes a cable up"):
+        board_files(rig)
+
+
+def test_reel_without_its_geometry_is_refused():
+    table = another_machine()
+    del table["measurement"]
+    with pytest.raises(InvalidInput, match=r"give reel\.drum_radius_m, .*motion\.taut_N; or"):
+        config_from(table, "reel.toml")
 
 
 def test_calibrations_are_read_from_files_beside_the_rig_file(tmp_path):

@@ -45,21 +45,28 @@ from estune.hardware.tables import (
     ScheduleTable,
 )
 from estune.reel.calibration import CurrentCalibration, GaugeCalibration
-from estune.reel.guard import Limits
+from estune.reel.guard import GuardWords, Limits
+from estune.support.quantity_text import with_unit
 from estune.support.toml_file import TomlTable, read_toml, validate
 from estune.trial import RigDescription, RigLimits
+from estune.trial.signals import EFFORT, TENSION, Signals
+
+FROZEN_s = 0.1
+"""Default of guard.frozen_s of a reel."""
 
 
 class RigConfig(TomlTable):
     """A rig's file."""
 
     name: str
+    measurement: str = TENSION
+    command: str = EFFORT
     sampling_Hz: Positive = 632.0
     settling_time_s: Positive
     driver: DriverTable
     gauge: GaugeTable
     current: CurrentTable
-    reel: ReelTable
+    reel: ReelTable = ReelTable()
     limits: LimitsTable
     guard: GuardTable
     safe: SafeTable = SafeTable()
@@ -78,6 +85,11 @@ class RigConfig(TomlTable):
     def newtons_per_ampere(self) -> float:
         """Tension at rest per motor current, N/A."""
         return self.reel.torque_constant_Nm_A / self.reel.drum_radius_m
+
+    @property
+    def is_reel(self) -> bool:
+        """Whether it measures the tension of a cable."""
+        return self.measurement == TENSION
 
     @property
     def hold_N(self) -> float:
@@ -117,6 +129,8 @@ class RigConfig(TomlTable):
             settling_time_s=self.settling_time_s,
             cable_length_m=self.reel.cable_length_m,
             software=f"estune {version('estune')}",
+            measurement=self.measurement,
+            command=self.command,
             compensation=self.compensation.text if self.compensation else "",
             live_bounds=self.gain_bounds.live.bounds,
             trial_bounds=self.gain_bounds.trial.bounds,
@@ -249,8 +263,9 @@ class RigConfig(TomlTable):
             ),
             motion=Motion(
                 hold_N=self.hold_N,
-                take_up_N=self.motion.take_up_A * self.newtons_per_ampere,
-                **self.motion.model_dump(exclude={"hold_N", "take_up_A"}),
+                take_up_N=(self.motion.take_up_A or 0.0) * self.newtons_per_ampere,
+                taut_N=-math.inf if self.motion.taut_N is None else self.motion.taut_N,
+                **self.motion.model_dump(exclude={"hold_N", "take_up_A", "taut_N"}),
             ),
             safe=SafeState(
                 hold=self.safe.state == "hold",
@@ -276,12 +291,19 @@ class RigConfig(TomlTable):
 
     def _guard(self) -> Limits:
         others = {"eta_max", "deadline_margin_s", "bad_in_a_row", "bad_s"}
-        return Limits(**self.guard.model_dump(exclude=others, exclude_none=True))
+        about = Signals(self.measurement, self.command)
+        words = GuardWords(about.measurement_name, about.measurement_unit)
+        given = self.guard.model_dump(exclude=others, exclude_none=True)
+        if self.is_reel:
+            given = {"frozen_s": FROZEN_s} | given
+        else:  # its current is the command itself
+            words = words._replace(current=about.command_name, current_unit=about.command_unit)
+        return Limits(words=words, **given)
 
     @model_validator(mode="after")
     def _fits(self) -> Self:
         """Checks each table against the others."""
-        wrong = [*_tensions(self), *_currents(self), *_times(self)]
+        wrong = [*_reel_keys(self), *_tensions(self), *_currents(self), *_times(self)]
         if self.gains is not None and self.schedule is not None:
             wrong.append("give either [gains] or a [schedule] of them, not both")
         for make in (self._check_live_gains, self.calibrations, self.compensations):
@@ -294,8 +316,28 @@ class RigConfig(TomlTable):
         return self
 
 
+def _reel_keys(rig: RigConfig) -> Iterator[str]:
+    """What a reel must have, and another machine may leave out."""
+    motion, reel = rig.motion, rig.reel
+    if (motion.taut_N is None) != (motion.take_up_A is None):
+        yield "give both motion.taut_N and motion.take_up_A, or neither"
+    if not rig.is_reel:
+        return
+    needed = {
+        "reel.drum_radius_m": "drum_radius_m" in reel.model_fields_set,
+        "reel.torque_constant_Nm_A": "torque_constant_Nm_A" in reel.model_fields_set,
+        "reel.encoder_counts_per_turn": "encoder_counts_per_turn" in reel.model_fields_set,
+        "guard.slack_N": rig.guard.slack_N is not None,
+        "motion.take_up_A": motion.take_up_A is not None,
+        "motion.taut_N": motion.taut_N is not None,
+    }
+    if missing := ", ".join(name for name, given in needed.items() if not given):
+        yield f'give {missing}; or, if it is no reel, what it measures: measurement = "angle, rad"'
+
+
 def _tensions(rig: RigConfig) -> Iterator[str]:
     low, high, step = rig.limits.tension_min_N, rig.limits.tension_max_N, rig.step.profile
+    unit = Signals(rig.measurement).measurement_unit
     values = {
         "step.preload_N": step.preload_N,
         "step.preload_N + step.step_N": step.preload_N + step.step_N,
@@ -307,31 +349,38 @@ def _tensions(rig: RigConfig) -> Iterator[str]:
         values["hybrid.tension_min_N + 2 margin_N"] = least + 2.0 * margin
     for name, tension in values.items():
         if not low <= tension <= high:
-            yield f"{name} {tension:g} N is outside limits.tension_N {low:g} to {high:g} N"
-    guard, motion = rig.guard, rig.motion
+            yield (
+                f"{name} {with_unit(tension, unit, 6)} is outside limits.tension_N {low:g} to "
+                f"{with_unit(high, unit, 6)}"
+            )
+    guard, taut_N = rig.guard, rig.motion.taut_N
     if not guard.tension_max_N > high:
         yield (
-            f"guard.tension_max_N {guard.tension_max_N:g} N must be above limits.tension_max_N "
-            f"{high:g} N, or a good trial trips it"
+            f"guard.tension_max_N {with_unit(guard.tension_max_N, unit, 6)} must be above "
+            f"limits.tension_max_N {with_unit(high, unit, 6)}, or a good trial trips it"
         )
-    if not guard.slack_N < min(low, motion.taut_N):
-        yield (
-            f"guard.slack_N {guard.slack_N:g} N must be below limits.tension_min_N {low:g} N and "
-            f"motion.taut_N {motion.taut_N:g} N"
-        )
+    if guard.slack_N is not None and not guard.slack_N < low:
+        yield f"guard.slack_N {guard.slack_N:g} must be below limits.tension_min_N {low:g}"
+    if guard.slack_N is not None and taut_N is not None and not guard.slack_N < taut_N:
+        yield f"guard.slack_N {guard.slack_N:g} must be below motion.taut_N {taut_N:g}"
 
 
 def _currents(rig: RigConfig) -> Iterator[str]:
     low, high = rig.limits.current_min_A, rig.limits.current_max_A
-    values = {"motion.take_up_A": rig.motion.take_up_A, "safe.current_A": rig.safe.current_A}
+    take_up_A, taut_N = rig.motion.take_up_A, rig.motion.taut_N
+    values = {"safe.current_A": rig.safe.current_A}
+    if take_up_A is not None:
+        values["motion.take_up_A"] = take_up_A
     for name, current in values.items():
         if not low <= current <= high:
             yield f"{name} {current:g} A is outside limits.current_A {low:g} to {high:g} A"
-    pull_N = rig.motion.take_up_A * rig.newtons_per_ampere
-    if not rig.motion.taut_N < pull_N:
+    if not rig.is_reel:  # what its command holds at rest is not known
+        return
+    pull_N = (take_up_A or 0.0) * rig.newtons_per_ampere
+    if taut_N is not None and take_up_A is not None and not taut_N < pull_N:
         yield (
-            f"motion.taut_N {rig.motion.taut_N:g} N must be below what motion.take_up_A "
-            f"{rig.motion.take_up_A:g} A pulls at rest, {pull_N:g} N"
+            f"motion.taut_N {taut_N:g} N must be below what motion.take_up_A "
+            f"{take_up_A:g} A pulls at rest, {pull_N:g} N"
         )
     held_N = high * rig.newtons_per_ampere
     if not rig.limits.tension_max_N <= held_N:

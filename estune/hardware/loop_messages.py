@@ -24,7 +24,8 @@ class Motion:
         settle_N: Greatest distance from the preload during `settle_s`, N.
         settle_within_s: Time after which a trial is refused, s.
         take_up_N: Effort, open loop, with which a slack cable is taken up, N.
-        taut_N: Tension at which the cable is taut and the loop is closed, N.
+        taut_N: Tension at which the cable is taut and the loop is closed, N; minus infinity where
+            there is nothing to take up.
     """
 
     hold_N: float

@@ -1,5 +1,6 @@
 """The tables of a rig's file. Every key carries its unit."""
 
+import math
 from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self, TypeVar
@@ -77,11 +78,15 @@ class CurrentTable(FileOrNumbers):
 
 
 class ReelTable(TomlTable):
-    """Geometry of the reel. Counts that fall while the cable is wound in have a negative turn."""
+    """Geometry of the reel. Counts that fall while the cable is wound in have a negative turn.
 
-    drum_radius_m: Positive
-    torque_constant_Nm_A: Positive
-    encoder_counts_per_turn: float
+    The defaults are of another machine: a count of its encoder is a radian, and its controller
+    commands what the calibration C1 calls A.
+    """
+
+    drum_radius_m: Positive = 1.0
+    torque_constant_Nm_A: Positive = 1.0
+    encoder_counts_per_turn: float = math.tau
     cable_length_m: Positive | None = None
 
     @model_validator(mode="after")
@@ -107,10 +112,13 @@ class LimitsTable(TomlTable):
 
 
 class GuardTable(TomlTable):
-    """Limits at which the guard stops the reel; see `estune.reel.guard.Limits`."""
+    """Limits at which the guard stops the reel; see `estune.reel.guard.Limits`.
+
+    A gauge has noise: that of a reel is frozen after 0.1 s. An encoder at rest repeats its counts.
+    """
 
     tension_max_N: float
-    slack_N: float
+    slack_N: float | None = None
     slack_s: NotNegative = 0.1
     rate_max_N_s: Positive | None = None
     current_max_A: Positive
@@ -118,7 +126,7 @@ class GuardTable(TomlTable):
     angle_min_rad: float | None = None
     angle_max_rad: float | None = None
     travel_max_rad: Positive
-    frozen_s: Positive = 0.1
+    frozen_s: Positive | None = None
     gap_s: Positive = 0.015
     late_in_a_row: Annotated[int, Field(ge=1)] = 10
     heartbeat_s: Positive = 0.5
@@ -129,7 +137,8 @@ class GuardTable(TomlTable):
 
     @model_validator(mode="after")
     def _in_order(self) -> Self:
-        _check_order(self, "slack_N", "tension_max_N")
+        if self.slack_N is not None:
+            _check_order(self, "slack_N", "tension_max_N")
         if self.angle_min_rad is not None and self.angle_max_rad is not None:
             _check_order(self, "angle_min_rad", "angle_max_rad")
         return self
@@ -145,16 +154,16 @@ class SafeTable(TomlTable):
 
 
 class MotionTable(TomlTable):
-    """Motion of the reel outside trials."""
+    """Motion of the reel outside trials. A machine without a cable has nothing to take up."""
 
     hold_N: float | None = None
     rate_N_s: Positive = 20.0
     settle_s: NotNegative = 0.5
     settle_N: Positive = 0.5
     settle_within_s: Positive = 10.0
-    take_up_A: Positive
+    take_up_A: Positive | None = None
     take_up_s: Positive = 3.0
-    taut_N: Positive
+    taut_N: Positive | None = None
 
 
 @table_of(

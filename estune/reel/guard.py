@@ -15,6 +15,7 @@ from enum import StrEnum
 from typing import NamedTuple
 
 from estune.errors import InvalidInput
+from estune.support.quantity_text import with_unit
 
 
 class Reason(StrEnum):
@@ -53,6 +54,23 @@ _BY_GAINS = frozenset(
 )
 
 
+class GuardWords(NamedTuple):
+    """What the guard's sentences call the signals, with their units; of a reel by default.
+
+    Attributes:
+        measured: What the gauge measures.
+        current: What is commanded to the amplifier.
+    """
+
+    measured: str = "tension"
+    measured_unit: str = "N"
+    current: str = "current"
+    current_unit: str = "A"
+
+
+REEL_WORDS = GuardWords()
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Limits:
     """Limits of a reel; an infinite one does not apply.
@@ -73,6 +91,7 @@ class Limits:
         heartbeat_s: Longest silence of the supervisor of the loop, s.
         cost_max: Greatest cost of the trial so far.
         duration_s: Longest time since the first sample, s.
+        words: Names and units in the sentences.
 
     Raises:
         InvalidInput: a value is out of its range, or two are the wrong way round.
@@ -93,10 +112,13 @@ class Limits:
     heartbeat_s: float = math.inf
     cost_max: float = math.inf
     duration_s: float = math.inf
+    words: GuardWords = REEL_WORDS
 
     def __post_init__(self) -> None:
         for field in fields(self):
             value = getattr(self, field.name)
+            if value is self.words:
+                continue
             if math.isnan(value):
                 raise InvalidInput(f"guard limit {field.name} is not a number")
             if field.name.endswith(("_s", "_A", "_row", "travel_max_rad")) and value < 0.0:
@@ -123,6 +145,7 @@ class Sample(NamedTuple):
         late: Whether the sample was late.
         silence_s: Time since the last heartbeat of the supervisor, s.
         cost: Cost of the trial so far, this sample included.
+        held: Whether the values are those of an earlier reading, in place of a bad one.
     """
 
     time_s: float
@@ -133,6 +156,7 @@ class Sample(NamedTuple):
     late: bool = False
     silence_s: float = 0.0
     cost: float = 0.0
+    held: bool = False
 
 
 class GuardState(NamedTuple):
@@ -197,7 +221,7 @@ def check_sample(
         time_s=now,
         tension_N=tension,
         gauge_counts=sample.gauge_counts,
-        changed_s=watch.changed_s if sample.gauge_counts == watch.gauge_counts else now,
+        changed_s=_changed_s(watch, sample),
         # A cable that was never taut does not count as slack.
         taut_s=now if tension >= limits.slack_N else watch.taut_s,
         within_s=now if abs(sample.current_A) <= limits.current_max_A else watch.within_s,
@@ -208,6 +232,16 @@ def check_sample(
     return following, stop
 
 
+def _changed_s(watch: GuardState, sample: Sample) -> float:
+    """Time of the last change of the counts; time without readings does not count.
+
+    Else a device that is bridged for longer than frozen_s would be called frozen.
+    """
+    if sample.held:
+        return min(watch.changed_s + sample.time_s - watch.time_s, sample.time_s)
+    return watch.changed_s if sample.gauge_counts == watch.gauge_counts else sample.time_s
+
+
 def _fault(  # noqa: PLR0911  a return for each fault, the most severe first
     limits: Limits, watch: GuardState, following: GuardState, sample: Sample
 ) -> GuardTrip | None:
@@ -216,8 +250,8 @@ def _fault(  # noqa: PLR0911  a return for each fault, the most severe first
     if not math.isfinite(sample.tension_N):
         return GuardTrip(
             Reason.READING,
-            f"the gauge reads {sample.gauge_counts:g} counts, which is no tension within its "
-            "calibration",
+            f"the gauge reads {sample.gauge_counts:g} counts, which is no "
+            f"{limits.words.measured} within its calibration",
         )
     if not math.isfinite(sample.angle_rad):
         return GuardTrip(Reason.READING, f"the encoder's angle is {sample.angle_rad} rad")
@@ -257,46 +291,46 @@ def _crossed(  # noqa: PLR0911  a return for each limit, the most severe first
 ) -> GuardTrip | None:
     """A limit violated by the reel itself; the readings are finite."""
     now, tension, angle = sample.time_s, sample.tension_N, sample.angle_rad
+    measured, unit, current, current_unit = limits.words
     if tension > limits.tension_max_N:
-        return _over(Reason.TENSION, "tension", tension, limits.tension_max_N, " N")
+        return _over(Reason.TENSION, measured, tension, limits.tension_max_N, unit)
     if now - following.taut_s > limits.slack_s:
         return GuardTrip(
             Reason.SLACK,
-            f"the cable has been slack, below {limits.slack_N:g} N, for "
-            f"{_ms(now - following.taut_s)} (tension {tension:.4g} N); "
+            f"the cable has been slack, below {limits.slack_N:g} {unit}, for "
+            f"{_ms(now - following.taut_s)} ({measured} {tension:.4g} {unit}); "
             f"limit {_ms(limits.slack_s)}",
         )
     rate = (tension - watch.tension_N) / (now - watch.time_s)
     if abs(rate) > limits.rate_max_N_s:  # no number at the first sample
-        return _over(Reason.RATE, "rate of the tension", rate, limits.rate_max_N_s, " N/s")
+        return _over(
+            Reason.RATE, f"rate of the {measured}", rate, limits.rate_max_N_s, f"{unit}/s"
+        )
     if now - following.within_s > limits.current_s:
         return GuardTrip(
             Reason.CURRENT,
-            f"current {sample.current_A:.4g} A, above {limits.current_max_A:g} A for "
+            f"{current} {sample.current_A:.4g} {current_unit}, above {limits.current_max_A:g} "
+            f"{current_unit} for "
             f"{_ms(now - following.within_s)}; limit {_ms(limits.current_s)}",
         )
     if not limits.angle_min_rad <= angle <= limits.angle_max_rad:
         return GuardTrip(
             Reason.ANGLE,
-            f"drum angle {angle:.4g} rad; limits {limits.angle_min_rad:g} to "
+            f"angle {angle:.4g} rad; limits {limits.angle_min_rad:g} to "
             f"{limits.angle_max_rad:g} rad",
         )
     travel = angle - watch.start_rad
     if abs(travel) > limits.travel_max_rad:
-        return _over(
-            Reason.TRAVEL,
-            "rotation of the drum so far",
-            travel,
-            limits.travel_max_rad,
-            " rad",
-        )
+        return _over(Reason.TRAVEL, "rotation so far", travel, limits.travel_max_rad, "rad")
     if not sample.cost <= limits.cost_max:
         return _over(Reason.COST, "cost so far", sample.cost, limits.cost_max, "")
     return None
 
 
 def _over(reason: Reason, what: str, value: float, limit: float, unit: str) -> GuardTrip:
-    return GuardTrip(reason, f"{what} {value:.4g}{unit}; limit {limit:g}{unit}")
+    return GuardTrip(
+        reason, f"{what} {with_unit(value, unit, 4)}; limit {with_unit(limit, unit, 6)}"
+    )
 
 
 def _ms(time_s: float) -> str:

@@ -31,6 +31,8 @@ class EmulatedDriver(Closing):
         electronics: See `plants.emulator.board.Electronics`.
         far_end: Motion of the cable's far end; see `plants.emulator.board.FarEnd`.
         seed: Seed of the gauge's noise.
+        waits_s: Longest time for which the machine waits for a computer that is held up, and this
+            driver for the machine; see `plants.emulator.clock`.
 
     Raises:
         RigError: nothing answers at the address, or the hardware does not start.
@@ -45,6 +47,7 @@ class EmulatedDriver(Closing):
         electronics: Mapping[str, Any] | None = None,
         far_end: Mapping[str, Any] | None = None,
         seed: int = 0,
+        waits_s: float = 0.0,
     ) -> None:
         self._own: contextlib.ExitStack = contextlib.ExitStack()
         if address is None:
@@ -54,12 +57,13 @@ class EmulatedDriver(Closing):
                 "electronics": electronics or {},
                 "far_end": far_end or {},
                 "seed": seed,
+                "waits_s": waits_s,
             }
             address = self._own.enter_context(emulated_hardware(settings))
         self._last: Reading | None = None
         self._late = False  # whether an answer may come after its time
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-        self._socket.settimeout(_ANSWER_WITHIN_s)
+        self._socket.settimeout(max(_ANSWER_WITHIN_s, waits_s))
         try:
             self._socket.connect(address)
         except OSError as error:
@@ -128,8 +132,7 @@ def emulated_hardware(settings: Mapping[str, Any]) -> Iterator[str]:
     """Emulated hardware in a process of its own, for the duration of the block; its address.
 
     Args:
-        settings: `reel`, `effects`, `electronics`, `far_end` and `seed`, as of `EmulatedDriver`;
-            and `device`, as of `plants.emulator.devices`.
+        settings: Those of `EmulatedDriver`; and `device`, as of `plants.emulator.devices`.
 
     Raises:
         RigError: it does not start.

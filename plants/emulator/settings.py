@@ -3,12 +3,14 @@
 from collections.abc import Mapping
 from typing import Any
 
+from estune.core.quantities import check_not_negative
 from estune.errors import InvalidInput
 from plants.effects import Effect, find
 from plants.emulator.board import Electronics, EmulatedBoard, FarEnd
+from plants.emulator.clock import MachineClock
 from plants.models.reel import reference_reel
 
-_KNOWN = {"reel", "effects", "electronics", "far_end", "seed", "device"}
+_KNOWN = {"reel", "effects", "electronics", "far_end", "seed", "waits_s", "device"}
 
 
 def make_board(settings: Mapping[str, Any], now_s: float) -> EmulatedBoard:
@@ -37,6 +39,17 @@ def make_board(settings: Mapping[str, Any], now_s: float) -> EmulatedBoard:
     for effect in effects:
         reel += effect
     return EmulatedBoard(reel, electronics, settings.get("seed", 0), now_s, far_end)
+
+
+def make_clock(settings: Mapping[str, Any]) -> MachineClock:
+    """The clock of the emulated hardware of these settings.
+
+    Raises:
+        InvalidInput: it is to wait for less than no time.
+    """
+    waits_s = settings.get("waits_s", 0.0)
+    check_not_negative("waits_s of the emulated hardware", waits_s, "s")
+    return MachineClock(waits_s)
 
 
 def _effect(name: str, **parameters: float) -> Effect:

@@ -125,7 +125,10 @@ class ReelStateMachine:
         if not isinstance(trip, str):
             commanded_A = reel.effort_N / plan.newtons_per_ampere
             counts = reading.gauge_counts
-            seen = Sample(time_s, gauge, counts, commanded_A, angle, late, silence_s)
+            seen = Sample(
+                *(time_s, gauge, counts, commanded_A, angle, late, silence_s),
+                held=bool(reading.fault),
+            )
             if (stop := reel.guard.check(reel.phase, seen, reel.trial.k)) is not None:
                 flags |= GUARD
                 trip(reel, stop, time_s, tension)

@@ -20,6 +20,7 @@ class RequestedTrial:
         self.k = 0
         self.first_s = math.nan
         self._motion, self._rate, self._memory = plan.motion, plan.sampling_Hz, memory
+        self._words = plan.guard.words
         self._settled = self._at_preload = 0
 
     def note(self, request: BeginTrial) -> None:
@@ -51,10 +52,11 @@ class RequestedTrial:
             return True
         if self._at_preload <= motion.settle_within_s * self._rate:
             return False
+        measured, unit = self._words.measured, self._words.measured_unit
         return Refused(
-            f"the live gains have not kept the tension within {motion.settle_N:g} N of the "
-            f"preload {preload:g} N for {motion.settle_s:g} s, after "
-            f"{motion.settle_within_s:g} s: it is {tension_N:.4g} N"
+            f"the live gains have not kept the {measured} within {motion.settle_N:g} {unit} of "
+            f"the preload {preload:g} {unit} for {motion.settle_s:g} s, after "
+            f"{motion.settle_within_s:g} s: it is {tension_N:.4g} {unit}"
         )
 
     def next_setpoint(self, time_s: float) -> float:

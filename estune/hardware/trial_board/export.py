@@ -3,6 +3,7 @@
 import math
 from pathlib import Path
 
+from estune.errors import InvalidInput
 from estune.hardware.compensation.plan import CompensationTerms
 from estune.hardware.compensation.source import hybrid_source
 from estune.hardware.config import RigConfig
@@ -26,6 +27,9 @@ def board_files(config: RigConfig) -> dict[str, str]:
 
     Args:
         config: The rig. Calibrations are the board's own; all else is taken from here.
+
+    Raises:
+        InvalidInput: it is no reel: the program takes a cable up.
     """
     return {
         "estune_pidf.c": config.plan().controller,
@@ -48,6 +52,10 @@ def compensation_files(config: RigConfig) -> dict[str, str]:
 def _header(config: RigConfig) -> str:
     rate, motion, guard = config.sampling_Hz, config.motion, config.guard
     settings, newtons = config.settings(), config.newtons_per_ampere
+    if motion.take_up_A is None or motion.taut_N is None:
+        raise InvalidInput(
+            "a board's program takes a cable up; give motion.take_up_A and motion.taut_N"
+        )
     values: dict[str, float | int] = {
         "COEFFICIENTS": COEFFICIENTS,
         "CAPACITY": config.capacity,

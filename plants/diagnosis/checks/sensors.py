@@ -111,13 +111,14 @@ def shift_between(leader: FloatArray, follower: FloatArray) -> int:
         follower: Same shape; where it comes earlier, the answer is negative.
     """
     n, most = leader.size, 20
-    if n - 2 * most < CONSTANTS.fewest or not (np.ptp(leader) > 0.0 and np.ptp(follower) > 0.0):
+    if n - 2 * most < CONSTANTS.fewest or not np.ptp(leader[most : n - most]) > 0.0:
         return 0
     x = leader[most : n - most]
-    unexplained = np.empty(2 * most + 1)
+    unexplained = np.ones(2 * most + 1)
     for shift in range(-most, most + 1):
         y = follower[most + shift : n - most + shift]
-        unexplained[shift + most] = 1.0 - np.corrcoef(x, y)[0, 1] ** 2
+        if np.ptp(y) > 0.0:  # else there is no correlation
+            unexplained[shift + most] = 1.0 - np.corrcoef(x, y)[0, 1] ** 2
     best = int(unexplained.argmin()) - most
     inside = 2 <= abs(best) < most
     # A shift is believed that leaves less than a tenth of what there is without one.
