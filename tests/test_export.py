@@ -74,6 +74,20 @@ def test_export_returns_every_record_bit_for_bit(run, form, tmp_path):
         assert about["outcome"] == "done"
 
 
+class Heater(ArithmeticRig):
+    """A rig that is no reel."""
+
+    def describe(self):
+        return replace(super().describe(), measurement="temperature, degC", command="duty, %")
+
+
+def test_metadata_of_a_record_of_no_reel_names_its_signals(tmp_path):
+    estune.tune(Heater(), trials=1, repeats=1, folder=tmp_path, run="run", watch=None)
+    first = export_trials(tmp_path / "run", tmp_path / "out", "csv")[0]
+    _, about = read_columns(first)
+    assert (about["measurement"], about["command"]) == ("temperature, degC", "duty, %")
+
+
 def test_repeated_export_replaces_all_files(run, tmp_path):
     out = tmp_path / "out"
     first = export_trials(run.folder, out, "csv")

@@ -220,7 +220,7 @@ def black_box(rig: MovingRig, file: Path, table: BlackBoxTable) -> Iterator[Blac
 def _metadata(rig: RigDescription) -> dict[str, Any]:
     """Metadata of a record between trials."""
     gains = rig.gains
-    return {
+    return rig.signals.stated | {
         "rig": rig.name,
         "sampling_Hz": rig.controller.sampling_Hz,
         "cable_length_m": rig.cable_length_m,

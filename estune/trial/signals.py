@@ -45,6 +45,13 @@ class NamedSignals:
         return _split(self.command)[1]
 
     @property
+    def stated(self) -> dict[str, str]:
+        """The names as metadata of a record; empty for a reel, whose columns have its units."""
+        if (self.measurement, self.command) == (TENSION, EFFORT):
+            return {}
+        return {"measurement": self.measurement, "command": self.command}
+
+    @property
     def have_one_unit(self) -> bool:
         """Whether measurement and command have the same unit, so that they can be compared."""
         return _split(self.measurement)[1] == _split(self.command)[1]

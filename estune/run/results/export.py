@@ -17,8 +17,10 @@ from estune.core.gains import GAIN_NAMES
 from estune.errors import InvalidInput, JournalError
 from estune.recordings.record_files import RecordFormat, check_library, write_columns
 from estune.run.journal import Journal, JournalEntry
+from estune.run.planning import description_from_json
 from estune.run.table_file import Append, csv_table, parquet_table
 from estune.trial import OPTIONAL_COLUMNS, TrialRecord
+from estune.trial.signals import REEL, Signals
 
 _REQUIRED = ("time_s", "setpoint_N", "tension_N", "current_A", "angle_rad")
 
@@ -38,9 +40,9 @@ def columns(record: TrialRecord) -> dict[str, Any]:
     return {**shown, **record.optional_columns, "flags": record.flags}
 
 
-def metadata(record: TrialRecord) -> dict[str, Any]:
-    """All fields of a record but its columns, as JSON values."""
-    return {
+def metadata(record: TrialRecord, signals: Signals = REEL) -> dict[str, Any]:
+    """All fields of a record but its columns, as JSON values; names of signals but a reel's."""
+    return signals.stated | {
         "rig": record.rig,
         "trial_id": record.trial_id,
         "sampling_Hz": record.sampling_Hz,
@@ -120,8 +122,9 @@ def export_trials(
     with Journal.open(run_folder) as journal, _explained(out):
         out.mkdir(parents=True, exist_ok=True)
         stored = journal.stored_trial_ids()
+        signals = description_from_json(journal.fact("rig")).signals
         for trial_id in stored:
-            written.append(_write(journal.record(trial_id), out, form))
+            written.append(_write(journal.record(trial_id), out, form, signals))
             on_trial(len(written), len(stored))
     return written
 
@@ -137,8 +140,10 @@ def write_record(record: TrialRecord, folder: Path) -> Path:
         return _write(record, folder, "csv")
 
 
-def _write(record: TrialRecord, folder: Path, form: RecordFormat) -> Path:
-    return write_columns(columns(record), metadata(record), folder / record.trial_id, form)
+def _write(record: TrialRecord, folder: Path, form: RecordFormat, signals: Signals = REEL) -> Path:
+    return write_columns(
+        columns(record), metadata(record, signals), folder / record.trial_id, form
+    )
 
 
 def _sample_columns(*first: TrialRecord) -> tuple[str, ...]:
