@@ -114,9 +114,7 @@ def test_terminal_progress_shows_status_and_live_gains(tmp_path, width):
     assert str(tmp_path / "cut") in text.replace("\n", "")
     line = " ".join(text.split())
     plan = result.plan
-    # Both gains in the confirmation, where the baseline is the first repeat of the initial ones.
-    most = plan.baseline_trials + plan.trials + 2 * plan.repeats - 1
-    assert f"20 of at most {most} trials" in line
+    assert f"20 of at most {plan.max_trials} trials" in line
     assert "1 unsafe" in line
     assert f"start {result.start.cost:.3g}" in line
     assert "live P 0.5 N/N" in line

@@ -303,6 +303,18 @@ def test_plan_refuses_unusable_values(wrong):
         plan(**wrong)
 
 
+def test_most_trials_to_come_count_every_repeat_and_do_not_grow():
+    session = new_session(plan())
+    assert session.most_left == session.plan.max_trials
+    most = math.inf
+    while session.is_open:
+        assert session.number + session.most_left <= most
+        most = session.number + session.most_left
+        session = after_trial(session, Outcome.DONE, 1.0 / (1 + session.number))
+    ended, _ = to_the_end(session, lambda g: 1.0 if g == START else 0.6)
+    assert ended.number <= most
+
+
 def test_max_trials_is_never_exceeded():
     for better in (0.3, 1.0):
         session, _ = to_the_end(after_search(), lambda g, b=better: 1.0 if g == START else b)

@@ -33,6 +33,10 @@ PRECISION = 0.1
 CONFIRMATION_REPEATS_MAX = 10
 """Maximum repeats of each gains in a confirmation, unless the plan asks for more."""
 
+EXCITATIONS_MAX = 2
+"""Most excitations of a run: one at the initial gains, where these move the effort enough to be of
+use, and one at better ones."""
+
 
 @documented
 @dataclass(frozen=True, kw_only=True)
@@ -137,7 +141,10 @@ class Plan(Search):
     @property
     def max_trials(self) -> int:
         """Maximum number of trials, void ones excluded."""
-        return self.trials + 3 * self.repeats + 2 * max(CONFIRMATION_REPEATS_MAX, self.repeats)
+        excitations = EXCITATIONS_MAX if self.uses_records else 0
+        choices = 2 * self.repeats * (1 + excitations)  # one more after each excitation
+        confirmation = 2 * max(CONFIRMATION_REPEATS_MAX, self.repeats)
+        return self.baseline_trials + excitations + self.trials + choices + confirmation
 
     @cached_property
     def uses_records(self) -> bool:

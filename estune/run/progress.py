@@ -23,7 +23,6 @@ from rich.text import Text
 from estune.loop_model.optimum import RobustnessLimits
 from estune.run.disk_space import DiskForecast
 from estune.run.loop import Progress, ProgressListener, TuningRun
-from estune.run.phase import Phase
 
 _REDRAW_S = 0.25
 """Minimum time between two drawings."""
@@ -298,13 +297,13 @@ class ProgressCounter:
         return ProgressStatus(
             stage=str((session.phase if last is None else last.entry.phase) or "done"),
             done=session.number,
-            total=session.number + session.trials_left,
+            total=session.number + session.most_left,
             unit="trials",
             alerts=self._disk_warning,
             summary=f"{costs}  tried {tried}",
             details=(("now", costs), ("tried", tried), ("live", live)),
-            remaining_s=rate_s * session.trials_left,
-            at_most=session.phase in (Phase.BASELINE, Phase.EXCITE, Phase.SEARCH),
+            remaining_s=rate_s * session.most_left,
+            at_most=session.is_open,
         )
 
 

@@ -24,17 +24,13 @@ from estune.loop_model.records import LoopRecord
 from estune.run.confirmation import confirming, extended
 from estune.run.excitation import ExcitationTrial, excitation_trial
 from estune.run.phase import Phase
-from estune.run.plan import Plan
+from estune.run.plan import EXCITATIONS_MAX, Plan
 from estune.trial import Outcome, RigDescription, TrialRequest
 from estune.tuners.interface import CostPrediction, PredictingTuner, RecordUsingTuner
 from estune.tuners.observation import Observation
 
 UNSAFE_RATIO = 3.0
 """Default of the unsafe cost, as a multiple of the initial cost."""
-
-EXCITATIONS_MAX = 2
-"""Most excitations of a run: one at the initial gains, where these move the effort enough to be of
-use, and one at better ones."""
 
 CONSECUTIVE_CENSORED_MAX = 12
 """Consecutive unsafe or declined trials that end the search."""
@@ -171,6 +167,20 @@ class Session:
         to_come = self.plan.trials - self.search_trials + 2 * repeats
         to_come += -1 if self.plan.uses_records else 2 * repeats  # baseline or choice
         return to_come + self.plan.baseline_trials - len(self.baseline)
+
+    @property
+    def is_open(self) -> bool:
+        """Whether the search decides how many trials are to come."""
+        return self.phase in (Phase.BASELINE, Phase.EXCITE, Phase.SEARCH)
+
+    @property
+    def most_left(self) -> int:
+        """Largest number of trials to come, void ones excluded, while that is open."""
+        if not self.is_open:
+            return self.trials_left
+        excited = EXCITATIONS_MAX if self.excitation_refused else len(self.excitations)
+        done = len(self.baseline) + self.search_trials + excited * self.plan.uses_records
+        return self.plan.max_trials - done
 
     @property
     def recommendation(self) -> Gains:

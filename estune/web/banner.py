@@ -169,7 +169,8 @@ def _facts(kind: str, values: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
     if state:
         done, left = state["done"], state["left"]
         is_running = state["status"] == "running"
-        to_come = f", about {left} left" if is_running and left else ""
+        bound = "at most" if state["at_most"] else "about"
+        to_come = f", {bound} {left} left" if is_running and left else ""
         yield "trials", f"{done} done{to_come}"
         if is_running and state["trial_s"]:
             yield "time of a trial", duration(state["trial_s"])

@@ -16,7 +16,6 @@ from estune.core.gains import GAIN_NAMES
 from estune.errors import EstuneError
 from estune.run import loop, snapshot
 from estune.run.journal import Journal, JournalEntry, being_written
-from estune.run.phase import Phase
 from estune.run.planning import description_from_json, plan_from_json
 from estune.run.session import Session, Tally, predict_next
 from estune.trial import RigDescription
@@ -176,7 +175,7 @@ class _FollowedRun:
         ended = self.journal.ended_at(_TIMES)
         begun = self.journal.fact("created_at")
         taken_s = (ended[-1] - ended[0]).total_seconds() if len(ended) > 1 else None
-        left = None if session is None else session.trials_left
+        left = None if session is None else session.most_left
         self._board.put(
             "state",
             {
@@ -184,7 +183,7 @@ class _FollowedRun:
                 "phase": pending.phase.value if pending else "",
                 "done": tally.number,
                 "left": left,
-                "at_most": session is not None and session.phase in (Phase.BASELINE, Phase.SEARCH),
+                "at_most": session is not None and session.is_open,
                 "trial_s": taken_s and taken_s / (len(ended) - 1),
                 "ended_at": ended[-1].isoformat() if ended else begun,
                 "unsafe": tally.unsafe,
