@@ -15,9 +15,11 @@ import estune
 from estune.cli import Interrupts, run
 from estune.cli.approval_prompt import terminal_approval
 from estune.errors import RigError
+from estune.remote.ledger import LEDGER
 from estune.run.approval import ApprovalRequest
 from estune.run.journal import FILE_NAME, Journal
 from estune.run.labels import read_numbers, write_numbers
+from estune.support.sqlite import SqliteFile
 from estune.trial import TrialRequest
 from estune.tuners import CostPrediction
 from tests.support_runs import START, ArithmeticRig
@@ -76,6 +78,25 @@ def test_tune_reports_unusable_target_in_one_line_with_its_code(
 ):
     found, said = refused("tune", target, *QUIET, tmp_path)
     assert found == code
+    assert says in said
+
+
+@pytest.mark.parametrize(
+    ("wrong", "says"),
+    [
+        (("--listen", "tcp/127.0.0.1"), "endpoint 'tcp/127.0.0.1' is malformed"),
+        (("--listen", "tcp/0.0.0.0:0"), "--allow-remote"),
+        (("--listen", "tls/127.0.0.1:0"), "needs certificates"),
+        (("--set", "cable_length_m=-1"), "cable_length_m"),
+        ((), "is that of another server"),
+    ],
+)
+def test_serve_says_what_is_wrong_in_its_settings_before_that_its_ledger_is_taken(
+    refused, wrong, says, tmp_path
+):
+    with SqliteFile.open_writer(tmp_path / "reel.ledger", LEDGER):
+        code, said = refused("serve", *wrong, "--ledger", tmp_path / "reel.ledger")
+    assert code in (2, 4)
     assert says in said
 
 

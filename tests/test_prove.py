@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from scipy.stats import ttest_ind
 
+import estune
 import plants
 from estune.cli import run
 from estune.errors import InvalidInput, RigError
@@ -19,6 +20,7 @@ from estune.proof.patch import Patch, patch_of, read_patch
 from estune.proof.trials import MeasuredRatio, Proof, prove
 from estune.remote import zenoh
 from estune.trial import Outcome, TrialRequest
+from estune.trial.tracking import tracking_profile
 from plants.effects import CoulombFriction
 from plants.emulator import RIG_FILE
 from tests.test_compensation import friction_table, rig_with, trial
@@ -71,6 +73,38 @@ def test_restless_rig_stops_the_proof_and_switches_it_off():
     assert "stopped and switched off" in proof.sentence
     assert not record.optional_columns
     assert record.outcome is Outcome.DONE
+
+
+class ShortTrials:
+    """A reel whose rig file allows no trial above 2 s; nothing moves it."""
+
+    def __init__(self):
+        self._rig = REEL.rig(gains=GAINS)
+
+    def describe(self):
+        about = self._rig.describe()
+        return replace(about, limits=replace(about.limits, duration_max_s=2.0))
+
+    def run(self, _request):
+        raise AssertionError("it moves before its limits are told")
+
+
+@pytest.mark.parametrize(
+    "begin",
+    [
+        lambda rig, _: prove(rig, PATCH),
+        lambda rig, folder: estune.tune(rig, tracking=True, folder=folder, watch=None),
+    ],
+    ids=["proof", "tuning"],
+)
+def test_trials_too_long_for_the_rig_are_told_with_the_key_to_raise_before_motion(begin, tmp_path):
+    rig = ShortTrials()
+    with pytest.raises(InvalidInput, match=r"raise duration_max_s in the limits .* to \d+$") as no:
+        begin(rig, tmp_path)
+    needed_s = float(str(no.value).rpartition(" ")[2])
+    about = rig.describe()
+    enough = replace(about.limits, duration_max_s=needed_s)
+    enough.check(tracking_profile(about.step, about.settling_time_s))
 
 
 class Repeating:

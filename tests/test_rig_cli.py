@@ -85,10 +85,11 @@ def test_serve_hardware_ends_with_its_dead_loop(file):
 
 
 def test_serve_hardware_lists_all_faults_of_a_file(file, call):
-    file.write_text(file.read_text().replace("taut_N = 2.0", "taut_kN = 2.0"))
+    text = file.read_text().replace("travel_max_rad = 3.0", "travel_max_deg = 3.0")
+    file.write_text(text)
     told = call("serve-hardware", file, code=2)
-    assert "motion.taut_N: is missing" in told
-    assert "motion.taut_kN: " in told
+    assert "guard.travel_max_rad: is missing" in told
+    assert "guard.travel_max_deg: " in told
     assert "Traceback" not in told
 
 

@@ -227,8 +227,7 @@ def measured(
     triangle = tracking_profile(about.step, settling, wide)
     run, number = place
     step = resting_profile(about.step, settling)
-    for profile in (step, triangle):  # before the first motion
-        about.limits.check(profile)
+    about.limits.check_each(step, triangle)  # before the first motion
     resting = TrialRequest(run, number, about.gains, step, compensation=text)
     record = _trial(rig, about, resting, on=on)
     rest = rest_in(record, about)

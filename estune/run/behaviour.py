@@ -45,8 +45,7 @@ def behaviour_profiles(about: RigDescription) -> tuple[StepProfile, TriangleProf
     """
     resting = resting_profile(about.step, about.settling_time_s)
     triangle = tracking_profile(about.step, about.settling_time_s)
-    for profile in (resting, triangle):
-        about.limits.check(profile)
+    about.limits.check_each(resting, triangle)
     return resting, triangle
 
 

@@ -114,6 +114,15 @@ class RigLimits:
                 f"{self.tension_max_N:g}; choose another preload or a smaller change"
             )
 
+    def check_each(self, *profiles: AnyProfile) -> None:
+        """Refuses profiles outside the limits; what is told of the duration suits them all.
+
+        Raises:
+            InvalidInput: a setpoint or the duration is outside the limits.
+        """
+        for profile in sorted(profiles, key=lambda one: one.duration_s, reverse=True):
+            self.check(profile)
+
     def check(self, profile: AnyProfile) -> None:
         """Refuses a profile outside the limits.
 

@@ -13,6 +13,7 @@ from estune.cli.values import Flag, OptionalText, Values, security_from, setting
 from estune.errors import InvalidInput, RigError
 from estune.remote import zenoh
 from estune.remote.ledger import LEDGER
+from estune.remote.zenoh.endpoints import check_listener
 from estune.run.targets import load
 from estune.support.log_lines import LogFormat, begin_logging
 from estune.support.sqlite import has_writer
@@ -53,6 +54,7 @@ def serve(
     """
     begin_logging(log_format)
     credentials = security_from(security)
+    check_listener(listen, credentials, allow_remote=allow_remote)
     rig = _rig(load(plant, settings_from(set_)), plant, name=name, seed=seed, pace=pace)
     book = None if ledger == "memory" else Path(ledger or f"rigs/{name}.ledger")
     if book is not None and has_writer(book, LEDGER):

@@ -54,6 +54,14 @@ def check_loopback(endpoint: str) -> None:
         )
 
 
+def check_listener(endpoint: str, security: Security, *, allow_remote: bool) -> None:
+    """Raises `InvalidInput` if a server may not listen at an endpoint, before it does."""
+    check_endpoint(endpoint)
+    security.check_endpoint(endpoint)
+    if not allow_remote:
+        check_loopback(endpoint)
+
+
 def with_port(endpoint: str) -> str:
     """The endpoint with a free port in place of port 0: Zenoh does not report its choice."""
     if endpoint.startswith("unixsock-stream/"):

@@ -13,7 +13,7 @@ import zenoh
 from estune.errors import RigError
 from estune.remote.messages.rights import Right
 from estune.remote.security import OPEN, Security, Tls
-from estune.remote.zenoh.endpoints import check_endpoint, check_loopback, with_port
+from estune.remote.zenoh.endpoints import check_endpoint, check_listener, with_port
 from estune.remote.zenoh.local_endpoints import EndpointNote
 from estune.remote.zenoh.tls_front import InnerEndpoints, TlsFront
 from estune.remote.zenoh.zenoh_session import COMMANDS_MAX_BYTES, close_session, open_session
@@ -96,11 +96,10 @@ class ListeningSession:
             RigError: the endpoint is in use.
         """
         routers = tuple(routers)
-        for each in (endpoint, *routers):
+        check_listener(endpoint, security, allow_remote=allow_remote)
+        for each in routers:
             check_endpoint(each)
             security.check_endpoint(each)
-        if not allow_remote:
-            check_loopback(endpoint)
         self.instance = instance
         self._front: TlsFront | None = None
         if security.tls is not None and endpoint.startswith("tls/"):
