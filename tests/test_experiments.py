@@ -24,6 +24,7 @@ TIMES = "_restored_max_s"
 """Ending of the names of single targets that are times."""
 
 SAMPLED = {
+    "batch",
     "confirmation",
     "diagnosis_constants",
     "growing_oscillations",
@@ -37,6 +38,7 @@ SAMPLED = {
 """Experiments whose targets are shares or means of hundreds of cases: too many to be quick."""
 
 NIGHTLY = {
+    "batch",
     "benchmark_trials",
     "chaos",
     "compensation",

@@ -251,6 +251,10 @@ def result_facts(result: "TuneResult", *, trials: bool = False) -> dict[str, Any
     shown["forms"] = output.plain(result.forms)
     shown.update(rig=result.rig.name, trials_run=result.nfev)
     shown["behaviour"] = output.plain(result.behaviour)
+    shown["load_rejection"] = {
+        name: at and {"load": at.load, "peak": at.peak, "vanished_s": at.vanished_s}
+        for name, at in result.rejections.items()
+    }
     if trials:
         shown["trials"] = result.to_frame().to_dict(orient="records")
     return shown

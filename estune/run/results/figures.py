@@ -13,7 +13,9 @@ from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
 from estune.core.gains import GAIN_NAMES, Gains
+from estune.core.metrics import BAND
 from estune.core.quantities import BoolArray, FloatArray
+from estune.loop_model.load_rejection import HORIZON, LoadRejection
 from estune.support.plot_style import (
     BLACK,
     BLUE,
@@ -46,6 +48,14 @@ GAIN_LOOKS = {
     "D": (GREEN, (0, (4, 1.2)), "D"),
     "setpoint_filter_s": (PURPLE, (0, (1.5, 0.8)), "filter"),
 }
+
+_LOOKS: Mapping[str, dict[str, Any]] = {
+    "start": {
+        "color": ORANGE, "linewidth": 1.1, "linestyle": (0, (5, 1.2)), "label": "initial gains"
+    },
+    "tuned": {"color": BLUE, "linewidth": 1.3, "label": "tuned gains"},
+}  # fmt: skip
+"""Curves before and after the tuning."""
 
 _DECADE = 10.0
 FEW = 20
@@ -162,6 +172,25 @@ def draw_disturbance(
     return ax
 
 
+def draw_rejections(
+    ax: Axes, rejections: Mapping[str, LoadRejection | None], step_N: float, rig: RigDescription
+) -> Axes:
+    """Predicted deviation after a load step, by the names of `_LOOKS`, with the 2 % band."""
+    band = BAND * abs(step_N)
+    ax.axhspan(-band, band, color=LIGHT, linewidth=0, label="±2 % of the step")
+    known = {name: at for name, at in rejections.items() if at is not None}
+    ends_s = [at.vanished_s if at.vanishes else math.inf for at in known.values()]
+    longest_s = max(at.time_s[-1] for at in known.values())
+    shown_s = min(1.5 * max(*ends_s, longest_s / HORIZON), longest_s)
+    per_s, unit = axis_unit(shown_s)
+    for name, at in known.items():
+        shown = at.time_s <= shown_s
+        ax.plot(at.time_s[shown] * per_s, at.deviation[shown], **_LOOKS[name])
+    finish(ax, f"deviation, {rig.measurement_unit}".rstrip(", "), f"time from the load, {unit}")
+    ax.legend(loc="best", fontsize=8, frameon=False, handlelength=1.8)
+    return ax
+
+
 def _mark_load(ax: Axes, step: StepProfile, per_s: float) -> None:
     """Marks the begin of the load that some profiles add after the step."""
     load_at_s = getattr(step, "load_at_s", None)
@@ -175,10 +204,9 @@ def _before_and_after(
 ) -> Iterator[tuple[TrialRecord, dict[str, Any]]]:
     """The records that there are, each with its look."""
     if before is not None:
-        look = {"color": ORANGE, "linewidth": 1.1, "linestyle": (0, (5, 1.2))}
-        yield before, {**look, "label": "initial gains"}
+        yield before, _LOOKS["start"]
     if after is not None:
-        yield after, {"color": BLUE, "linewidth": 1.3, "label": "tuned gains"}
+        yield after, _LOOKS["tuned"]
 
 
 def draw_gains(

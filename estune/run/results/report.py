@@ -120,9 +120,12 @@ def _load(result: RunResult) -> str:
 
 
 def _disturbance(result: RunResult) -> Iterator[Block]:
-    """The response to the load of the trials, where they have one."""
+    """The response to the load of the trials, or else the predicted one to a load step."""
     rig, step, before = result.rig, result.plan.step, result.first_record
-    if not isinstance(step, LoadStepProfile) or before is None:
+    if before is None:
+        return
+    if not isinstance(step, LoadStepProfile):
+        yield from _predicted_disturbance(result)
         return
     after = result.tuned_record if result.success else None
     figure = new_figure(7.2, 2.8)
@@ -135,6 +138,23 @@ def _disturbance(result: RunResult) -> Iterator[Block]:
         f"{rig.measurement_name.capitalize()} less its setpoint after a load of {load} at the "
         f"plant's input, in the trials of the step response; the numbers are in that figure's "
         "data. The grey band is that of the settling and the recovery time.",
+    )
+
+
+def _predicted_disturbance(result: RunResult) -> Iterator[Block]:
+    """The response of the identified loop to a load step; nothing where it is not known."""
+    rig, known = result.rig, [at for at in result.rejections.values() if at is not None]
+    if not known:
+        return
+    figure = new_figure(7.2, 2.8)
+    figures.draw_rejections(figure.add_subplot(), result.rejections, result.plan.step.step_N, rig)
+    yield Drawing(
+        figure,
+        "disturbance",
+        f"Predicted deviation of the {rig.measurement_name} after a load step",
+        f"Predicted by the identified loop: {rig.measurement_name} less its setpoint after a load "
+        f"step of {rig.commanded(abs(known[0].load), 3)} at the plant's input, which without "
+        "control would move it by the step.",
     )
 
 

@@ -18,6 +18,7 @@ from estune.core.gains import GAIN_NAMES, Gains
 from estune.core.metrics import NO_METRICS
 from estune.errors import InvalidInput, JournalError
 from estune.loop_model.claim import Claim, unexplained
+from estune.loop_model.load_rejection import LoadRejection, load_rejection
 from estune.loop_model.optimum import SENSITIVITY_MAX
 from estune.run.behaviour import (
     Measured,
@@ -36,6 +37,9 @@ from estune.run.results import result_warnings
 from estune.run.results.sentences import (
     bounds_reached,
     claimed_robustness,
+    load_cells,
+    load_remarks,
+    load_stays,
     response_changes,
     start_remarks,
 )
@@ -138,6 +142,21 @@ class RunResult(OptimizeResult):  # type: ignore[misc]  # scipy ships no type in
     def identified(self) -> IdentifiedLoop:
         """The loop identified from the last records."""
         return identify(self.recent_records, self.excitations, self.plan, self.rig)
+
+    def load_rejection(self, gains: Gains) -> LoadRejection | None:
+        """What a load step does with some gains, by the identified loop; None without one."""
+        fit, cost = self.identified.fit, self.plan.cost
+        if fit is None or not fit.responds:
+            return None
+        return load_rejection(
+            *(fit.model, gains, self.rig.controller, self.plan.step.step_N, cost.settling_time_s)
+        )
+
+    @cached_property
+    def rejections(self) -> dict[str, LoadRejection | None]:
+        """What a load step does with the initial gains, `start`, and the `tuned` ones."""
+        gains = {"start": self.start_gains} | ({"tuned": self.gains} if self.tuned else {})
+        return {name: self.load_rejection(one) for name, one in gains.items()}
 
     @cached_property
     def start(self) -> Performance:
@@ -258,6 +277,7 @@ class RunResult(OptimizeResult):  # type: ignore[misc]  # scipy ships no type in
             change = f"cost {start:.3g} → {cost:.3g}, {self.improvement}"
             said = [*response_changes(self.start, self.tuned)]
             said += [claimed_robustness(self.claim, self.limits), *bounds_reached(self.findings)]
+            said += load_stays(self.rejections.get("tuned"), self.plan, self.rig)
             shown = ", ".join(said)
             return f"{self.ending.upper()}: {self.rig.name}, {shown}; {change}; {self.trials_text}"
         if self.improvement is not None:
@@ -274,6 +294,9 @@ class RunResult(OptimizeResult):  # type: ignore[misc]  # scipy ships no type in
         robust = robustness_cells(self.claim.margins)
         shown += [ResultRow(label, *(("-", x) if self.tuned else (x, ""))) for label, x in robust]
         none = "-" if self.tuned else ""
+        before, *after = (load_cells(one, self.rig) for one in self.rejections.values())
+        last = after[0] if after else dict.fromkeys(before, "")
+        shown += [ResultRow(label, at, last[label]) for label, at in before.items()]
         shown += [ResultRow(*r) for r in behaviour_rows(self.behaviour, self.rig.measured, none)]
         return tuple(shown)
 
@@ -287,6 +310,7 @@ class RunResult(OptimizeResult):  # type: ignore[misc]  # scipy ships no type in
             *(finding.sentence for finding in self.findings),
             *behaviour_remarks(self.behaviour),
             *((INTERVALS_ARE,) if self.tuned and self.tuned.intervals else ()),
+            *load_remarks([*self.rejections.values()][-1], self.plan, self.rig),
             *(_robustness_remarks(self) if self.verdict.complete else ()),
         )
         return tuple(f"{sentence[:1].upper()}{sentence[1:]}." for sentence in sentences)

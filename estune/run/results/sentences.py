@@ -5,12 +5,17 @@ from collections.abc import Iterable, Iterator
 from estune.core.controller_form import ControllerForm
 from estune.core.gains import Gains
 from estune.loop_model.claim import Claim
+from estune.loop_model.load_rejection import HORIZON, LoadRejection
 from estune.run.limit_verdict import LimitVerdict
 from estune.run.plan import Plan
 from estune.run.results.result_warnings import ResultWarning
 from estune.run.results.summary import Performance, rise_text, share_text
 from estune.run.start import left_out
-from estune.support.quantity_text import change_text
+from estune.support.quantity_text import change_text, time_text
+from estune.trial import RigDescription
+
+BALANCED = "tracking_and_rejection"
+"""The cost that weighs a setpoint step and a load step alike."""
 
 
 def start_remarks(
@@ -56,3 +61,37 @@ def claimed_robustness(claim: Claim, limits: LimitVerdict | None) -> str:
     if margins is None or (limits is not None and limits.reason):
         return limits.reason if limits else ""
     return f"Ms {margins.sensitivity.value:.2f}, at most {margins.sensitivity.high:.2f}"
+
+
+def load_cells(at: LoadRejection | None, rig: RigDescription) -> dict[str, str]:
+    """Peak and end of the response to a load step as text, by label."""
+    peak, gone = "peak after a load step (predicted)", "load rejected (2 %, predicted)"
+    if at is None:
+        return {peak: "-", gone: "-"}
+    return {
+        peak: rig.measured(at.peak, 3),
+        gone: time_text(at.vanished_s) if at.vanishes else "never",
+    }
+
+
+def load_remarks(at: LoadRejection | None, plan: Plan, rig: RigDescription) -> Iterator[str]:
+    """The load step of the predictions, and what to do where it stays."""
+    if at is None:
+        return
+    load = rig.commanded(float(f"{abs(at.load):.3g}"))
+    yield f"the predicted load step is {load} at the plant's input, where no limit acts"
+    for stays in load_stays(at, plan, rig):
+        left = rig.measured(abs(float(at.deviation[-1])), 3)
+        yield f"{stays}: it leaves {left} after {HORIZON:g} settling times"
+
+
+def load_stays(at: LoadRejection | None, plan: Plan, rig: RigDescription) -> Iterator[str]:
+    """What to do where a load step stays; nothing where it vanishes."""
+    if at is None or at.vanishes:
+        return
+    if plan.cost.rejection:
+        yield "a load step stays"
+    elif rig.limits.load_max_N:
+        yield f"a load step stays, tune with --cost {BALANCED}"
+    else:
+        yield "a load step stays, and the rig makes none to tune with: raise the lower bound of I"

@@ -1,0 +1,1 @@
+"""The batch of test plants of Astrom and Hagglund, tuned by estune and by rules."""
