@@ -12,7 +12,7 @@ from estune.core.gains import Gains
 from estune.trial import TrialRequest
 from estune.trial.profiles import StepProfile
 from experiments.batch.__main__ import is_beyond, start_of
-from experiments.batch.loop import FILTER_SAMPLES, Loop
+from experiments.batch.loop import FILTER_SAMPLES, ProcessLoop
 from experiments.batch.processes import PROCESSES, UNSTABLE
 from experiments.batch.rig import BatchRig
 from experiments.batch.rules import first_order, relay_experiment, simc
@@ -24,7 +24,7 @@ BY_NAME = {process.name: process for process in PROCESSES}
 def product_plant(process):
     """The process as a plant of estune at the same rate."""
     A, B, C = process.state_space
-    loop = Loop(process)
+    loop = ProcessLoop(process)
     count = loop.before + loop.after
     return plants.linear_plant(
         control.ss(A, B[:, None], C[None], 0.0),
@@ -38,7 +38,7 @@ def product_plant(process):
 @pytest.mark.parametrize("name", ["e^-s/(2s+1)", "1/(s+1)^3", "1/(s^2-1)", "(1-0.5s)/(s+1)^3"])
 def test_own_simulation_agrees_with_that_of_the_plants(name):
     process = BY_NAME[name]
-    loop, gains = Loop(process), start_of(process)
+    loop, gains = ProcessLoop(process), start_of(process)
     cost, plant = default_cost(process.settling_time_s), product_plant(process)
     at = loop.at(gains, cost)
     assert at.Ms == pytest.approx(true_sensitivity(plant, gains), rel=2e-4)
@@ -52,19 +52,19 @@ def test_own_simulation_agrees_with_that_of_the_plants(name):
 
 @pytest.mark.parametrize("process", PROCESSES, ids=lambda process: process.name)
 def test_every_process_begins_with_a_stable_loop(process):
-    at = Loop(process).at(start_of(process), default_cost(process.settling_time_s))
+    at = ProcessLoop(process).at(start_of(process), default_cost(process.settling_time_s))
     assert math.isfinite(at.Ms)
 
 
 def test_integral_of_the_error_after_a_load_is_the_inverse_of_the_integral_gain():
     process = BY_NAME["e^-s/(2s+1)"]
     slow = Gains(0.3, 0.1, 0.0, 0.0)  # so slow that the error keeps its sign
-    at = Loop(process).at(slow, default_cost(process.settling_time_s))
+    at = ProcessLoop(process).at(slow, default_cost(process.settling_time_s))
     assert at.load_IAE == pytest.approx(1.0 / slow.I, rel=1e-3)
 
 
 def test_first_order_model_of_a_first_order_process_is_the_process():
-    loop = Loop(BY_NAME["e^-s/(2s+1)"])
+    loop = ProcessLoop(BY_NAME["e^-s/(2s+1)"])
     gain, T, dead_s = first_order(loop)
     assert gain == pytest.approx(1.0, rel=1e-6)
     assert pytest.approx(2.0, rel=0.03) == T
@@ -72,7 +72,7 @@ def test_first_order_model_of_a_first_order_process_is_the_process():
 
 
 def test_simc_of_equal_lags_is_that_of_the_half_rule():
-    loop = Loop(BY_NAME["1/(s+1)^3"])
+    loop = ProcessLoop(BY_NAME["1/(s+1)^3"])
     dead_s = 0.5 + 0.5 * loop.h
     K, Ti, Td = 1.0 / (2.0 * dead_s), 1.0, 1.5  # of the series form
     assert simc(loop).to_standard() == pytest.approx((K * (1.0 + Td / Ti), Ti + Td, Td / 2.5))
@@ -80,7 +80,7 @@ def test_simc_of_equal_lags_is_that_of_the_half_rule():
 
 def test_relay_finds_the_ultimate_point_of_a_dead_time_process():
     process = BY_NAME["e^-s/(10s+1)"]
-    K, period_s = relay_experiment(Loop(process))
+    K, period_s = relay_experiment(ProcessLoop(process))
     assert period_s == pytest.approx(process.ultimate[1], rel=0.05)
     assert pytest.approx(process.ultimate[0], rel=0.25) == K  # a describing function
 
@@ -95,8 +95,8 @@ def test_only_a_plain_tuned_breaks_the_promise():
 def test_noise_raises_the_cost_by_what_it_adds_to_error_and_moves():
     process = next(p for p in PROCESSES if p.family != UNSTABLE)
     cost, gains = default_cost(process.settling_time_s), start_of(process)
-    quiet, noisy = (Loop(process, noise).at(gains, cost).cost for noise in (0.0, 0.01))
-    loop = Loop(process, 0.01)
+    quiet, noisy = (ProcessLoop(process, noise).at(gains, cost).cost for noise in (0.0, 0.01))
+    loop = ProcessLoop(process, 0.01)
     rig = BatchRig(loop, gains, 3)
     profile = rig.describe().step
     shape = profile.shape(1.0 / loop.h)

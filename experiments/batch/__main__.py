@@ -19,7 +19,7 @@ import math
 import sys
 import time
 from collections.abc import Iterable, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -29,14 +29,14 @@ from estune.core.gains import Gains
 from estune.errors import EstuneError
 from estune.support.blas import one_blas_thread
 from experiments.batch.figure import draw
-from experiments.batch.loop import Loop, Truth
+from experiments.batch.loop import LoopFigures, ProcessLoop
 from experiments.batch.optimum import MAX_OVERSHOOT, MAX_SENSITIVITY, optimum, with_best_filter
 from experiments.batch.processes import PROCESSES, UNSTABLE, Process
-from experiments.batch.rig import BatchRig
+from experiments.batch.rig import BatchRig, Disturbance
 from experiments.batch.rules import RULES
 from experiments.results import Target, at_least, at_most, command_line, print_results
 
-EVALUATIONS, QUICK_EVALUATIONS = 1200, 200
+EVALUATIONS, QUICK_EVALUATIONS = 500, 150
 QUICK = ("e^-s/(2s+1)", "1/(s+1)^3")
 NEAR, TRIALS, CPU_S, BEYOND = 0.01, 12, 10.0, 0.01
 
@@ -52,10 +52,12 @@ def start_of(process: Process) -> Gains:
     return Gains.from_standard(0.15 * K, Ti, 0.05 * period_s, 0.1 * period_s)
 
 
-def tuned(loop: Loop, seed: int, cost: str) -> tuple[Row, Gains, StepCost | None]:
+def tuned(
+    loop: ProcessLoop, seed: int, cost: str, disturbance: Disturbance
+) -> tuple[Row, Gains, StepCost | None]:
     """What a run says, its gains, and its cost; None where the run was refused."""
     start = start_of(loop.process)
-    rig, began_s = BatchRig(loop, start, seed), time.process_time()
+    rig, began_s = BatchRig(loop, start, seed, disturbance), time.process_time()
     try:
         result = estune.tune(rig, cost=cost, journal=False, watch=None)
     except EstuneError as error:
@@ -74,7 +76,7 @@ def tuned(loop: Loop, seed: int, cost: str) -> tuple[Row, Gains, StepCost | None
     return row, result.gains, result.plan.cost
 
 
-def figures_of(at: Truth, best: float) -> Row:
+def figures_of(at: LoopFigures, best: float) -> Row:
     """Figures of some gains, in the units of the table."""
     return {
         "above_percent": 100.0 * (at.cost / best - 1.0),
@@ -84,18 +86,28 @@ def figures_of(at: Truth, best: float) -> Row:
     }
 
 
-def measure(process: Process, noise: float, seeds: Sequence[int], cost: str, most: int) -> Row:
-    """The row of a process: the rules, and each seed of estune's.
+class Conditions(NamedTuple):
+    """What is the same for all processes.
 
-    Args:
-        process: The process.
+    Attributes:
         noise: Standard deviation of the noise as a share of the step.
         seeds: Of the trials' noise.
         cost: Name of the cost.
         most: Evaluations of the optimum from each start.
+        disturbance: What acts on the loop in estune's trials alone.
     """
-    loop = Loop(process, noise)
-    runs = [tuned(loop, seed, cost) for seed in seeds]
+
+    noise: float
+    seeds: Sequence[int]
+    cost: str
+    most: int
+    disturbance: Disturbance
+
+
+def measure(process: Process, at: Conditions) -> Row:
+    """The row of a process: the rules, and each seed of estune's."""
+    loop = ProcessLoop(process, at.noise)
+    runs = [tuned(loop, seed, at.cost, at.disturbance) for seed in at.seeds]
     scored = next((of for *_, of in runs if of is not None), None)
     row: Row = {"plant": process.name, "family": process.family}
     if scored is None:
@@ -104,12 +116,12 @@ def measure(process: Process, noise: float, seeds: Sequence[int], cost: str, mos
     filtered = {n: with_best_filter(loop, scored, gains) for n, gains in rules.items() if gains}
     best_rule = sorted(filtered.values(), key=lambda gains: loop.judged(gains, scored)[0])[:1]
     starts = [start_of(process), *(gains for _, gains, _ in runs), *best_rule]
-    best = optimum(loop, scored, starts, most)
-    at = loop.at(best, scored)
-    row["optimum"] = figures_of(at, at.cost) | {"gains": list(best.as_tuple())}
-    row["rules"] = {n: figures_of(loop.at(g, scored), at.cost) for n, g in filtered.items()}
+    best = optimum(loop, scored, starts, at.most)
+    least = loop.at(best, scored)
+    row["optimum"] = figures_of(least, least.cost) | {"gains": list(best.as_tuple())}
+    row["rules"] = {n: figures_of(loop.at(g, scored), least.cost) for n, g in filtered.items()}
     row["estune"] = [
-        run if of is None else run | figures_of(loop.at(gains, scored), at.cost)
+        run if of is None else run | figures_of(loop.at(gains, scored), least.cost)
         for run, gains, of in runs
     ]
     return row
@@ -199,16 +211,24 @@ def main() -> int:
     parser.add_argument("--seed0", type=int, default=0, help="first seed: see seeds.md")
     parser.add_argument("--noise", type=float, default=0.003, help="noise, as a share of the step")
     parser.add_argument("--cost", choices=list(PRESETS), default="paper", help="cost of a trial")
+    for name, about in (
+        ("load", "coloured load"),
+        ("load-steps", "load steps in one trial of five"),
+        ("drift", "drift of the sensor over a trial"),
+    ):
+        parser.add_argument(f"--{name}", type=float, default=0.0, help=f"{about}, of the step")
     parser.add_argument("--plant", default="", help="only plants with this in name or family")
     options = parser.parse_args()
     quick = options.quick
     seeds = range(options.seed0, options.seed0 + (1 if quick else options.seeds))
     most = QUICK_EVALUATIONS if quick else EVALUATIONS
+    acting = Disturbance(options.load, options.load_steps, options.drift)
+    at = Conditions(options.noise, seeds, options.cost, most, acting)
     chosen = [p for p in PROCESSES if p.name in QUICK] if quick else PROCESSES
     rows = []
     for process in chosen:
         if options.plant in process.name or options.plant in process.family:
-            rows.append(measure(process, options.noise, seeds, options.cost, most))
+            rows.append(measure(process, at))
             print(rows[-1], file=sys.stderr, flush=True)
     if not quick:
         draw(rows, options.out)

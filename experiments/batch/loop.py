@@ -1,6 +1,6 @@
 """The sampled loop of a process, simulated and judged without estune's own simulation or margins.
 
-The process is exact under zero-order hold. Loop and controller are one linear difference equation
+The process is exact under zero-order hold. With the controller it is one difference equation
 
     z_{k+1} = M z_k + b_r r_k + b_n n_k + b_l l_k
 
@@ -43,7 +43,7 @@ DRAWS = 4
 """Draws of the noise in a mean cost."""
 
 
-class Truth(NamedTuple):
+class LoopFigures(NamedTuple):
     """What is true of a loop with some gains.
 
     Attributes:
@@ -63,7 +63,7 @@ class Truth(NamedTuple):
     load_time_s: float
 
 
-UNSTABLE = Truth(math.inf, math.inf, math.inf, math.inf, math.inf, math.inf)
+UNSTABLE = LoopFigures(math.inf, math.inf, math.inf, math.inf, math.inf, math.inf)
 
 
 class Matrices(NamedTuple):
@@ -80,7 +80,7 @@ class Matrices(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Loop:
+class ProcessLoop:
     """A process with its controller at one sampling rate.
 
     Attributes:
@@ -179,12 +179,12 @@ class Loop:
         b_n[slow] = h / span
         return Matrices(M, b_r, b_n, b_l, effort, of_setpoint, of_noise, measured)
 
-    def at(self, gains: Gains, cost: StepCost) -> Truth:
+    def at(self, gains: Gains, cost: StepCost) -> LoopFigures:
         """What is true of the loop with these gains."""
         judged = self.judged(gains, cost)
         if not math.isfinite(judged[0]):
             return UNSTABLE
-        return Truth(*judged, *self._rejection(self.matrices(gains)))
+        return LoopFigures(*judged, *self._rejection(self.matrices(gains)))
 
     def judged(self, gains: Gains, cost: StepCost) -> tuple[float, float, float]:
         """Cost, Ms and overshoot alone: what a search of the optimum needs."""

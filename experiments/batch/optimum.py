@@ -10,7 +10,7 @@ import numpy as np
 from estune.core.cost import StepCost
 from estune.core.gains import Gains
 from estune.core.quantities import FloatArray
-from experiments.batch.loop import Loop
+from experiments.batch.loop import ProcessLoop
 
 MAX_SENSITIVITY, MAX_OVERSHOOT = 1.6, 0.05
 """The limits of a tuning by default."""
@@ -22,7 +22,7 @@ FILTERS = 60
 """Time constants of the setpoint filter that are tried for a rule, none among them."""
 
 
-def optimum(loop: Loop, cost: StepCost, starts: Sequence[Gains], evaluations: int) -> Gains:
+def optimum(loop: ProcessLoop, cost: StepCost, starts: Sequence[Gains], evaluations: int) -> Gains:
     """The gains of least cost within the limits, by CMA-ES from several starts.
 
     Args:
@@ -54,7 +54,7 @@ def optimum(loop: Loop, cost: StepCost, starts: Sequence[Gains], evaluations: in
     return Gains(*np.exp(min(found, key=lambda pair: pair[0])[1]).tolist())
 
 
-def with_best_filter(loop: Loop, cost: StepCost, gains: Gains) -> Gains:
+def with_best_filter(loop: ProcessLoop, cost: StepCost, gains: Gains) -> Gains:
     """The gains with the setpoint filter of least cost."""
     longest = loop.process.settling_time_s
     filters = [0.0, *np.geomspace(1e-3 * longest, 2.0 * longest, FILTERS).tolist()]

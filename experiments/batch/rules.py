@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from estune.core.gains import Gains
-from experiments.batch.loop import Loop
+from experiments.batch.loop import ProcessLoop
 
 STEP_SAMPLES = 2**14
 """Samples of an open-loop step response, whose end is its final value."""
@@ -34,7 +34,7 @@ class FirstOrder(NamedTuple):
     dead_s: float
 
 
-def first_order(loop: Loop) -> FirstOrder:
+def first_order(loop: ProcessLoop) -> FirstOrder:
     """The model by the steepest tangent and the 63 % time of the step response."""
     Phi, Gamma, C = loop.sampled
     n, h = C.size, loop.h
@@ -54,7 +54,7 @@ def first_order(loop: Loop) -> FirstOrder:
     return FirstOrder(float(y[-1]), max(after_s + late_s - dead_s, h), dead_s)
 
 
-def amigo(loop: Loop) -> Gains | None:
+def amigo(loop: ProcessLoop) -> Gains | None:
     """AMIGO (Astrom and Hagglund 2004), PID."""
     gain, T, L = first_order(loop)
     if math.isinf(T):
@@ -65,7 +65,7 @@ def amigo(loop: Loop) -> Gains | None:
     )
 
 
-def simc(loop: Loop) -> Gains | None:
+def simc(loop: ProcessLoop) -> Gains | None:
     """SIMC (Skogestad 2003), PID of the process halved to two lags, tau_c the dead time."""
     process = loop.process
     lags = list(process.lags)
@@ -87,7 +87,7 @@ def simc(loop: Loop) -> Gains | None:
     return Gains.from_standard(K * factor, Ti * factor, Td / factor)
 
 
-def lambda_rule(loop: Loop) -> Gains | None:
+def lambda_rule(loop: ProcessLoop) -> Gains | None:
     """Lambda tuning, PI, with lambda the time constant; three dead times where it integrates."""
     gain, T, L = first_order(loop)
     if math.isinf(T):
@@ -98,19 +98,19 @@ def lambda_rule(loop: Loop) -> Gains | None:
     return Gains.from_standard(T / (gain * (T + L)), T, 0.0)
 
 
-def tyreus_luyben(loop: Loop) -> Gains | None:
+def tyreus_luyben(loop: ProcessLoop) -> Gains | None:
     """Tyreus and Luyben (1992), PID, by the ultimate gain."""
     K, period_s = loop.process.ultimate
     return Gains.from_standard(K / 2.2, 2.2 * period_s, period_s / 6.3)
 
 
-def ziegler_nichols(loop: Loop) -> Gains | None:
+def ziegler_nichols(loop: ProcessLoop) -> Gains | None:
     """Ziegler and Nichols (1942), PID, by the ultimate gain."""
     K, period_s = loop.process.ultimate
     return Gains.from_standard(0.6 * K, 0.5 * period_s, 0.125 * period_s)
 
 
-def relay(loop: Loop) -> Gains | None:
+def relay(loop: ProcessLoop) -> Gains | None:
     """A relay experiment and 60 degrees of phase margin there, as automatic tuners do."""
     found = relay_experiment(loop)
     if found is None:
@@ -121,7 +121,7 @@ def relay(loop: Loop) -> Gains | None:
     return Gains.from_standard(K * math.cos(PHASE_MARGIN), 4.0 * Td, Td)
 
 
-def relay_experiment(loop: Loop) -> tuple[float, float] | None:
+def relay_experiment(loop: ProcessLoop) -> tuple[float, float] | None:
     """Ultimate gain and period by a relay with hysteresis of three times the noise."""
     Phi, Gamma, C = loop.sampled
     rng = np.random.default_rng(0)
@@ -144,7 +144,7 @@ def relay_experiment(loop: Loop) -> tuple[float, float] | None:
     return 4.0 / (math.pi * amplitude), period * loop.h
 
 
-RULES: dict[str, Callable[[Loop], Gains | None]] = {
+RULES: dict[str, Callable[[ProcessLoop], Gains | None]] = {
     "AMIGO": amigo,
     "SIMC": simc,
     "lambda": lambda_rule,
