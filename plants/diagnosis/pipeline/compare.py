@@ -14,6 +14,7 @@ from plants.diagnosis.constants import CONSTANTS
 from plants.diagnosis.data.measured_record import MeasuredRecord
 from plants.diagnosis.data.records import FolderContents
 from plants.diagnosis.models.base import BaseNumbers
+from plants.diagnosis.pipeline.balance import judgement, with_values
 from plants.diagnosis.pipeline.fit import BaseFit
 from plants.diagnosis.progress import Progress, portion
 from plants.diagnosis.residual.localisation import ResidualLocation
@@ -29,6 +30,8 @@ from plants.diagnosis.search.screening import Screening
 from plants.diagnosis.search.search import search
 from plants.diagnosis.search.validation import ModelStage, free_run_rms, moved_rms, stage
 from plants.diagnosis.search.wrong_parameter import find_wrong_parameter
+from plants.diagnosis.torque_balance.agreement import Weight, agreement
+from plants.diagnosis.torque_balance.judge import TorqueJudgement
 from plants.effects import Cogging, Effect, MainsInterference, Quantisation
 from plants.effects.plant_scale import si, written_unit
 
@@ -49,6 +52,8 @@ class EffectComparison:
         effects: The effects believed, in the order in which they were added.
         line: The mains interference, or None.
         waves: The waves over the angle in the torque, or None.
+        judged: What the balance of torques says, or None where it says nothing.
+        weight: How that stands to what the prediction says.
     """
 
     fitted: BaseFit
@@ -61,6 +66,8 @@ class EffectComparison:
     effects: tuple[type[Effect], ...]
     line: MainsLine | None
     waves: TorqueWaves | None
+    judged: TorqueJudgement | None = None
+    weight: Weight = "silent"
 
     @property
     def fitter(self) -> ModelFitter:
@@ -104,6 +111,11 @@ def compare(
     waves = None
     if Cogging in choices.in_torque and conclusion.verdict in ("unknown", "none"):
         waves = _waves(fitted, held_out)
+    judged = judgement(fitted) if waves is None else None
+    weight: Weight = "silent"
+    if wrong is None and judged is not None:
+        conclusion, stages, weight = _weighed(conclusion, stages, every.models, judged)
+        steps = tuple(each.step for each in stages) if weight == "balance" else steps
     effects = _effects(stages, every.line, steps, waves)
     too_few = most_refused(usable.measurements, usable.findings)
     return EffectComparison(
@@ -117,7 +129,41 @@ def compare(
         effects=effects,
         line=every.line,
         waves=waves,
+        judged=judged,
+        weight=weight,
     )
+
+
+def _weighed(
+    conclusion: Conclusion,
+    stages: tuple[ModelStage, ...],
+    models: FittedModels,
+    judged: TorqueJudgement,
+) -> tuple[Conclusion, tuple[ModelStage, ...], Weight]:
+    """The conclusion with what the balance of torques says."""
+    last = stages[-1]
+    together = agreement(
+        conclusion.verdict, last.fit.effects, conclusion.tied, conclusion.leading, judged
+    )
+    if together.weight == "tie":
+        fit = models.with_effects[frozenset({together.effects[0].name})]
+        decided = stage(last.fitter, last.fitter.final(fit), together.effects[0].name)
+        stages = (*stages[:1], decided)
+        complete = decided.step.ratio <= CONSTANTS.above_noise
+        conclusion = conclusion._replace(verdict="named" if complete else "incomplete", tied=())
+    elif together.weight == "balance":
+        fit = with_values(last.fitter, together.effects, judged)
+        stages = (*stages[:1], stage(last.fitter, fit, together.effects[0].name))
+        complete = judged.after_Nm <= CONSTANTS.above_noise * judged.noise_Nm
+        verdict: Verdict = "named" if complete else "incomplete"
+        conclusion = conclusion._replace(
+            verdict=verdict, stages=(models.base, fit), rest=judged.like, reason=""
+        )
+    elif together.weight == "contradiction":
+        titles = " and ".join(effect.title for effect in last.fit.effects)
+        conclusion = conclusion.unknown(f"The prediction of the motion would name {titles}.")
+        stages = stages[:1]
+    return conclusion, stages, together.weight
 
 
 def _stages(every: AllRecords, fits: Sequence[CandidateFit]) -> tuple[ModelStage, ...]:

@@ -9,6 +9,7 @@ from plants.diagnosis.pipeline.compare import EffectComparison
 from plants.diagnosis.search.intervals import FIRST_ZERO
 from plants.diagnosis.search.intervals import intervals as fitted_intervals
 from plants.diagnosis.search.validation import ModelStage
+from plants.diagnosis.torque_balance.balance import BASE
 from plants.effects import Cogging, MainsInterference, Quantisation, Role
 from plants.effects.plant_scale import PlantScale
 
@@ -34,7 +35,22 @@ def intervals(compared: EffectComparison) -> StatedIntervals:
     if last is not first:
         believed = dict(fitted_intervals(last.fitter, last.fit, first.fit))
         believed |= _where_first_reads_zero(believed, last)
-    return StatedIntervals(base, believed | _beside_the_fit(compared))
+    return StatedIntervals(base, believed | _beside_the_fit(compared) | _of_balance(compared))
+
+
+def _of_balance(compared: EffectComparison) -> Mapping[str, Interval]:
+    """Those of a model whose values are those of the torque balance."""
+    judged = compared.judged
+    if judged is None or compared.weight != "balance":
+        return {}
+    inertia, viscous, offset = (judged.base[name] for name in BASE)
+    constant = Interval(-offset.value, -offset.high, -offset.low, "N m")
+    return {
+        **judged.values,
+        "drum_inertia_kg_m2": replace(inertia, unit="kg m2"),
+        "viscous_friction_Nms": replace(viscous, unit="N m s/rad"),
+        "torque_offset_Nm": constant,
+    }
 
 
 def _where_first_reads_zero(

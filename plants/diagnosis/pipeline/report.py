@@ -33,6 +33,7 @@ from plants.diagnosis.search.validation import (
     held_errors,
     hold_out,
 )
+from plants.diagnosis.torque_balance.agreement import sentence as of_balance
 from plants.effects import Effect
 from plants.effects.plant_scale import PlantScale, written_unit
 
@@ -110,6 +111,9 @@ def _sentence(
         verdict = verdict_sentence(
             compared.verdict, compared.conclusion, effects, compared.steps, unit
         )
+    if compared.judged is not None:
+        scale = PlantScale.of(compared.fitter.model.model)
+        verdict = f"{verdict} {of_balance(compared.judged, compared.weight, scale)}".rstrip()
     return " ".join([*(f"{limit.sentence}." for limit in limits), verdict])
 
 

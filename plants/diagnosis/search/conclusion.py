@@ -12,6 +12,7 @@ from plants.diagnosis.result import (
     ModelSummary,
     NamedEffect,
     SearchStep,
+    Slugs,
     Verdict,
     explained_share,
 )
@@ -40,6 +41,7 @@ class Conclusion(NamedTuple):
         probability: Of an effect's family being there, by slug.
         own_probability: Of the effect itself, by slug.
         models: Every model that was fitted, the base model first.
+        leading: Slugs of the best named model, whether it is believed or not.
     """
 
     verdict: Verdict
@@ -52,6 +54,7 @@ class Conclusion(NamedTuple):
     probability: Mapping[str, float] = {}
     own_probability: Mapping[str, float] = {}
     models: tuple[ModelSummary, ...] = ()
+    leading: Slugs = frozenset()
 
     def unknown(self, reason: str) -> "Conclusion":
         """The same fits, none of which is believed."""
@@ -76,6 +79,7 @@ def conclude(fitter: ModelFitter, models: FittedModels) -> Conclusion:
         probability={name: scale * families[family_of(e)] for name, e in fitted.items()},
         own_probability={name: scale * effects[name] for name in fitted},
         models=(base, *others),
+        leading=decision.leading,
     )
     if not decision.best:
         return conclusion._replace(

@@ -1,0 +1,236 @@
+"""What the torque balance names: laws that each take half of what is left off data left out."""
+
+import itertools
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from plants.diagnosis.constants import CONSTANTS
+from plants.diagnosis.interval import Interval
+from plants.diagnosis.torque_balance.balance import BASE, INERTIA, TorqueBalance
+from plants.diagnosis.torque_balance.laws import TorqueLaw, curves, laws
+from plants.diagnosis.torque_balance.left_out import BalanceFits, LeftOut
+from plants.effects import Effect
+
+LEFT = 0.5
+"""Share of the power that a law may leave at the most. On simulated joints without a missing law the
+best one leaves 0.7 to 1.0, a missing friction 0.02 to 0.2."""
+MOST_LAWS = 3
+SURE = 2.0
+"""Standard errors, over the stretches of time left out, by which one set of laws is better."""
+
+
+class TorqueJudgement(NamedTuple):
+    """What the balance of torques says.
+
+    Attributes:
+        laws: The laws it names, the one that explains the most first.
+        values: Their values by slug and parameter.
+        base: Inertia, viscous friction and constant torque beside them, by term.
+        rivals: Titles of laws that explain data left out as well as the last of them.
+        like: The curve without a name that leaves less than half of what they do, or empty.
+        torque_Nm: Torque of the motor, rms.
+        before_Nm: What inertia, viscous friction, a constant and declared laws leave of it on data
+            left out.
+        after_Nm: What is left with the laws.
+        noise_Nm: What may be left by a complete model.
+        stretches: Number of stretches of time that were left out in turn.
+    """
+
+    laws: tuple[TorqueLaw, ...]
+    values: dict[str, Interval]
+    base: dict[str, Interval]
+    rivals: tuple[str, ...]
+    like: str
+    torque_Nm: float
+    before_Nm: float
+    after_Nm: float
+    noise_Nm: float
+    stretches: int
+
+    @property
+    def effects(self) -> tuple[type[Effect], ...]:
+        """The effects named."""
+        return tuple(law.effect for law in self.laws if law.effect is not None)
+
+    @property
+    def families(self) -> frozenset[str]:
+        """Their families."""
+        return frozenset(law.family for law in self.laws)
+
+
+def judge(
+    balance: TorqueBalance, effects: Sequence[type[Effect]], declared: Sequence[type[Effect]]
+) -> TorqueJudgement:
+    """The laws that a balance shows.
+
+    Args:
+        balance: The balance.
+        effects: Effects to choose from; those that are no law of a torque are not looked at.
+        declared: Effects that the model has, which are part of what laws are compared with.
+    """
+    fits = BalanceFits(balance)
+    own = _declared(fits, declared)
+    known = {law.family for law in own}
+    listed = [law for law in laws(balance, effects) if law.family not in known]
+    base = kept = fits.left_out(own)
+    sets = _possible_sets(fits, own, listed)
+    floor = balance.torque_Nm.size * balance.noise_Nm**2
+    for n in range(1, MOST_LAWS + 1):
+        best = min((f for f in sets if _added(f, own) == n), key=_total, default=None)
+        more = n - _added(kept, own)
+        if best is not None and kept.total > floor and best.total <= LEFT**more * kept.total:
+            kept = _simplest(best, sets)
+    like, vetoed = _like(fits, kept)
+    rivals = () if vetoed or kept is base else _rivals(kept, sets)
+    if vetoed:
+        kept = base
+    named = kept.laws[len(own) :]
+    samples, power = balance.torque_Nm.size, float(np.square(balance.torque_Nm).sum())
+    return TorqueJudgement(
+        _by_strength(fits, kept, len(own)),
+        {name: at for law in named for name, at in _values(kept, law).items()},
+        {name: _interval(kept, name) for name in BASE},
+        rivals,
+        like,
+        *(math.sqrt(of / samples) for of in (power, base.total, kept.total)),
+        balance.noise_Nm,
+        len(base.error),
+    )
+
+
+def _total(fit: LeftOut) -> float:
+    return fit.total
+
+
+def _added(fit: LeftOut, own: Sequence[TorqueLaw]) -> int:
+    """Number of laws beside the declared ones."""
+    return len(fit.laws) - len(own)
+
+
+def _declared(fits: BalanceFits, declared: Sequence[type[Effect]]) -> tuple[TorqueLaw, ...]:
+    """The laws of the model's own effects, each in the form that fits best."""
+    own: tuple[TorqueLaw, ...] = ()
+    for effect in dict.fromkeys(declared):
+        tried = [fits.left_out((*own, law)) for law in laws(fits.balance, (effect,))]
+        if tried:
+            own = min(tried, key=_total).laws
+    return own
+
+
+def _possible_sets(
+    fits: BalanceFits, own: tuple[TorqueLaw, ...], listed: Sequence[TorqueLaw]
+) -> list[LeftOut]:
+    """Fits of all sets of a few laws of different families whose sizes a passive drive can have."""
+    sets = []
+    for n in range(1, MOST_LAWS + 1):
+        for chosen in itertools.combinations(listed, n):
+            if len({law.family for law in chosen}) == n:
+                fit = fits.left_out((*own, *chosen))
+                if _possible(fit):
+                    sets.append(fit)
+    return sets
+
+
+def _possible(fit: LeftOut) -> bool:
+    """Whether frictions are above zero, and an inertia is not surely below."""
+    if any(fit.sizes[name] <= 0.0 for law in fit.laws for name in law.positive):
+        return False
+    return fit.sizes[INERTIA] + SURE * fit.deviations[INERTIA] > 0.0
+
+
+def _simplest(best: LeftOut, sets: Sequence[LeftOut]) -> LeftOut:
+    """The set, or the one of the same families with fewer terms that it does not halve."""
+
+    def terms(fit: LeftOut) -> int:
+        return sum(len(law.columns) for law in fit.laws)
+
+    def families(fit: LeftOut) -> list[str]:
+        return sorted(law.family for law in fit.laws)
+
+    alike = [f for f in sets if families(f) == families(best)]
+    simpler = [f for f in alike if terms(f) < terms(best) and best.total > LEFT * f.total]
+    return min(simpler, key=lambda f: (terms(f), f.total), default=best)
+
+
+def _is_better(fit: LeftOut, other: LeftOut) -> bool:
+    """Whether a fit leaves less of the stretches left out than another, beyond chance."""
+    gain = other.error - fit.error
+    spread = float(gain.std(ddof=1)) / math.sqrt(gain.size)
+    return float(gain.mean()) > SURE * spread
+
+
+def _rivals(kept: LeftOut, sets: Sequence[LeftOut]) -> tuple[str, ...]:
+    """Titles of laws in sets of as many that explain as much, but for chance."""
+    families = {law.family for law in kept.laws}
+    titles = dict[str, None]()
+    for other in sets:
+        unlike = [law for law in other.laws if law.family not in families]
+        as_many = len(other.laws) == len(kept.laws) and unlike
+        if as_many and kept.total > LEFT * other.total and not _is_better(kept, other):
+            titles |= dict.fromkeys(law.title for law in unlike)
+    return tuple(titles)
+
+
+def _like(fits: BalanceFits, kept: LeftOut) -> tuple[str, bool]:
+    """The curve without a name that leaves less than half, and whether it leaves next to nothing.
+
+    It stands in for the laws of its own variable. On data left out its freedom costs it more than
+    a law's does.
+    """
+    tried = []
+    for curve in curves():
+        beside = tuple(law for law in kept.laws if law.variable != curve.variable)
+        fit = fits.left_out((*beside, curve))
+        if fit.total <= LEFT * kept.total and _is_better(fit, kept):
+            tried.append((fit.total, curve.title))
+    if not tried:
+        return "", False
+    total, title = min(tried)
+    return title, total <= (1.0 - CONSTANTS.named_share) * kept.total
+
+
+def _by_strength(fits: BalanceFits, kept: LeftOut, own: int) -> tuple[TorqueLaw, ...]:
+    """The laws added, first the one whose absence leaves the most."""
+
+    def without(law: TorqueLaw) -> float:
+        return fits.left_out([one for one in kept.laws if one is not law]).total
+
+    return tuple(sorted(kept.laws[own:], key=without, reverse=True))
+
+
+def _values(kept: LeftOut, law: TorqueLaw) -> dict[str, Interval]:
+    """Values of a law's effect; each size moved by its error moves them."""
+    assert law.effect is not None  # noqa: S101  curves are never kept
+    declared = law.effect.parameters()
+    at = law.values(kept.sizes)
+    shifted = [
+        law.values(dict(zip(kept.names, row, strict=True))) for row in kept.shifted.tolist()
+    ]
+    n = len(shifted)
+    values = {}
+    for name, value in at.items():
+        away = np.array([one[name] - value for one in shifted])
+        if declared[name].is_phase:
+            away = np.remainder(away + math.pi, 2.0 * math.pi) - math.pi
+        half = _quantile(n) * math.sqrt((n - 1.0) / n * float(np.square(away).sum()))
+        low = max(value - half, declared[name].low)
+        values[f"{law.effect.name}.{name}"] = Interval(
+            value, low, min(value + half, declared[name].high), declared[name].unit
+        )
+    return values
+
+
+def _interval(kept: LeftOut, name: str) -> Interval:
+    half = _quantile(len(kept.shifted)) * kept.deviations[name]
+    return Interval(kept.sizes[name], kept.sizes[name] - half, kept.sizes[name] + half, "")
+
+
+def _quantile(stretches: int) -> float:
+    """Half width of a 95 % interval of so many stretches, in standard errors (Student's t)."""
+    from scipy.special import stdtrit  # noqa: PLC0415  slow to import
+
+    return float(stdtrit(stretches - 1.0, 0.975))
+
