@@ -2,7 +2,10 @@
 
 from collections.abc import Sequence
 
+import numpy as np
+
 from plants.diagnosis.models.base import BaseNumbers
+from plants.diagnosis.models.free_parameters import BASE
 from plants.diagnosis.pipeline.fit import BaseFit
 from plants.diagnosis.search.model_fitter import CandidateFit, ModelFitter
 from plants.diagnosis.torque_balance.agreement import VISIBLE, family_of
@@ -51,4 +54,7 @@ def with_values(
     zeros = [f.name for f in predictor.free if f.name.startswith(ZERO)]
     values = {name: at.value for name, at in judged.values.items()} | base
     row = predictor.row(values | dict.fromkeys(zeros, 0.0))
+    # A friction that is not told from zero may come out below.
+    least = [f.low if f.owner == BASE else -np.inf for f in predictor.free]
+    row = np.maximum(row, least)
     return fitter.fit(tuple(effects), row, owners=frozenset(), held=zeros)

@@ -30,7 +30,7 @@ from plants.diagnosis.search.screening import Screening
 from plants.diagnosis.search.search import search
 from plants.diagnosis.search.validation import ModelStage, free_run_rms, moved_rms, stage
 from plants.diagnosis.search.wrong_parameter import find_wrong_parameter
-from plants.diagnosis.torque_balance.agreement import Weight, agreement
+from plants.diagnosis.torque_balance.agreement import SILENT, Agreement, agreement
 from plants.diagnosis.torque_balance.judge import TorqueJudgement
 from plants.effects import Cogging, Effect, MainsInterference, Quantisation
 from plants.effects.plant_scale import si, written_unit
@@ -53,7 +53,7 @@ class EffectComparison:
         line: The mains interference, or None.
         waves: The waves over the angle in the torque, or None.
         judged: What the balance of torques says, or None where it says nothing.
-        weight: How that stands to what the prediction says.
+        together: How that stands to what the prediction says.
     """
 
     fitted: BaseFit
@@ -67,7 +67,7 @@ class EffectComparison:
     line: MainsLine | None
     waves: TorqueWaves | None
     judged: TorqueJudgement | None = None
-    weight: Weight = "silent"
+    together: Agreement = SILENT
 
     @property
     def fitter(self) -> ModelFitter:
@@ -112,10 +112,14 @@ def compare(
     if Cogging in choices.in_torque and conclusion.verdict in ("unknown", "none"):
         waves = _waves(fitted, held_out)
     judged = judgement(fitted) if waves is None else None
-    weight: Weight = "silent"
+    together = SILENT
     if wrong is None and judged is not None:
-        conclusion, stages, weight = _weighed(conclusion, stages, every.models, judged)
-        steps = tuple(each.step for each in stages) if weight == "balance" else steps
+        believed = stages[-1].fit.effects
+        together = agreement(
+            conclusion.verdict, believed, conclusion.tied, conclusion.leading, judged
+        )
+        conclusion, stages = _weighed(conclusion, stages, every.models, judged, together)
+        steps = tuple(each.step for each in stages) if together.effects else steps
     effects = _effects(stages, every.line, steps, waves)
     too_few = most_refused(usable.measurements, usable.findings)
     return EffectComparison(
@@ -130,7 +134,7 @@ def compare(
         line=every.line,
         waves=waves,
         judged=judged,
-        weight=weight,
+        together=together,
     )
 
 
@@ -139,12 +143,10 @@ def _weighed(
     stages: tuple[ModelStage, ...],
     models: FittedModels,
     judged: TorqueJudgement,
-) -> tuple[Conclusion, tuple[ModelStage, ...], Weight]:
+    together: Agreement,
+) -> tuple[Conclusion, tuple[ModelStage, ...]]:
     """The conclusion with what the balance of torques says."""
     last = stages[-1]
-    together = agreement(
-        conclusion.verdict, last.fit.effects, conclusion.tied, conclusion.leading, judged
-    )
     if together.weight == "tie":
         fit = models.with_effects[frozenset({together.effects[0].name})]
         decided = stage(last.fitter, last.fitter.final(fit), together.effects[0].name)
@@ -154,7 +156,7 @@ def _weighed(
     elif together.weight == "balance":
         fit = with_values(last.fitter, together.effects, judged)
         stages = (*stages[:1], stage(last.fitter, fit, together.effects[0].name))
-        complete = judged.after_Nm <= CONSTANTS.above_noise * judged.noise_Nm
+        complete = judged.is_complete and stages[-1].step.ratio <= CONSTANTS.above_noise
         verdict: Verdict = "named" if complete else "incomplete"
         conclusion = conclusion._replace(
             verdict=verdict, stages=(models.base, fit), rest=judged.like, reason=""
@@ -163,7 +165,7 @@ def _weighed(
         titles = " and ".join(effect.title for effect in last.fit.effects)
         conclusion = conclusion.unknown(f"The prediction of the motion would name {titles}.")
         stages = stages[:1]
-    return conclusion, stages, together.weight
+    return conclusion, stages
 
 
 def _stages(every: AllRecords, fits: Sequence[CandidateFit]) -> tuple[ModelStage, ...]:

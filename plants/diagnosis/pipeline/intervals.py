@@ -32,23 +32,27 @@ def intervals(compared: EffectComparison) -> StatedIntervals:
     first, last = compared.stages[0], compared.stages[-1]
     base = fitted_intervals(first.fitter, first.fit, first.fit)
     believed = dict(base)
-    if last is not first:
+    if compared.together.weight == "balance":
+        believed |= _of_balance(compared)
+    elif last is not first:
         believed = dict(fitted_intervals(last.fitter, last.fit, first.fit))
         believed |= _where_first_reads_zero(believed, last)
-    return StatedIntervals(base, believed | _beside_the_fit(compared) | _of_balance(compared))
+    return StatedIntervals(base, believed | _beside_the_fit(compared))
 
 
 def _of_balance(compared: EffectComparison) -> Mapping[str, Interval]:
     """Those of a model whose values are those of the torque balance."""
     judged = compared.judged
-    if judged is None or compared.weight != "balance":
+    if judged is None:
         return {}
     inertia, viscous, offset = (judged.base[name] for name in BASE)
     constant = Interval(-offset.value, -offset.high, -offset.low, "N m")
     return {
         **judged.values,
         "drum_inertia_kg_m2": replace(inertia, unit="kg m2"),
-        "viscous_friction_Nms": replace(viscous, unit="N m s/rad"),
+        "viscous_friction_Nms": Interval(
+            max(viscous.value, 0.0), max(viscous.low, 0.0), max(viscous.high, 0.0), "N m s/rad"
+        ),
         "torque_offset_Nm": constant,
     }
 

@@ -35,7 +35,7 @@ from plants.diagnosis.search.validation import (
 )
 from plants.diagnosis.torque_balance.agreement import sentence as of_balance
 from plants.effects import Effect
-from plants.effects.plant_scale import PlantScale, written_unit
+from plants.effects.plant_scale import PlantScale, si, written_unit
 
 
 def report(
@@ -104,16 +104,25 @@ def _sentence(
     unit: str,
 ) -> str:
     """Limits of the records, then the verdict; the unit is that of prediction errors."""
+    scale = PlantScale.of(compared.fitter.model.model)
+    judged, together = compared.judged, compared.together
     if compared.waves is not None:
-        scale = PlantScale.of(compared.fitter.model.model)
         verdict = f"{effects[-1].sentence} {compared.waves.sentence(scale)}"
+    elif judged is not None and together.weight == "balance":
+        before, after = compared.steps[0], compared.steps[-1]
+        errors = f"{si(before.gap, unit)} without and {si(after.gap, unit)} with it"
+        rest = f" What is left looks like {judged.like}." if judged.like else ""
+        sentences = " ".join(effect.sentence for effect in effects)
+        verdict = (
+            f"{sentences} {of_balance(judged, together, scale)}: short predictions are off by "
+            f"{errors}.{rest}"
+        )
     else:
         verdict = verdict_sentence(
             compared.verdict, compared.conclusion, effects, compared.steps, unit
         )
-    if compared.judged is not None:
-        scale = PlantScale.of(compared.fitter.model.model)
-        verdict = f"{verdict} {of_balance(compared.judged, compared.weight, scale)}".rstrip()
+        if judged is not None:
+            verdict = f"{verdict} {of_balance(judged, together, scale)}".rstrip()
     return " ".join([*(f"{limit.sentence}." for limit in limits), verdict])
 
 

@@ -1,1 +1,1 @@
-"""The judge of the torque balance: laws of a drive that act as a torque, found without a forecast."""
+"""The judge of the torque balance: laws of a drive that act as a torque."""

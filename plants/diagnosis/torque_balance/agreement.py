@@ -1,6 +1,6 @@
 """Two judges of one machine: the prediction of its motion, and the balance of its torques.
 
-The prediction sees what has states, delays or play; where nothing holds a drive it integrates every
+The prediction sees what has states, delays or play; where nothing holds a drive it adds up every
 disturbance, so that a curve without a name or another inertia explains as much as a friction does.
 The balance sees what acts as a torque at one moment, and nothing else. Where both name a law, that
 is strong. What one of them alone can see is told with the reason. Where each names what the other
@@ -26,10 +26,15 @@ class Agreement(NamedTuple):
     Attributes:
         weight: How they stand to each other.
         effects: What is believed by the balance, beside or instead of what the prediction says.
+        shared: Titles of those of them that the prediction names, too.
     """
 
     weight: Weight
     effects: tuple[type[Effect], ...] = ()
+    shared: tuple[str, ...] = ()
+
+
+SILENT, CONTRADICTION = Agreement("silent"), Agreement("contradiction")
 
 
 def agreement(
@@ -48,28 +53,32 @@ def agreement(
         leading: Slugs of the model that it would name first, believed or not.
         judged: What the balance says; None where it says nothing.
     """
-    if judged is None or not judged.laws:
-        return Agreement("silent")
-    certain = judged.laws
-    # Of laws that explain as much the one that predicts the motion best is believed.
-    if judged.rivals and not {e.name for e in judged.effects[-1:]} & (leading | set(tied)):
-        certain = certain[:-1]
-    named = tuple(law.effect for law in certain if law.effect is not None)
+    named = _certain(judged, leading | set(tied)) if judged is not None else ()
     families = {family_of(e) for e in named}
     seen = {family_of(e) for e in believed if family_of(e) in VISIBLE}
     if verdict == "ambiguous":
         agreed = [e for e in named if e.name in tied]
-        return Agreement("tie", (agreed[0],)) if len(agreed) == 1 else Agreement("silent")
-    if verdict in ("unknown", "none"):
-        return Agreement("balance", named) if named else Agreement("silent")
-    if families <= seen:
-        return Agreement("both") if families else Agreement("silent")
+        return Agreement("tie", (agreed[0],)) if len(agreed) == 1 else SILENT
     # What predicts the motion to the noise is complete: the balance knows no other port.
-    if verdict == "named":
-        return Agreement("contradiction" if seen and not families & seen else "silent", named)
-    if seen <= families and seen:
-        return Agreement("balance", named)
-    return Agreement("contradiction" if seen else "silent", named)
+    complete = verdict == "named" and bool(families & seen or not seen)
+    alone = verdict in ("unknown", "none")
+    if not named or ((complete or not seen) and not alone and not families <= seen):
+        return SILENT
+    if not alone and families <= seen:
+        return Agreement("both")
+    shared = tuple(e.title for e in named if family_of(e) in seen)
+    return Agreement("balance", named, shared) if seen <= families else CONTRADICTION
+
+
+def _certain(judged: TorqueJudgement, foreseen: frozenset[str]) -> tuple[type[Effect], ...]:
+    """The laws that the balance is sure of.
+
+    Of laws that explain as much the one that predicts the motion best is believed.
+    """
+    named = judged.effects
+    if judged.rivals and not {e.name for e in named[-1:]} & foreseen:
+        return named[:-1]
+    return named
 
 
 def family_of(effect: type[Effect]) -> str:
@@ -89,7 +98,7 @@ VISIBLE = frozenset(
 """Families that act as a torque at one moment."""
 
 
-def sentence(judged: TorqueJudgement, weight: Weight, scale: PlantScale) -> str:
+def sentence(judged: TorqueJudgement, together: Agreement, scale: PlantScale) -> str:
     """What the balance says, in words."""
     before, after = (scale.torque(rms) for rms in (judged.before_Nm, judged.after_Nm))
     titles = " and ".join(law.title for law in judged.laws)
@@ -99,15 +108,20 @@ def sentence(judged: TorqueJudgement, weight: Weight, scale: PlantScale) -> str:
         f"declares leave {before}, {titles} {after}, on {judged.stretches} stretches of time "
         "left out in turn"
     )
-    match weight:
+    match together.weight:
         case "both":
             return f"The balance of {effort} says the same: {left}."
         case "tie":
             return f"The balance of {effort} decides: {left}."
         case "balance":
+            alone = "names it"
+            if together.shared:
+                alone = (
+                    f"and the prediction name {' and '.join(together.shared)}, it alone the rest"
+                )
             return (
-                f"The balance of {effort} names it, the prediction of the motion alone does not, "
-                f"for it adds up every disturbance: {left}."
+                f"The balance of {effort} {alone}: {left}. The prediction of the motion adds up "
+                "every disturbance"
             )
         case "contradiction":
             return f"The balance of {effort} says otherwise: {left}."

@@ -1,12 +1,12 @@
-"""The balance of torques on a drive that nothing holds, from records, with all terms filtered alike.
+"""The balance of torques on a drive that nothing holds, with all terms filtered alike.
 
     K_t i = J a + b v + tau_0 + sum of laws
 
-is linear in the sizes of its laws. Both sides pass one Gaussian kernel, so that no term is later or
-smoother than another; a law is worked out before it, from a velocity smoothed no more than noise
-makes necessary, for the sign of a smooth velocity is not that of the velocity. Nothing is integrated:
-what disturbs the drive at one moment is no error at the next, as it is where the angle is
-predicted. Samples at rest are left out, for friction has any value there.
+is linear in the sizes of its laws. Both sides pass one Gaussian kernel, so that no term is later
+or smoother than another; a law is worked out before it, from a velocity smoothed no more than
+noise makes necessary, for the sign of a smooth velocity is not that of the velocity. Nothing is
+integrated: what disturbs the drive at one moment is no error at the next, as it is where the angle
+is predicted. Samples at rest are left out, for friction has any value there.
 """
 
 import math
@@ -230,7 +230,7 @@ def _signals(m: MeasuredRecord, b: BaseNumbers, sharp_s: float, width_s: float) 
 def _terms(
     s: Signals, scale: Scale, fastest_rad_s: float
 ) -> tuple[NDArray[np.bool_], dict[str, FloatArray], FloatArray]:
-    """Which samples are in motion, the terms at each, and the torque by size against the motion."""
+    """Which samples are in motion, their terms, and the torque by size against the motion."""
     v = np.nan_to_num(s.sharp_rad_s)
     way = np.sign(v)
     terms = {

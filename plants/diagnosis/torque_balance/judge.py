@@ -15,8 +15,8 @@ from plants.diagnosis.torque_balance.left_out import BalanceFits, LeftOut
 from plants.effects import Effect
 
 LEFT = 0.5
-"""Share of the power that a law may leave at the most. On simulated joints without a missing law the
-best one leaves 0.7 to 1.0, a missing friction 0.02 to 0.2."""
+"""Share of the power that a law may leave at the most. On simulated joints without a missing law
+the best one leaves 0.7 to 1.0, a missing friction 0.02 to 0.2."""
 MOST_LAWS = 3
 SURE = 2.0
 """Standard errors, over the stretches of time left out, by which one set of laws is better."""
@@ -27,7 +27,7 @@ class TorqueJudgement(NamedTuple):
 
     Attributes:
         laws: The laws it names, the one that explains the most first.
-        values: Their values by slug and parameter.
+        values: Their values, and those of declared laws, by slug and parameter.
         base: Inertia, viscous friction and constant torque beside them, by term.
         rivals: Titles of laws that explain data left out as well as the last of them.
         like: The curve without a name that leaves less than half of what they do, or empty.
@@ -54,6 +54,11 @@ class TorqueJudgement(NamedTuple):
     def effects(self) -> tuple[type[Effect], ...]:
         """The effects named."""
         return tuple(law.effect for law in self.laws if law.effect is not None)
+
+    @property
+    def is_complete(self) -> bool:
+        """Whether what is left is no more than a complete model may leave."""
+        return self.after_Nm <= CONSTANTS.above_noise * self.noise_Nm
 
     @property
     def families(self) -> frozenset[str]:
@@ -87,17 +92,18 @@ def judge(
     rivals = () if vetoed or kept is base else _rivals(kept, sets)
     if vetoed:
         kept = base
-    named = kept.laws[len(own) :]
     samples, power = balance.torque_Nm.size, float(np.square(balance.torque_Nm).sum())
     return TorqueJudgement(
         _by_strength(fits, kept, len(own)),
-        {name: at for law in named for name, at in _values(kept, law).items()},
+        {name: at for law in kept.laws for name, at in _values(kept, law).items()},
         {name: _interval(kept, name) for name in BASE},
         rivals,
         like,
-        *(math.sqrt(of / samples) for of in (power, base.total, kept.total)),
-        balance.noise_Nm,
-        len(base.error),
+        torque_Nm=math.sqrt(power / samples),
+        before_Nm=math.sqrt(base.total / samples),
+        after_Nm=math.sqrt(kept.total / samples),
+        noise_Nm=balance.noise_Nm,
+        stretches=len(base.error),
     )
 
 
@@ -123,7 +129,7 @@ def _declared(fits: BalanceFits, declared: Sequence[type[Effect]]) -> tuple[Torq
 def _possible_sets(
     fits: BalanceFits, own: tuple[TorqueLaw, ...], listed: Sequence[TorqueLaw]
 ) -> list[LeftOut]:
-    """Fits of all sets of a few laws of different families whose sizes a passive drive can have."""
+    """Fits of all sets of a few laws of different families, of sizes that a drive can have."""
     sets = []
     for n in range(1, MOST_LAWS + 1):
         for chosen in itertools.combinations(listed, n):
@@ -233,4 +239,3 @@ def _quantile(stretches: int) -> float:
     from scipy.special import stdtrit  # noqa: PLC0415  slow to import
 
     return float(stdtrit(stretches - 1.0, 0.975))
-

@@ -28,10 +28,10 @@ from plants.effects import (
 Sizes = Mapping[str, float]
 Values = dict[str, float]
 LOADS = tuple(np.linspace(0.02, 0.9, 23).tolist())
-"""Shares of the load tried. Torque and motion of one sign at nearly all times make no load friction
-known: then any share explains the same, and none is found."""
+"""Shares of the load tried. Torque and motion of one sign at nearly all times make no load
+friction known: then any share explains the same, and none is found."""
 WIDE_TURN = 1.0
-"""Least angle that gravity of a link is known from, rad: over it a sine bends off a line by 4 %."""
+"""Least angle that gravity of a link is known from, rad: there a sine bends off a line by 4 %."""
 
 
 class TorqueLaw(NamedTuple):
@@ -63,7 +63,10 @@ LOAD = "load"
 
 def _gravity(sizes: Sizes) -> Values:
     sine, cosine = sizes[SINE], sizes[COSINE]
-    return {"torque_Nm": float(np.hypot(sine, cosine)), "phase_rad": float(np.arctan2(cosine, sine))}
+    return {
+        "torque_Nm": float(np.hypot(sine, cosine)),
+        "phase_rad": float(np.arctan2(cosine, sine)),
+    }
 
 
 def _stribeck(fading: str, speed_rad_s: float) -> Callable[[Sizes], Values]:

@@ -1,10 +1,10 @@
 """Least squares on a torque balance, judged on the stretch of time that is left out.
 
 Sums of products of each stretch give the fit to all others, and its error on the one left out, of
-any set of terms at once. A share c of the load leaves K_t i - c K_t |i| sign(v) for the other terms.
-What remains of the torque is less, and so is any error of it, and the inertia. The torque being given, what is predicted is the
-acceleration: errors are relative to the inertia that they come with, so that a share of all the
-torque, c = 1, explains nothing by itself.
+any set of terms at once. A share c of the load leaves K_t i - c K_t |i| sign(v) for the others.
+What remains of the torque is less, and so is any error of it, and the inertia. The torque being
+given, what is predicted is the acceleration: errors are relative to the inertia that they come
+with, so that a share of all the torque, c = 1, explains nothing by itself.
 """
 
 from collections.abc import Sequence
@@ -97,10 +97,12 @@ class BalanceFits:
         apart = sizes[:-1, 0, 0] - sizes[:-1, 0, 0].mean()
         error = np.sqrt((n - 1.0) / n * np.square(apart).sum())
         # Where the inertia is not known nothing tells a share of the load from a smaller torque.
-        return float(min(loaded / inertia, 1.0)) if inertia > CONSTANTS.above_noise * error else 1.0
+        return (
+            float(min(loaded / inertia, 1.0)) if inertia > CONSTANTS.above_noise * error else 1.0
+        )
 
     def _shares(self, right: FloatArray, sizes: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """The share of the load that leaves the least inside each fit, and what it makes of torque.
+        """The share of the load that leaves the least inside each fit.
 
         Returns:
             1 and -c of each fit, shape (fits, 2), and c, shape (fits,).
@@ -111,7 +113,9 @@ class BalanceFits:
         rest = power - 0.5 * (explained + explained.transpose(0, 2, 1))
         tried = np.array(LOADS)
         by = np.column_stack([np.ones(tried.size), -tried])
-        inside = np.einsum("cl,klm,cm->kc", by, rest, by) / np.square(1.0 - tried * self._loaded(sizes))
+        inside = np.einsum("cl,klm,cm->kc", by, rest, by) / np.square(
+            1.0 - tried * self._loaded(sizes)
+        )
         shares = np.array([_least(tried, row) for row in inside])
         return np.column_stack([np.ones(shares.size), -shares]), shares
 
