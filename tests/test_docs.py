@@ -13,13 +13,20 @@ from estune.cli import run
 from estune.support.documentation import documentation_folder, documentation_pages, write_html
 from tests.page_words import PAGE_MAX, TOTAL_MAX, page_words
 from tests.support_browser import needs_browser, opened, serious
-from tests.support_snippets import check_commands
+from tests.support_snippets import NAMED_FILE, check_commands
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
 PAGES = documentation_pages(DOCS)
 NARROW_DARK = {"viewport": {"width": 400, "height": 800}, "color_scheme": "dark"}
 WIDE = {"viewport": {"width": 1200, "height": 900}}
+SUFFIXES = "toml|json|csv|html|mat|parquet|mcap|c|h|py|ledger|fmu|yaml|png|pem|key|csr|ext|dbc"
+FILE = re.compile(rf"(?<![\w/.:*-])(?:[\w-]+/)*[\w.-]+\.(?:{SUFFIXES})\b")
+WRITES = re.compile(
+    r"(?:>|--(?:save|out|report|save-map|save-model)|-keyout|-out)[ =]+(\S+)"
+    r"|Path\(\"([\w.]+)\"\)\.write"
+)
+EXAMPLE = re.compile(r"--example.*> (\S+)")
 
 
 @pytest.fixture(scope="module")
@@ -101,6 +108,26 @@ def test_pages_keep_the_limits_of_words():
     words = page_words()
     assert {page: n for page, n in words.items() if n > PAGE_MAX} == {}
     assert sum(words.values()) <= TOTAL_MAX, "cut what a reader does not need to act or decide"
+
+
+def test_every_file_that_a_command_of_a_page_reads_can_be_written_by_a_block_or_an_example():
+    texts = {page: page.read_text("utf-8") for page in [ROOT / "README.md", *PAGES.values()]}
+    examples = {name for text in texts.values() for name in EXAMPLE.findall(text)}
+    unknown = []
+    for page, text in texts.items():
+        blocks = re.findall(r"```(\w+)\n(.*?)```", text, re.DOTALL)
+        written = {name for _, block in blocks for name in NAMED_FILE.findall(block[:99])[:1]}
+        written |= {name for pair in WRITES.findall(text) for name in pair} | examples
+        if "estune remedy" in text:
+            written.add("coulomb_friction.remedy.json")
+        commands = [block for language, block in blocks if language in ("bash", "shell")]
+        named = FILE.findall(re.sub(r"#.*", "", "".join(commands)))
+        unknown += [
+            f"{page.name}: {name}"
+            for name in named
+            if name not in written and not (ROOT / name).is_file()
+        ]
+    assert unknown == []
 
 
 @pytest.mark.parametrize("name", ["README.md", "CONTRIBUTING.md"])

@@ -89,6 +89,8 @@ def connection_fault(endpoint: str, security: Security) -> tuple[str, bool]:
     """
     silent = f"nothing that speaks Zenoh listens at {endpoint}"
     rejection = "requires authentication" if security == OPEN else "rejects this client"
+    if endpoint.startswith("quic/") and security.tls is not None:
+        return _quic_fault(endpoint, security.tls), True
     if not endpoint.startswith(("tcp/", "tls/")):
         return f"{silent}, or the listener {rejection}: see --security", True
     host, port = host_and_port(endpoint)
@@ -104,6 +106,19 @@ def connection_fault(endpoint: str, security: Security) -> tuple[str, bool]:
         if fault
         else f"{where} does not speak Zenoh, does not reply, or {rejection}: see --security"
     ), False
+
+
+def _quic_fault(endpoint: str, tls: Tls) -> str:
+    """Why a client cannot connect by QUIC, whose handshake is Zenoh's own and gives no reason."""
+    try:
+        if own := own_fault(tls, listens=False):
+            return f"no listener at {endpoint} accepts {tls.certificate}: it {own}"
+    except InvalidInput as error:
+        return str(error)
+    return (
+        f"nothing that speaks Zenoh listens at {endpoint}, or it and this client do not accept "
+        "each other's certificates; a rig at tls/ says which, see --security"
+    )
 
 
 def _tls_fault(connection: socket.socket, host: str, tls: Tls) -> str:

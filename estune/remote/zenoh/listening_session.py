@@ -15,7 +15,7 @@ from estune.remote.messages.rights import Right
 from estune.remote.security import OPEN, Security, Tls
 from estune.remote.zenoh.endpoints import check_endpoint, check_listener, with_port
 from estune.remote.zenoh.local_endpoints import EndpointNote
-from estune.remote.zenoh.tls_front import InnerEndpoints, TlsFront
+from estune.remote.zenoh.tls_front import InnerEndpoints, TlsFront, listener_context
 from estune.remote.zenoh.zenoh_session import COMMANDS_MAX_BYTES, close_session, open_session
 
 Reply = Callable[[bytes], None]
@@ -108,6 +108,8 @@ class ListeningSession:
             )
             self.endpoint = self._front.endpoint
         else:
+            if security.tls is not None:  # quic, whose handshake is Zenoh's own
+                listener_context(endpoint, security.tls)
             session, self.endpoint = _listen(endpoint, routers, security)
             self._sessions = (session,)
         self._note = EndpointNote(self.endpoint)

@@ -80,9 +80,7 @@ class TlsFront:
         """
         self.inner = inner
         try:
-            self._context = _listener_context(endpoint, tls)
-            if fault := own_fault(tls, listens=True):
-                _log.warning("no client will accept this rig: %s %s", tls.certificate, fault)
+            self._context = listener_context(endpoint, tls)
             self._socket = _listening_socket(endpoint)
         except BaseException:
             inner.close()
@@ -273,7 +271,12 @@ class _Client(_End):
             self.transport.abort()
 
 
-def _listener_context(endpoint: str, tls: Tls) -> ssl.SSLContext:
+def listener_context(endpoint: str, tls: Tls) -> ssl.SSLContext:
+    """The context of a listener; a certificate that no client will accept is logged.
+
+    Raises:
+        RigError: the certificate cannot be used.
+    """
     context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
     context.minimum_version = ssl.TLSVersion.TLSv1_3
     context.verify_mode = ssl.CERT_REQUIRED
@@ -284,6 +287,8 @@ def _listener_context(endpoint: str, tls: Tls) -> ssl.SSLContext:
         raise RigError(
             f"cannot listen at {endpoint} with the certificate of --security: {error}"
         ) from error
+    if fault := own_fault(tls, listens=True):
+        _log.warning("no client will accept this rig: %s %s", tls.certificate, fault)
     return context
 
 
