@@ -100,7 +100,7 @@ def draw_cost(ax: Axes | None, trials: Trials, start_cost: float, eta_max: float
     _draw_unsafe(ax, trials["number"][trials["unsafe"]], finite, eta_max)
     ax.xaxis.set_major_locator(MaxNLocator(integer=True, steps=[1, 2, 5, 10]))
     finish(ax, "cost η (1 = as good as first order)", "trial")
-    legend(ax, columns=4, left=-0.12)
+    legend(ax, columns=2, left=-0.12)
     return ax
 
 
