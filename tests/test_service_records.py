@@ -168,7 +168,7 @@ def test_replay_finds_the_form_that_ran(form):
     found = replay([stretch], own, gains)
     assert not found.agrees
     assert found.ran == gains
-    assert found.form == form
+    assert found.controller.form == form
 
 
 def test_terms_that_rounded_signals_alone_would_need_are_not_said_to_have_run():

@@ -14,7 +14,7 @@ import numpy as np
 
 from estune.core.quantities import FloatArray
 from estune.loop_model.friction_motion import FrictionMotion, forces_of, less_friction, two_poles
-from estune.loop_model.friction_score import SHARES, friction_score, grid_of_poles
+from estune.loop_model.friction_score import SHARES, grid_of_poles, shows_friction
 from estune.loop_model.identification import PoleFit, by_cost, search_dead_time
 from estune.loop_model.least_squares import Solution, search_vector
 from estune.loop_model.loop_fit import NUISANCE, LoopFit, Residuals, summarise
@@ -74,8 +74,7 @@ def fit_with_friction(
         few = sorted(
             (_search(screened, one, one.dead) for one in _starts(screened, two)), key=by_cost
         )
-    elif friction_score(screened, linear) ** 2 > math.log(screened.signals.samples):
-        # More than one parameter is worth in the Bayesian criterion.
+    elif shows_friction(screened, linear):
         few = _starts(screened, two)[:SERVICE_STARTS]
     else:
         return None

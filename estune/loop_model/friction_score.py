@@ -1,8 +1,8 @@
 """Whether the errors of a linear fit show dry friction.
 
-The score is the slope of the likelihood along the size of the friction, less what the parameters
-of the linear fit explain of it. It takes no search: a linear fit of small motion takes friction
-for a load, and is white with it.
+The score is the slope of the likelihood along the size of the friction, less what the linear fit
+and any linear predictor (`linear_past`) explain of it. It takes no search: a linear fit of small
+motion takes friction for a load, and is white with it.
 """
 
 import math
@@ -13,14 +13,22 @@ import numpy as np
 from estune.core.quantities import FloatArray
 from estune.loop_model.friction_motion import FrictionMotion, forces_of, less_friction, two_poles
 from estune.loop_model.least_squares import Solution
+from estune.loop_model.linear_past import less, linear_past, orthonormal
 from estune.loop_model.loop_fit import LoopFit
-from estune.loop_model.records import LoopRecord
+from estune.loop_model.records import LoopRecord, rounding_std
 
 SHARES = (0.01, 0.03, 0.1, 0.25)
 """Sizes of friction that a search begins from, over the effort of a step."""
 
 SCORED = 2
 """Records whose errors are looked at: with many more what any model leaves shows as something."""
+
+RESOLVED = 1e-6
+"""Least share of a slope that is not explained otherwise: below it is rounding."""
+
+ROUNDING_SHARE = 0.3
+"""What friction moves the measurement by, over the error of its rounding, from which it is told:
+an encoder's steps are a law of motion as well, and in a long log explain 0.05 of themselves."""
 
 CHANCE = 1e-3
 """Probability that errors of a loop without friction are taken to show some."""
@@ -37,21 +45,35 @@ def friction_score(motion: FrictionMotion, linear: LoopFit) -> float:
     """Largest score of a friction that a linear fit does not have, in standard deviations.
 
     It is the slope of the likelihood along the size of the friction, less what the parameters of
-    the linear fit explain of it.
+    the linear fit and the past explain of it, by its own scatter.
     """
     signals, model = motion.signals, linear.model
     at = Solution.at(signals, np.array(model.coordinates), model.dead_samples, linear.noise)
-    known = np.linalg.qr(at.slopes(signals))[0]
-    errors = at.residual - known @ (known.T @ at.residual)
+    known = orthonormal(np.hstack([at.slopes(signals), linear_past(signals)]))
+    errors = less(at.residual, known)
+    rounding = max(rounding_std(motion.records[i].measurement) for i in range(signals.records))
     grid = [np.array([*p, share, 0.0]) for p in grid_of_poles(linear) for share in SHARES]
     forces, scores = forces_of(motion, grid), [0.0]
     for i in range(len(grid)):
         driven = less_friction(signals, [force[i] for force in forces])
         moved = Solution.at(driven, at.coordinates, at.dead, at.noise, at.numerator)
-        slope = at.residual - moved.residual
-        slope -= known @ (known.T @ slope)
-        scores.append(float(slope @ errors) / max(float(np.linalg.norm(slope)), 1e-300))
-    return max(scores) * math.sqrt(errors.size / max(float(errors @ errors), 1e-300))
+        whole = at.residual - moved.residual
+        slope = less(whole, known)
+        power = float(slope @ slope)
+        if power <= RESOLVED**2 * float(whole @ whole):
+            continue
+        size = float(slope @ errors) / power
+        if size * math.sqrt(power / errors.size) > ROUNDING_SHARE * rounding:
+            scores.append(float(slope @ errors) / float(np.linalg.norm(slope * errors)))
+    return max(scores)
+
+
+def shows_friction(motion: FrictionMotion, linear: LoopFit) -> bool:
+    """Whether the errors of a linear fit show friction beyond chance."""
+    from scipy.special import ndtri  # noqa: PLC0415  slow to import
+
+    tried = len(SHARES) * len(grid_of_poles(linear))
+    return friction_score(motion, linear) > -float(ndtri(CHANCE / tried))
 
 
 def hides_friction(records: Sequence[LoopRecord], linear: LoopFit) -> bool:
@@ -60,11 +82,7 @@ def hides_friction(records: Sequence[LoopRecord], linear: LoopFit) -> bool:
     Friction in small motion, under a load that moves as much, is explained by no size of it; Ms
     is then read as 1.20 for 1.79.
     """
-    from scipy.special import ndtri  # noqa: PLC0415  slow to import
-
     if linear.model.friction or not math.isfinite(linear.model.static_gain):
         return False
     two = linear._replace(model=two_poles(linear.model))
-    motion = FrictionMotion.of(records[:SCORED], two)
-    tried = len(SHARES) * len(grid_of_poles(linear))
-    return friction_score(motion, linear) > -float(ndtri(CHANCE / tried))
+    return shows_friction(FrictionMotion.of(records[:SCORED], two), linear)

@@ -3,7 +3,8 @@
 Load and noise of a linear loop know nothing of its setpoint, and its plant is the same in fast
 motion as in slow. Friction acts only where there is motion, and a model of load takes it in: at an
 eyelet that lets 0.93 of the tension through, Ms of busy records is read as 1.3 to 1.5, with narrow
-intervals, where it is 1.87 at a stop. Two scores that know nothing of each other are added:
+intervals, where it is 1.87 at a stop. Of what a linear predictor leaves of the errors
+(`linear_past`) two scores that know nothing of each other are added:
 
 - the power of the errors, in windows of a sixteenth of the settling time, against the speed of the
   model's answer to the setpoint, by ranks of the speed;
@@ -20,8 +21,10 @@ from estune.core.pidf import ControllerSettings
 from estune.core.quantities import FloatArray
 from estune.loop_model.least_squares import FitSignals, Solution, signals_of
 from estune.loop_model.limited_loop import setpoint_response
+from estune.loop_model.linear_past import less, linear_past, orthonormal
 from estune.loop_model.loop_fit import LoopFit
-from estune.loop_model.records import LoopRecord
+from estune.loop_model.records import LoopRecord, rounding_std
+from estune.loop_model.whiteness import rows_of
 
 WINDOWS = 16
 """Windows in a settling time. The score is 4.7 to 5.9 in four busy records of the eyelet, 4.1 to
@@ -69,19 +72,23 @@ def changes_with_motion(
         return False
     kept = [records[number] for number, _ in moved]
     signals = signals_of(kept, fit.settling_samples, round(fit.settling_samples))
-    resolution = max(signals.resolution, *(_step_std(record.measurement) for record in kept))
-    power = max(_power_score(fit, moved, resolution), 0.0)
-    squares, freedom = _plant_score(fit, signals, moved, resolution)
+    resolution = max(signals.resolution, *(rounding_std(record.measurement) for record in kept))
+    model = fit.model
+    at = Solution.at(
+        signals,
+        np.array(model.coordinates),
+        model.dead_samples,
+        fit.noise,
+        np.array(model.numerator),
+    )
+    slopes = at.slopes(signals)
+    known = orthonormal(np.hstack([slopes, linear_past(signals)]))
+    errors = less(at.residual, known)
+    speeds = [moved[i][1][group.history :] for group in signals.groups for i in group.members]
+    power = max(_power_score(fit, signals, errors, speeds, resolution), 0.0)
+    own = slopes[:, : model.order + len(model.numerator)]
+    squares, freedom = _plant_score(own, known, errors, np.concatenate(speeds), resolution)
     return bool(chdtrc(freedom + 1, squares + power**2) < CHANCE)
-
-
-def _step_std(measurement: FloatArray) -> float:
-    """Standard deviation of rounding to the steps of a measurement.
-
-    An encoder whose speed has steps of 8.3 rpm is exact at rest and off by 2.4 rpm in motion.
-    """
-    steps = np.abs(np.diff(measurement))
-    return float(steps[steps > 0.0].min(initial=np.inf)) / math.sqrt(12.0) if steps.any() else 0.0
 
 
 def _motions(fit: LoopFit, speeds: Sequence[FloatArray]) -> int:
@@ -116,7 +123,11 @@ def _speed(fit: LoopFit, record: LoopRecord, controller: ControllerSettings) -> 
 
 
 def _power_score(
-    fit: LoopFit, moved: Sequence[tuple[int, FloatArray]], resolution: float
+    fit: LoopFit,
+    signals: FitSignals,
+    errors: FloatArray,
+    speeds: Sequence[FloatArray],
+    resolution: float,
 ) -> float:
     """Correlation of errors' power and motion, in standard deviations without any.
 
@@ -124,13 +135,13 @@ def _power_score(
     """
     window = _window(fit)
     products = powers = 0.0
-    for number, speed in moved:
-        begun = int(np.argmax(fit.errors[number] != 0.0))
-        count = (speed.size - begun) // window
+    rows = [row for group in rows_of(signals, errors) for row in group]
+    for row, speed in zip(rows, speeds, strict=True):
+        count = row.size // window
         if count < 2 * SMOOTHED:
             continue
-        used = slice(begun, begun + count * window)
-        power = fit.errors[number][used].reshape(count, -1).mean(axis=1) ** 2
+        used = slice(0, count * window)
+        power = row[used].reshape(count, -1).mean(axis=1) ** 2
         power = np.maximum(power, resolution**2)
         power = power / max(float(power.mean()), 1e-300) - 1.0
         rank = np.argsort(np.argsort(speed[used][window - 1 :: window])) - 0.5 * (count - 1)
@@ -140,25 +151,16 @@ def _power_score(
 
 
 def _plant_score(
-    fit: LoopFit,
-    signals: FitSignals,
-    moved: Sequence[tuple[int, FloatArray]],
+    slopes: FloatArray,
+    known: FloatArray,
+    errors: FloatArray,
+    speed: FloatArray,
     resolution: float,
 ) -> tuple[float, int]:
     """Chi-squared of a plant of its own in the fastest motion, and its degrees of freedom."""
-    model, numerator = fit.model, np.array(fit.model.numerator)
-    at = Solution.at(
-        signals, np.array(model.coordinates), model.dead_samples, fit.noise, numerator
-    )
-    speeds = [moved[i][1][group.history :] for group in signals.groups for i in group.members]
-    speed = np.concatenate(speeds)
     fast = speed > np.quantile(speed, 1.0 - FAST)
-    slopes = at.slopes(signals)
-    slopes = slopes / np.maximum(np.linalg.norm(slopes, axis=0), 1e-300)
-    own = slopes[:, : model.order + numerator.size] * fast[:, np.newaxis]
-    known = np.linalg.qr(slopes)[0]
-    own = own - known @ (known.T @ own)
-    errors = at.residual - known @ (known.T @ at.residual)
+    own = slopes * fast[:, np.newaxis]
+    own = less(own / np.maximum(np.linalg.norm(own, axis=0), 1e-300), known)
     own = own / np.maximum(np.linalg.norm(own, axis=0), 1e-300)
     basis, sizes, _ = np.linalg.svd(own, full_matrices=False)
     basis = basis[:, sizes > APART * sizes[0]]

@@ -75,3 +75,12 @@ class LoopRecord(NamedTuple):
     def rest_effort(self) -> float:
         """Mean effort before the step."""
         return float(self.effort[: max(self.step_index, 1)].mean())
+
+
+def rounding_std(measurement: FloatArray) -> float:
+    """Standard deviation of rounding to the steps of a measurement.
+
+    An encoder whose speed has steps of 8.3 rpm is exact at rest and off by 2.4 rpm in motion.
+    """
+    steps = np.abs(np.diff(measurement))
+    return float(steps[steps > 0.0].min(initial=np.inf)) / math.sqrt(12.0) if steps.any() else 0.0

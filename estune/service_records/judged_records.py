@@ -21,6 +21,9 @@ if TYPE_CHECKING:
 
 LABELS = {"setpoint_filter_s": "setpoint filter, s"}
 
+LISTED = 4
+"""Sets of gains that are named."""
+
 Verdict = Literal["change", "keep", "cannot tell", "other gains ran"]
 
 
@@ -119,15 +122,12 @@ class JudgedRecords:
     def remarks(self) -> list[str]:
         """What limits the statements, and what to do about it, a sentence each."""
         remarks = []
-        sets = list[Gains]()
-        for gains in self.gains_by_log.values():
-            sets += [] if any(not apart(gains, other) for other in sets) else [gains]
-        if len(sets) > 1:
+        if any(apart(gains, self.in_use) for gains in self.gains_by_log.values()):
             remarks.append(
-                f"The logs ran with {len(sets)} sets of gains; those in use are the ones of the "
-                f"last, {self.stretches[-1].log}."
+                f"Several sets of gains ran: {_listed(self.gains_by_log)}; those in use are the "
+                "last."
             )
-        if self.replay is not None and self.replay.stated is None:
+        if self.replay is not None and (self.replay.stated is None or self.replay.is_thin):
             sentence = self.replay.sentence()
             remarks.append(f"{sentence[0].upper()}{sentence[1:]}.")
         if self.judgement.can_tell and self.judgement.unseen:
@@ -204,6 +204,16 @@ class JudgedRecords:
 def _text(at: Interval, form: str, scale: float) -> str:
     low, high = scale * at.low, scale * at.high
     return f"{scale * at.value:{form}} ({low:{form}} to {high:{form}})"
+
+
+def _listed(gains_by_log: Mapping[str, Gains]) -> str:
+    """The sets of gains, each with the first log that ran with it, at most four."""
+    first = dict[str, Gains]()
+    for log, gains in gains_by_log.items():
+        if not any(not apart(gains, other) for other in first.values()):
+            first[log] = gains
+    named = [f"{gains} ({log})" for log, gains in first.items()]
+    return "; ".join(named if len(named) <= LISTED else [*named[:LISTED], "and others"])
 
 
 def _gains_json(gains: Gains) -> dict[str, float]:

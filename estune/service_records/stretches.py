@@ -46,6 +46,15 @@ class Stretch(NamedTuple):
         """Number of samples."""
         return self.measurement.size
 
+    def part(self, rows: slice, sampling_Hz: float = math.inf) -> "Stretch":
+        """Some of its samples; without the sampling rate with the time of its first."""
+        return self._replace(
+            start_s=self.start_s + rows.start / sampling_Hz,
+            setpoint=self.setpoint[rows],
+            measurement=self.measurement[rows],
+            effort=None if self.effort is None else self.effort[rows],
+        )
+
 
 class LeftOut(NamedTuple):
     """Part of a log that is not used.
@@ -80,13 +89,16 @@ def whole_stretches(log: LoopLog) -> tuple[list[Stretch], list[LeftOut]]:
     return stretches, left_out
 
 
-def find_stretches(log: LoopLog, P: float | None) -> tuple[list[Stretch], list[LeftOut]]:
+def find_stretches(
+    log: LoopLog, P: float | None, shortest: int = SHORTEST
+) -> tuple[list[Stretch], list[LeftOut]]:
     """The stretches of a log in which the controller's equation holds, and the rest with reasons.
 
     Args:
         log: The log.
         P: Proportional gain that ran, by which it is known whether the effort should have moved;
             None estimates it from the moves of effort and error.
+        shortest: Samples of the shortest stretch.
     """
     P = _proportional(log) if P is None else P
     stretches, left_out = [], _gaps(log)
@@ -96,7 +108,7 @@ def find_stretches(log: LoopLog, P: float | None) -> tuple[list[Stretch], list[L
             why = _why_still(part, rows)
             left_out.append(LeftOut(log.name, *_ends(time, rows), why))
         for rows in _runs(~held):
-            if rows.stop - rows.start < SHORTEST:
+            if rows.stop - rows.start < shortest:
                 left_out.append(_too_short(log, part, rows))
             else:
                 stretches.append(_stretch(log.name, part, rows))
@@ -113,6 +125,12 @@ def _gaps(log: LoopLog) -> list[LeftOut]:
 
 def _too_short(log: LoopLog, part: Columns, rows: slice) -> LeftOut:
     return LeftOut(log.name, *_ends(part["time"], rows), f"shorter than {SHORTEST} samples")
+
+
+def too_short(stretch: Stretch, sampling_Hz: float) -> LeftOut:
+    """A stretch that is left out for its length."""
+    stop_s = stretch.start_s + (stretch.samples - 1) / sampling_Hz
+    return LeftOut(stretch.log, stretch.start_s, stop_s, f"shorter than {SHORTEST} samples")
 
 
 def _limits(part: Columns, held: BoolArray) -> tuple[float, float]:

@@ -18,6 +18,7 @@ from estune.loop_model.optimum import RobustnessLimits
 from estune.loop_model.prediction import StepTrial
 from estune.recordings.loop_log import LoopLog
 from estune.service_records.advice import advise
+from estune.service_records.gain_sets import cut, gain_sets
 from estune.service_records.identification import (
     ServiceLoop,
     ServicePart,
@@ -27,9 +28,9 @@ from estune.service_records.identification import (
 from estune.service_records.judged_records import JudgedRecords, Verdict
 from estune.service_records.judgement import judge, margins_of
 from estune.service_records.recommendation import Recommendation, recommend
-from estune.service_records.replay import Replay, replay
+from estune.service_records.replay import Replay
 from estune.service_records.sources import Logs, check_names, gains_of, read_logs
-from estune.service_records.stretches import LeftOut, find_stretches, whole_stretches
+from estune.service_records.stretches import SHORTEST, LeftOut, too_short, whole_stretches
 from estune.support.blas import one_blas_thread
 
 TRIAL_SPAN = 3.0
@@ -107,6 +108,8 @@ def suggest(
     )
     parts, left_out, replays = _usable(logs, gains, settings)
     decides = _deciding(replays)
+    if decides is not None and decides.explained and decides.controller is not None:
+        settings = decides.controller
     in_use = parts[-1].gains
     if trial is not None:
         cost = trial.cost
@@ -185,23 +188,31 @@ def _usable(
         left_out += without
         if not whole:
             continue
-        ran, stretches = stated, find_stretches(log, stated.P if stated else None)[0]
-        if stretches and all(s.effort is not None for s in stretches):
-            compared = replay(stretches, settings, stated)
-            replays.append(compared)
-            ran = compared.ran if compared.explained and not compared.agrees else stated
-        if ran is None:
-            raise InvalidInput(
-                f"the gains that ran in {log.name} are not known; give them, as in "
-                '--gains "P=2,I=0.5,D=0", or log the effort of the controller beside'
-            )
-        parts += [ServicePart(stretch, ran) for stretch in whole]
+        sets = gain_sets(log, settings, stated)
+        replays += [one.replay for one in sets]
+        ran = [_ran(one.replay, stated) for one in sets] or [stated]
+        for stretch, number in (pair for one in whole for pair in cut(one, sets, log.sampling_Hz)):
+            gains = ran[number]
+            if gains is None:
+                raise InvalidInput(
+                    f"the gains that ran in {log.name} are not known; give them, as in "
+                    '--gains "P=2,I=0.5,D=0", or log the effort of the controller beside'
+                )
+            if stretch.samples < SHORTEST:
+                left_out.append(too_short(stretch, log.sampling_Hz))
+            else:
+                parts.append(ServicePart(stretch, gains))
     if not parts:
         reasons = "; ".join(dict.fromkeys(part.reason for part in left_out))
         raise InvalidInput(f"no stretch of the logs can be used: {reasons}; record more of them")
     if not any(np.ptp(part.stretch.measurement) for part in parts):
         raise InvalidInput("the measurement does not move; map the channel that the loop controls")
     return parts, left_out, replays
+
+
+def _ran(compared: Replay, stated: Gains | None) -> Gains | None:
+    """The gains that ran by a comparison with those stated."""
+    return compared.ran if compared.explained and not compared.agrees else stated
 
 
 def _deciding(replays: Sequence[Replay]) -> Replay | None:

@@ -1,0 +1,58 @@
+"""What any linear loop foretells of the errors of a fit, from the past of effort and measurement.
+
+A model of load, drift and colour is never quite that of the noise: with noise at the plant's input
+its errors are white by every test and yet follow the past a little, and what follows the past a
+little passes for friction in a log that is long enough (9 of 9 linear logs of 6 to 24 h). So a law
+that is not linear has to explain what a long linear predictor leaves. That is noise which no past
+foretells, whatever its colour, in open loop and in closed.
+"""
+
+import math
+
+import numpy as np
+
+from estune.core.filtering import lfilter
+from estune.core.quantities import FloatArray
+from estune.loop_model.least_squares import FitSignals, delayed
+
+LAGS = 8
+"""Samples before, of effort and measurement, that the predictor knows one by one."""
+
+MEANS_FROM, MEANS_TO = 4, 4.0
+"""Beyond those it knows exponential means: over 2^4 samples, 2^5 and so on, to four settling
+times."""
+
+APART = 1e-7
+"""Least share of the largest singular value by which columns differ."""
+
+
+def linear_past(signals: FitSignals) -> FloatArray:
+    """The past of effort and measurement behind each residual, shape (residuals, columns)."""
+    longest = max(MEANS_TO * signals.settling_samples, 2.0 ** (MEANS_FROM + 1))
+    spans = 2.0 ** np.arange(MEANS_FROM, math.floor(math.log2(longest)) + 1)
+    rows = []
+    for group in signals.groups:
+        columns = []
+        for signal in (group.effort, group.measurement):
+            moved = signal - signal[:, :1]
+            before = delayed(moved, 1)
+            columns += [delayed(moved, lag) for lag in range(1, LAGS + 1)]
+            columns += [
+                lfilter([-math.expm1(-1.0 / span)], [1.0, -math.exp(-1.0 / span)], before)
+                for span in spans
+            ]
+        rows.append(np.stack([one[:, group.history :].ravel() for one in columns], axis=1))
+    X = np.concatenate(rows)
+    return np.asarray(X - X.mean(axis=0))
+
+
+def orthonormal(columns: FloatArray) -> FloatArray:
+    """Orthonormal basis of what columns span, whatever their sizes."""
+    scaled = columns / np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
+    basis, sizes, _ = np.linalg.svd(scaled, full_matrices=False)
+    return np.asarray(basis[:, sizes > APART * sizes[0]])
+
+
+def less(values: FloatArray, basis: FloatArray) -> FloatArray:
+    """Values without their part in an orthonormal basis."""
+    return np.asarray(values - basis @ (basis.T @ values))
