@@ -23,6 +23,9 @@ SHARES = (0.01, 0.03, 0.1, 0.25)
 SCORED = 2
 """Records whose errors are looked at: with many more what any model leaves shows as something."""
 
+LAGS = 8
+"""Samples before that a linear predictor knows. It leaves noise of any colour of the sensor."""
+
 RESOLVED = 1e-6
 """Least share of a slope that is not explained otherwise: below it is rounding."""
 
@@ -49,7 +52,7 @@ def friction_score(motion: FrictionMotion, linear: LoopFit) -> float:
     """
     signals, model = motion.signals, linear.model
     at = Solution.at(signals, np.array(model.coordinates), model.dead_samples, linear.noise)
-    known = orthonormal(np.hstack([at.slopes(signals), linear_past(signals)]))
+    known = orthonormal(np.hstack([at.slopes(signals), linear_past(signals, LAGS)]))
     errors = less(at.residual, known)
     rounding = max(rounding_std(motion.records[i].measurement) for i in range(signals.records))
     grid = [np.array([*p, share, 0.0]) for p in grid_of_poles(linear) for share in SHARES]

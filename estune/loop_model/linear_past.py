@@ -15,19 +15,20 @@ from estune.core.filtering import lfilter
 from estune.core.quantities import FloatArray
 from estune.loop_model.least_squares import FitSignals, delayed
 
-LAGS = 8
-"""Samples before, of effort and measurement, that the predictor knows one by one."""
-
 MEANS_FROM, MEANS_TO = 4, 4.0
-"""Beyond those it knows exponential means: over 2^4 samples, 2^5 and so on, to four settling
-times."""
+"""The means are over 2^4 samples, 2^5 and so on, to four settling times."""
 
 APART = 1e-7
 """Least share of the largest singular value by which columns differ."""
 
 
-def linear_past(signals: FitSignals) -> FloatArray:
-    """The past of effort and measurement behind each residual, shape (residuals, columns)."""
+def linear_past(signals: FitSignals, lags: int) -> FloatArray:
+    """The past of effort and measurement behind each residual, shape (residuals, columns).
+
+    Args:
+        signals: The records.
+        lags: Samples before that are known one by one; beyond them exponential means are.
+    """
     longest = max(MEANS_TO * signals.settling_samples, 2.0 ** (MEANS_FROM + 1))
     spans = 2.0 ** np.arange(MEANS_FROM, math.floor(math.log2(longest)) + 1)
     rows = []
@@ -36,7 +37,7 @@ def linear_past(signals: FitSignals) -> FloatArray:
         for signal in (group.effort, group.measurement):
             moved = signal - signal[:, :1]
             before = delayed(moved, 1)
-            columns += [delayed(moved, lag) for lag in range(1, LAGS + 1)]
+            columns += [delayed(moved, lag) for lag in range(1, lags + 1)]
             columns += [
                 lfilter([-math.expm1(-1.0 / span)], [1.0, -math.exp(-1.0 / span)], before)
                 for span in spans
