@@ -7,6 +7,7 @@ is needed, nor rest, nor a chosen window. The steps, one file each:
     stretches      parts without a gap, and those in which the controller's equation holds
     usable         the same of whole folders, before anything is fitted
     replay         the logged effort against that of the stated gains, before anything else
+    gain_sets      several sets of gains within one log
     identification the loop by a direct fit with a model of load, drift and noise
     judgement      whether the records show the margins of the gains in use
     recommendation the best gains whose limits hold by the upper ends of their intervals
