@@ -20,8 +20,8 @@ white.
   searches these few numbers; `order` adds poles, a load or a drift where prediction errors are
   not white (`whiteness`) and the Bayesian information criterion falls; `friction` does so for
   dry friction (`friction_motion`), in service also where a load makes them white
-  (`friction_score`), against what any linear past explains (`linear_past`); friction of another law shows by errors or a plant that change
-  with motion (`motion_score`).
+  (`friction_score`); friction of another law shows by errors or a plant that change with motion
+  (`motion_score`). Either is what no linear past explains (`linear_past`).
 - `hum` finds a line that stands at rest; it is free in each record, like its offsets.
 - `fitting` leaves out excitations that spoil the fit of the steps, and records that the others
   contradict, up to a quarter: those whose prediction by a fit without them is worse than three
