@@ -154,7 +154,8 @@ def _weighed(
         complete = decided.step.ratio <= CONSTANTS.above_noise
         conclusion = conclusion._replace(verdict="named" if complete else "incomplete", tied=())
     elif together.weight == "balance":
-        fit = with_values(last.fitter, together.effects, judged)
+        sized = bool(together.shared)
+        fit = with_values(last.fitter, together.effects, judged, sized=sized)
         stages = (*stages[:1], stage(last.fitter, fit, together.effects[0].name))
         complete = judged.is_complete and stages[-1].step.ratio <= CONSTANTS.above_noise
         verdict: Verdict = "named" if complete else "incomplete"

@@ -32,7 +32,8 @@ def intervals(compared: EffectComparison) -> StatedIntervals:
     first, last = compared.stages[0], compared.stages[-1]
     base = fitted_intervals(first.fitter, first.fit, first.fit)
     believed = dict(base)
-    if compared.together.weight == "balance":
+    together = compared.together
+    if together.weight == "balance" and not together.shared:
         believed |= _of_balance(compared)
     elif last is not first:
         believed = dict(fitted_intervals(last.fitter, last.fit, first.fit))

@@ -104,13 +104,24 @@ class TorqueBalance:
 
 
 def torque_balance(
-    measurements: Sequence[MeasuredRecord], numbers: Sequence[BaseNumbers], noise_rad: float
+    measurements: Sequence[MeasuredRecord],
+    numbers: Sequence[BaseNumbers],
+    noise_rad: float,
+    narrower: float = 1.0,
 ) -> TorqueBalance | None:
-    """The balance of some records; None where they show too little motion above the noise."""
+    """The balance of some records; None where they show too little motion above the noise.
+
+    Args:
+        measurements: The records.
+        numbers: Numbers of the model, of each record.
+        noise_rad: Noise of the encoder, rms.
+        narrower: Width of the kernel relative to the widest; it is not below the least.
+    """
     pairs = [(m, b) for m, b in zip(measurements, numbers, strict=True) if m.angle_rad is not None]
     if not pairs:
         return None
     sharp_s, width_s = _widths_s(pairs, noise_rad)
+    width_s = max(sharp_s, narrower * width_s)
     listed = [_signals(m, b, sharp_s, width_s) for m, b in pairs]
     velocity = np.concatenate([s.sharp_rad_s for s in listed])
     noise = np.random.default_rng(0).normal(0.0, noise_rad, max(m.samples for m, _ in pairs))

@@ -67,7 +67,10 @@ class TorqueJudgement(NamedTuple):
 
 
 def judge(
-    balance: TorqueBalance, effects: Sequence[type[Effect]], declared: Sequence[type[Effect]]
+    balance: TorqueBalance,
+    effects: Sequence[type[Effect]],
+    declared: Sequence[type[Effect]],
+    narrower: TorqueBalance | None = None,
 ) -> TorqueJudgement:
     """The laws that a balance shows.
 
@@ -75,6 +78,8 @@ def judge(
         balance: The balance.
         effects: Effects to choose from; those that are no law of a torque are not looked at.
         declared: Effects that the model has, which are part of what laws are compared with.
+        narrower: The same with a narrower kernel: what no law explains shifts values by about as
+            much as the kernel does.
     """
     fits = BalanceFits(balance)
     own = _declared(fits, declared)
@@ -92,11 +97,12 @@ def judge(
     rivals = () if vetoed or kept is base else _rivals(kept, sets)
     if vetoed:
         kept = base
+    other = kept if narrower is None else BalanceFits(narrower).left_out(kept.laws)
     samples, power = balance.torque_Nm.size, float(np.square(balance.torque_Nm).sum())
     return TorqueJudgement(
         _by_strength(fits, kept, len(own)),
-        {name: at for law in kept.laws for name, at in _values(kept, law).items()},
-        {name: _interval(kept, name) for name in BASE},
+        {name: at for law in kept.laws for name, at in _values(kept, other, law).items()},
+        {name: _interval(kept, other, name) for name in BASE},
         rivals,
         like,
         torque_Nm=math.sqrt(power / samples),
@@ -207,21 +213,22 @@ def _by_strength(fits: BalanceFits, kept: LeftOut, own: int) -> tuple[TorqueLaw,
     return tuple(sorted(kept.laws[own:], key=without, reverse=True))
 
 
-def _values(kept: LeftOut, law: TorqueLaw) -> dict[str, Interval]:
+def _values(kept: LeftOut, other: LeftOut, law: TorqueLaw) -> dict[str, Interval]:
     """Values of a law's effect; each size moved by its error moves them."""
     assert law.effect is not None  # noqa: S101  curves are never kept
     declared = law.effect.parameters()
-    at = law.values(kept.sizes)
+    at, beside = law.values(kept.sizes), law.values(other.sizes)
     shifted = [
         law.values(dict(zip(kept.names, row, strict=True))) for row in kept.shifted.tolist()
     ]
     n = len(shifted)
     values = {}
     for name, value in at.items():
-        away = np.array([one[name] - value for one in shifted])
+        away = np.array([one[name] - value for one in (*shifted, beside)])
         if declared[name].is_phase:
             away = np.remainder(away + math.pi, 2.0 * math.pi) - math.pi
-        half = _quantile(n) * math.sqrt((n - 1.0) / n * float(np.square(away).sum()))
+        deviation = math.sqrt((n - 1.0) / n * float(np.square(away[:-1]).sum()))
+        half = _half(n, deviation, float(away[-1]))
         low = max(value - half, declared[name].low)
         values[f"{law.effect.name}.{name}"] = Interval(
             value, low, min(value + half, declared[name].high), declared[name].unit
@@ -229,13 +236,20 @@ def _values(kept: LeftOut, law: TorqueLaw) -> dict[str, Interval]:
     return values
 
 
-def _interval(kept: LeftOut, name: str) -> Interval:
-    half = _quantile(len(kept.shifted)) * kept.deviations[name]
+def _interval(kept: LeftOut, other: LeftOut, name: str) -> Interval:
+    away = other.sizes[name] - kept.sizes[name]
+    half = _half(len(kept.shifted), kept.deviations[name], away)
     return Interval(kept.sizes[name], kept.sizes[name] - half, kept.sizes[name] + half, "")
 
 
-def _quantile(stretches: int) -> float:
-    """Half width of a 95 % interval of so many stretches, in standard errors (Student's t)."""
+def _half(stretches: int, deviation: float, away: float) -> float:
+    """Half a 95 % interval from a standard error of so many stretches (Student's t).
+
+    Args:
+        stretches: Their number.
+        deviation: The standard error.
+        away: How far a narrower kernel moves the value.
+    """
     from scipy.special import stdtrit  # noqa: PLC0415  slow to import
 
-    return float(stdtrit(stretches - 1.0, 0.975))
+    return math.hypot(float(stdtrit(stretches - 1.0, 0.975)) * deviation, away)
