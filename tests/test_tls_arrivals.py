@@ -69,6 +69,19 @@ def test_few_handshakes_begin_in_a_turn_and_the_newest_first():
     through_a_door(scene)
 
 
+def test_one_handshake_of_each_address_begins_in_turn():
+    async def scene(door):
+        flood = [door.arrive("10.0.0.1") for _ in range(30)]
+        late = [door.arrive("10.0.0.2") for _ in range(3)]
+        for _, ours in [*late, *flood]:  # the flood is the newest
+            ours.send(b"\x16")
+        while len(door.begun) < 8:
+            await turns(1)
+        assert {theirs for theirs, _ in late} <= set(door.begun[:8])
+
+    through_a_door(scene)
+
+
 def test_silent_connection_costs_no_handshake_and_is_closed(monkeypatch):
     monkeypatch.setattr(tls_arrivals, "SAID_WITHIN_S", 0.05)
     monkeypatch.setattr(tls_arrivals, "_SWEEP_S", 0.01)

@@ -2,9 +2,10 @@
 
 One that says nothing costs a file and no handshake, and is closed after `SAID_WITHIN_S`. Of those
 that have spoken, a few begin their handshake in each turn of the loop, so that the bytes of open
-sessions never wait for many handshakes; the newest first, as the oldest in an overload are those
-that nobody waits for any more, or a flood. If there are too many, the oldest of the address that
-has the most gives way: others are accepted always.
+sessions never wait for many handshakes: one of each address in turn, so that a flood from one of
+them delays no other; of an address the newest first, as the oldest in an overload are those that
+nobody waits for any more, or a flood. If there are too many, the oldest of the address that has
+the most gives way: others are accepted always.
 """
 
 import asyncio
@@ -42,7 +43,8 @@ class Arrivals:
         self._hosts: dict[str, dict[socket.socket, Handshake | None]] = defaultdict(dict)
         self._host_of: dict[socket.socket, str] = {}
         self._silent: dict[socket.socket, float] = {}  # until when, the oldest first
-        self._spoken: dict[socket.socket, None] = {}  # the newest last
+        # By address, in the order of their turns; of each the newest last.
+        self._spoken: dict[str, dict[socket.socket, None]] = {}
         self._sweep()
 
     def __len__(self) -> int:
@@ -71,13 +73,19 @@ class Arrivals:
         del self._silent[connection]
         if not self._spoken:
             self._loop.call_soon(self._begin_some)
-        self._spoken[connection] = None
+        self._spoken.setdefault(self._host_of[connection], {})[connection] = None
 
     def _begin_some(self) -> None:
-        for _ in range(min(BEGUN_AT_ONCE, len(self._spoken))):
-            connection, _ = self._spoken.popitem()
+        for _ in range(BEGUN_AT_ONCE):
+            if not self._spoken:
+                return
+            host = next(iter(self._spoken))
+            spoken = self._spoken.pop(host)
+            connection, _ = spoken.popitem()
+            if spoken:
+                self._spoken[host] = spoken  # behind the others
             task = self._begin(connection)
-            self._hosts[self._host_of[connection]][connection] = task
+            self._hosts[host][connection] = task
             task.add_done_callback(lambda _, done=connection: self._forget(done))  # type: ignore[misc]
         if self._spoken:
             self._loop.call_soon(self._begin_some)
@@ -95,9 +103,16 @@ class Arrivals:
         else:
             if self._silent.pop(connection, None) is not None:
                 self._loop.remove_reader(connection)
-            self._spoken.pop(connection, None)
+            self._no_longer_spoken(connection)
             connection.close()
         self._forget(connection)
+
+    def _no_longer_spoken(self, connection: socket.socket) -> None:
+        host = self._host_of[connection]
+        spoken = self._spoken.get(host, {})
+        spoken.pop(connection, None)
+        if not spoken:
+            self._spoken.pop(host, None)
 
     def _forget(self, connection: socket.socket) -> None:
         host = self._host_of.pop(connection, None)
