@@ -33,6 +33,7 @@ def explain(
     report: Path | None = None,
     save: Path | None = None,
     next_: Annotated[Path | None, Parameter(name="--next")] = None,
+    export: Path | None = None,
     hold_out: Path | None = None,
     effects: Effects = (),
     map_: Sources = (),
@@ -53,6 +54,8 @@ def explain(
         save: Write the model with the identified effects as a model file.
         next_: Folder for the trial that would distinguish the candidates, for estune
             run-experiment.
+        export: Write the identified joint for another simulator: MJCF (.xml), URDF (.urdf) or a
+            table of the fields of Isaac Sim (.csv).
         hold_out: A record, or folder of records, that nothing is fitted to; its errors are
             reported.
         effects: Effects of your own that join the search, each as module:Class.
@@ -78,12 +81,17 @@ def explain(
         raise InvalidInput(f"{missing} is missing; for a model file to begin from, use --example")
     check_folder_exists("--report", report)
     check_folder_exists("--save", save)
+    check_folder_exists("--export", export)
     import plants  # noqa: PLC0415  slow to import
     from plants.effects import declared, find  # noqa: PLC0415  slow to import
 
     own = tuple(map(find, effects))
     columns = column_map(map_, unit, scale, save_map)
     given = plants.load_model(model)
+    if export is not None:
+        from plants.joint_export import check_export  # noqa: PLC0415  as above
+
+        check_export(given, export)
     with showing_phases(quiet=quiet) as progress:
         diagnosis = plants.explain(
             given,
@@ -101,6 +109,10 @@ def explain(
         diagnosis.report(report)
     if save is not None:
         diagnosis.save(save, plant=model)
+    if export is not None:
+        from plants.joint_export import export as export_joint  # noqa: PLC0415  as above
+
+        export_joint(diagnosis, export)
     trial = None
     if next_ is not None and diagnosis.next_experiment is not None:
         trial = diagnosis.next_experiment.write(next_)
