@@ -153,6 +153,26 @@ def fit_with_excitations(
     return (alone, ()) if _power(spoilt) > chance * _power(own) else (fit, tuple(excitations))
 
 
+def better_fit(
+    one: tuple[LoopFit, tuple[LoopRecord, ...]],
+    other: tuple[LoopFit, tuple[LoopRecord, ...]],
+    steps: Sequence[LoopRecord],
+) -> tuple[LoopFit, tuple[LoopRecord, ...]]:
+    """The better of two fits of the same step trials, each with the excitations that it holds.
+
+    That of more records, or else of the smaller criterion.
+    """
+
+    def rank(found: tuple[LoopFit, tuple[LoopRecord, ...]]) -> tuple[int, float]:
+        fit, excitations = found
+        records = (*steps, *excitations)
+        kept = [record for i, record in enumerate(records) if i not in fit.left_out]
+        signals = signals_of(kept, fit.settling_samples, round(fit.settling_samples))
+        return -len(kept), _criterion(fit, signals)
+
+    return min(one, other, key=rank)
+
+
 def _standing_out(fit: LoopFit) -> list[int]:
     """The records of the largest residuals by far, beyond what chance gives.
 
@@ -290,16 +310,9 @@ def _explaining(
 
 
 def _criterion(fit: LoopFit, signals: FitSignals) -> float:
-    errors, model = _errors(fit, signals), fit.model
-    further = int(model.friction > 0.0)
-    return criterion(signals, float(errors @ errors), fit.order, fit.noise, further)
-
-
-def _errors(fit: LoopFit, signals: FitSignals) -> FloatArray:
-    """Prediction errors in the order of the signals."""
-    return np.concatenate(
-        [fit.errors[i][group.history :] for group in signals.groups for i in group.members]
-    )
+    squares = sum(float(e @ e) for i, e in enumerate(fit.errors) if i not in fit.left_out)
+    further = int(fit.model.friction > 0.0)
+    return criterion(signals, squares, fit.order, fit.noise, further)
 
 
 def _start_of(last: LoopFit) -> PoleFit:

@@ -13,7 +13,7 @@ from estune.core.gains import Gains
 from estune.core.metrics import BAND, NOISE_SIGMAS, steady_samples
 from estune.core.quantities import FloatArray
 from estune.loop_model.claim import Claim, CostCheck, claim
-from estune.loop_model.fitting import fit_loop, fit_with_excitations
+from estune.loop_model.fitting import better_fit, fit_loop, fit_with_excitations
 from estune.loop_model.intervals import PredictedMargins
 from estune.loop_model.limit_price import LimitPrice, price_of
 from estune.loop_model.loop_fit import LoopFit
@@ -29,6 +29,7 @@ from estune.support.blas import one_blas_thread
 from estune.trial import Outcome, RigDescription, TrialRecord
 from estune.trial.loop_records import loop_signals
 from estune.trial.scoring import cost_of
+from estune.tuners.identified_loop_state import fit_of
 
 RECORDS_MAX = 20
 """Records that are fitted: the last ones of a run."""
@@ -109,8 +110,18 @@ def identify(
     excitations: Sequence[TrialRecord],
     plan: Plan,
     rig: RigDescription,
+    own: LoopFit | None = None,
 ) -> IdentifiedLoop:
-    """The loop identified from the last step trials of a run and its excitations."""
+    """The loop identified from the last step trials of a run and its excitations.
+
+    Args:
+        records: Records of step trials.
+        excitations: Those of excitations.
+        plan: The plan of the run.
+        rig: The rig.
+        own: The fit of the tuner, from which one more search begins: one that knows less of the
+            loop must not contradict it.
+    """
     records = records[-RECORDS_MAX:]
     steps, reasons = list[StepRecord](), Counter[str]()
     for record in records:
@@ -131,8 +142,11 @@ def identify(
     excited = tuple(record for record in made_of if record is not None)
     signals = [step.signals for step in steps]
     rate, asked_s = rig.controller.sampling_Hz, plan.cost.settling_time_s
-    fit, fitted = fit_with_excitations(signals, excited, rate, asked_s)
-    return IdentifiedLoop(fit, "", tuple(steps), fitted, remarks)
+    found = fit_with_excitations(signals, excited, rate, asked_s)
+    if own is not None:
+        again = fit_with_excitations(signals, excited, rate, asked_s, own)
+        found = better_fit(found, again, signals)
+    return IdentifiedLoop(found[0], "", tuple(steps), found[1], remarks)
 
 
 @one_blas_thread()
@@ -201,7 +215,9 @@ def verdict_on(run: TuningRun, change: Change | None) -> Verdict:
     gains, plan, rig = run.session.candidate, run.plan, run.description
     if gains is None or change is None or plan.limits is None:
         return Verdict()
-    loop = identify(list(run.recent_records), run.excitations, plan, rig)
+    loop = identify(
+        list(run.recent_records), run.excitations, plan, rig, fit_of(run.session.tuner_state)
+    )
     claimed = claim_from(loop, plan, rig, gains)
     broken = ""
     if not change.is_decrease and claimed.margins and plan.limits.broken_by(claimed.margins) == "":

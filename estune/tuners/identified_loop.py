@@ -19,6 +19,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from estune.core.quantities import FloatArray
 from estune.loop_model.excitation import UnknownLoop
 from estune.loop_model.fitting import fit_loop, fit_with_excitations
 from estune.loop_model.intervals import predict_with_intervals
@@ -27,6 +28,7 @@ from estune.loop_model.margins import robustness
 from estune.loop_model.model import LoopModel
 from estune.loop_model.optimum import (
     CONFIRMED,
+    DERIVATIVES,
     SENSITIVITY_MARGIN,
     TOLERANCE,
     Optimum,
@@ -335,10 +337,12 @@ class IdentifiedLoopTuner:
         best = np.array(state.base)
         search = self._search(state, fit.model)
         foreseen = abs(state.errors[-1]) < FORESEEN  # not with NaN
+        starts = [np.array(state.centre), best, *search.ends(best)]
         optimum = search.minimise(
-            [np.array(state.centre), best, *search.ends(best)],
+            starts if foreseen else [*starts, *self._with_derivative(state)],
             iterations=FIRST_ITERATIONS if len(state.costs) < CLOSE_FROM else ITERATIONS,
             scattered=0 if foreseen else SCATTERED,
+            wide=not foreseen,
         )
         if not math.isfinite(optimum.prediction.cost):
             return self._fall_back(state)
@@ -352,6 +356,16 @@ class IdentifiedLoopTuner:
             estimate=self._convergence(state, fit, optimum, width),
             fallen_back=False,
         )
+
+    def _with_derivative(self, state: IdentifiedLoopState) -> list[FloatArray]:
+        """The centre with other derivatives; none where that is not tuned."""
+        if "D" not in self.space.names:
+            return []
+        gains = self.space.gains(self.space.point(state.centre))
+        of_P = gains.P * self._scales[1]
+        others = (replace(gains, D=share * of_P) for share in DERIVATIVES)
+        points = (self.space.point_of(other) for other in others)
+        return [np.array(self.space.coordinates(point)) for point in points]
 
     def _width(self, state: IdentifiedLoopState, fit: LoopFit, optimum: Optimum) -> float:
         """Logarithm of the upper end of the interval of Ms at an optimum, over Ms.

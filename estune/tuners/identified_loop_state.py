@@ -49,3 +49,8 @@ class IdentifiedLoopState(NamedTuple):
     fallen_back: bool
     best_point: Point
     best_cost: float | None
+
+
+def fit_of(state: object) -> LoopFit | None:
+    """The identified loop of a tuner's state; None where the tuner identifies none."""
+    return state.fit if isinstance(state, IdentifiedLoopState) else None

@@ -59,6 +59,7 @@ from estune.run.session import Session, is_safe, is_unsafe
 from estune.run.trial_quality import quality_remarks
 from estune.trial import Rig, RigDescription, TrialRecord
 from estune.trial.scoring import constraint_margin
+from estune.tuners.identified_loop_state import fit_of
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -141,7 +142,8 @@ class RunResult(OptimizeResult):  # type: ignore[misc]  # scipy ships no type in
     @cached_property
     def identified(self) -> IdentifiedLoop:
         """The loop identified from the last records."""
-        return identify(self.recent_records, self.excitations, self.plan, self.rig)
+        own = fit_of(self.session.tuner_state)
+        return identify(self.recent_records, self.excitations, self.plan, self.rig, own)
 
     def load_rejection(self, gains: Gains) -> LoadRejection | None:
         """What a load step does with some gains, by the identified loop; None without one."""
