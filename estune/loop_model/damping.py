@@ -17,6 +17,7 @@ import numpy as np
 from estune.core.quantities import FloatArray
 from estune.loop_model.identification import PoleFit
 from estune.loop_model.least_squares import FitSignals, Solution
+from estune.loop_model.poles import sections_of
 
 RESOLVED = 9.0
 """Rise of S/s^2 from which a value counts as excluded, three standard deviations: an estimate as
@@ -32,7 +33,7 @@ POINTS = 17
 def with_mean_damping(signals: FitSignals, found: PoleFit) -> PoleFit:
     """The fit with each damping that could be zero at its posterior mean."""
     for i in range(1, found.coordinates.size, 2):
-        if found.coordinates[i] < 0.0:
+        if found.coordinates[i] < 0.0 and not sections_of(found.coordinates)[i // 2].grows:
             found = _with_mean(signals, found, i)
     return found
 

@@ -35,7 +35,7 @@ def clustered_factor(fit: LoopFit) -> FloatArray:
 def drawn_models(fit: LoopFit, factor: FloatArray, count: int, seed: int) -> tuple[LoopModel, ...]:
     """Models whose parameters have the covariance F F', F a factor of shape (n, n).
 
-    Of those whose poles a stable plant has. Where these are few the rest is drawn by the
+    Of a stable model those with stable poles. Where these are few the rest is drawn by the
     logarithms of the poles.
     """
     model = fit.model
@@ -43,7 +43,8 @@ def drawn_models(fit: LoopFit, factor: FloatArray, count: int, seed: int) -> tup
     steps = normal @ factor.T
     A, slopes = difference_polynomial(model.coordinates), _slopes(np.array(model.coordinates))
     found = list[LoopModel]()
-    coordinates = coordinates_of(A + steps[:, : model.order] @ slopes)
+    drawn = A + steps[:, : model.order] @ slopes
+    coordinates = coordinates_of(drawn, growing=model.grows)
     for step, poles in zip(steps, coordinates, strict=True):
         if poles is not None:
             moved = model.with_parameters(model.parameters + step)

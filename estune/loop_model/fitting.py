@@ -9,6 +9,7 @@ from estune.core.quantities import FloatArray
 from estune.loop_model.damping import with_mean_damping
 from estune.loop_model.friction import fit_with_friction
 from estune.loop_model.friction_motion import friction_of, less_friction
+from estune.loop_model.growing_poles import growing_fit
 from estune.loop_model.identification import (
     START_NOISES,
     PoleFit,
@@ -21,11 +22,14 @@ from estune.loop_model.model import LoopModel
 from estune.loop_model.order import (
     at_least_two,
     criterion,
+    criterion_of,
     select_order,
+    solution_of,
     without_slowest_pole,
     without_spare_pole,
 )
 from estune.loop_model.records import LoopRecord
+from estune.loop_model.whiteness import is_white
 
 STARTED_BY = 2
 SAMPLES_STARTED_BY = 3000
@@ -268,9 +272,18 @@ def _fit(
     signals = signals_of(records, settling, round(settling))
     first = searched_dead_time(signals, starts)
     first = without_slowest_pole(signals, first)
-    fit = _explaining(records, signals, first, last, again=again)
-    # In records of service a load may take the place of a pole.
     in_motion = any(group.history for group in signals.groups)
+    growing = None
+    if again and not (in_motion or is_white(signals, solution_of(signals, first).residual)):
+        growing = growing_fit(signals)
+    if growing and criterion_of(signals, growing) < criterion_of(signals, first):
+        fit = _explaining(records, signals, growing, last, again=again)
+        if not fit.is_white:
+            other = _explaining(records, signals, first, last, again=again)
+            fit = min(fit, other, key=lambda one: _criterion(one, signals))
+    else:
+        fit = _explaining(records, signals, first, last, again=again)
+    # In records of service a load may take the place of a pole.
     if fit.order != 2 or fit.model.friction or in_motion:
         return fit
     two = PoleFit(math.nan, np.array(fit.model.coordinates), fit.model.dead_samples)
@@ -301,7 +314,7 @@ def _explaining(
     # unstable loop with 0.05; friction states 1.6 to 1.8, and 1.1 to 1.7.
     if linear.is_white and not in_motion and linear.order == low.order:
         return linear
-    if not (again or earlier):
+    if not (again or earlier) or linear.model.grows:
         return linear
     found = found or fit_with_friction(records, low)
     if found is None or _criterion(found, signals) >= _criterion(linear, signals):

@@ -6,7 +6,16 @@ The prediction error of y = q^-(d+1) B/A u + H e is
 
 which is linear in B, and for each record in the state it begins from and in the offsets of effort
 and measurement (Golub and Pereyra, SIAM Journal on Numerical Analysis 10, 1973). Poles and noise
-are searched. With white noise e is the output error y - B/A u.
+are searched. With white noise e is the output error y - B/A u. A pole outside the unit circle,
+which feedback holds, would have that grow without end. With A* the polynomial A whose poles
+outside are replaced by their inverses, A/A* is an all-pass: through it white noise stays white,
+and
+
+    e = (A/A*) (y - B/A u) = (A/A*) y - (B/A*) u
+
+is the prediction error of the same model, of the innovations (Forssell and Ljung, IEEE
+Transactions on Automatic Control 45, 2000). It is finite wherever the poles are, and needs no
+controller.
 """
 
 import math
@@ -168,13 +177,17 @@ class Solution(NamedTuple):
         numerator: FloatArray | None = None,
     ) -> "Iterator[Solution]":
         """The solutions at several dead times, for which all is filtered once."""
-        filters = _filters(coordinates, noise, signals.settling_samples)
-        nuisance = tuple(_nuisance(group, coordinates, noise, signals) for group in signals.groups)
+        filters = filters_of(coordinates, noise, signals.settling_samples)
+        nuisance = tuple(
+            nuisance_of(group, coordinates, noise, signals) for group in signals.groups
+        )
         targets, undelayed = [], []
         for group, Q in zip(signals.groups, nuisance, strict=True):
             target = whiten(group.measurement, filters.zeros, filters.poles)
             targets.append(without(target[:, group.history :], Q).ravel())
-            undelayed.append((_regressors(group, filters, coordinates.size), group.history, Q))
+            undelayed.append(
+                (regressors_of(group.effort, filters, coordinates.size), group.history, Q)
+            )
         y = targets[0] if len(targets) == 1 else np.concatenate(targets)
         for dead in delays:
             late = [(delayed(terms, dead + 1)[..., h:], Q) for terms, h, Q in undelayed]
@@ -210,6 +223,7 @@ class Solution(NamedTuple):
     def _output_slopes(self, signals: FitSignals) -> FloatArray:
         x = self.coordinates
         columns: list[list[FloatArray]] = [[] for _ in x]
+        sections, changes = sections_of(x), _tap_slopes(x)
         at = 0
         for group, Q in zip(signals.groups, self.nuisance, strict=True):
             shape = (len(group.members), group.effort.shape[1] - group.history)
@@ -217,10 +231,17 @@ class Solution(NamedTuple):
             output = np.array(group.measurement)
             output[:, group.history :] -= self.residual[at : at + size].reshape(shape)
             at += size
-            for i, change in enumerate(_tap_slopes(x)):
-                taps = sections_of(x)[i // 2].taps
-                slope = lfilter(change, taps, output)[:, group.history :]
-                columns[i].append(without(slope, Q).ravel())
+            for i, (change, mirrored) in enumerate(changes):
+                own = sections[i // 2]
+                slope = lfilter(mirrored, own.mirrored, output)
+                if own.grows:  # the measurement is filtered by A over A mirrored, too
+                    others = [s for s in sections if s.grows and s is not own]
+                    driven = whiten(
+                        group.measurement, [s.mirrored for s in others], [s.taps for s in others]
+                    )
+                    slope += lfilter(change, own.mirrored, driven)
+                    slope -= lfilter(mirrored, own.mirrored, group.measurement)
+                columns[i].append(without(slope[:, group.history :], Q).ravel())
         return np.stack([np.concatenate(parts) for parts in columns], axis=1)
 
     def _numerical_slopes(self, signals: FitSignals) -> FloatArray:
@@ -236,7 +257,7 @@ class Solution(NamedTuple):
         self, signals: FitSignals, coordinates: FloatArray, noise: NoiseModel
     ) -> FloatArray:
         """Residual at other poles and noise with the numerator held, shape (residuals of all,)."""
-        filters, parts = _filters(coordinates, noise, signals.settling_samples), []
+        filters, parts = filters_of(coordinates, noise, signals.settling_samples), []
         for group in signals.groups:
             late = delayed(group.effort, self.dead + 1)
             driven = self.numerator[-1] * late
@@ -245,7 +266,7 @@ class Solution(NamedTuple):
             driven = lfilter(filters.effort, [1.0], driven)
             target = whiten(group.measurement, filters.zeros, filters.poles)
             left = target - whiten(driven, filters.free, ())
-            Q = _nuisance(group, coordinates, noise, signals)
+            Q = nuisance_of(group, coordinates, noise, signals)
             parts.append(without(left[:, group.history :], Q).ravel())
         return np.concatenate(parts)
 
@@ -273,12 +294,13 @@ def noise_of(logarithms: FloatArray, like: NoiseModel) -> NoiseModel:
     return NoiseModel(load, drift, like.colour)
 
 
-def _tap_slopes(x: FloatArray) -> list[FloatArray]:
-    """Slopes of the taps of each coordinate's section along it."""
+def _tap_slopes(x: FloatArray) -> list[tuple[FloatArray, FloatArray]]:
+    """Slopes along each coordinate of the taps of its section, and of those mirrored."""
     found = []
     for i, step in enumerate(COORDINATE_STEP * np.eye(x.size)):
-        ends = [sections_of(x + s * step)[i // 2].taps for s in (1, -1)]
-        found.append((ends[0] - ends[1]) / (2.0 * COORDINATE_STEP))
+        high, low = (sections_of(x + s * step)[i // 2] for s in (1, -1))
+        change, mirrored = (high.taps - low.taps), (high.mirrored - low.mirrored)
+        found.append((change / (2.0 * COORDINATE_STEP), mirrored / (2.0 * COORDINATE_STEP)))
     return found
 
 
@@ -299,14 +321,14 @@ def _swinging(group: RecordGroup, poles: int, noise: NoiseModel) -> int:
     return 2 if noise.is_white and not group.history else poles
 
 
-class _Filters(NamedTuple):
+class Filters(NamedTuple):
     """Filters of the prediction error: e = (1/H) y - (numerator of the effort / free) B u.
 
     Attributes:
         effort: Numerator of the effort's filter: P N, one with white noise.
-        free: Its denominator in sections, whose free responses the error has: C, or A.
-        zeros: Of H, in sections; none with white noise.
-        poles: Of H, in sections; none with white noise.
+        free: Its denominator in sections, whose free responses the error has: C, or A mirrored.
+        zeros: Of H, in sections; with white noise those of poles outside the unit circle.
+        poles: Of H, in sections; the same.
     """
 
     effort: FloatArray
@@ -315,18 +337,26 @@ class _Filters(NamedTuple):
     poles: tuple[FloatArray, ...]
 
 
-def _filters(
+def filters_of(
     coordinates: Sequence[float] | FloatArray, noise: NoiseModel, settling: float
-) -> _Filters:
+) -> Filters:
+    """The filters of the prediction error at some poles and noise."""
     if noise.is_white:
-        return _Filters(np.ones(1), tuple(s.taps for s in sections_of(coordinates)), (), ())
+        sections = sections_of(coordinates)
+        growing = [section for section in sections if section.grows]
+        return Filters(
+            np.ones(1),
+            tuple(section.mirrored for section in sections),
+            tuple(section.mirrored for section in growing),
+            tuple(section.taps for section in growing),
+        )
     H = shaping(coordinates, noise, settling)
-    return _Filters(H.effort, H.zeros, H.zeros, H.poles)
+    return Filters(H.effort, H.zeros, H.zeros, H.poles)
 
 
-def _regressors(group: RecordGroup, filters: _Filters, poles: int) -> FloatArray:
-    """Regressors of the numerator, undelayed, shape (poles + 1, records, samples)."""
-    driven = lfilter(filters.effort, [1.0], group.effort)
+def regressors_of(signals: FloatArray, filters: Filters, poles: int) -> FloatArray:
+    """Regressors of a polynomial, undelayed, shape (poles + 1, records, samples)."""
+    driven = lfilter(filters.effort, [1.0], signals)
     terms = [whiten(driven, filters.free, ())]
     for _ in range(poles):
         terms.append(_moving(terms[-1], 1.0))
@@ -351,9 +381,10 @@ def whiten(
     return signals
 
 
-def _nuisance(
+def nuisance_of(
     group: RecordGroup, coordinates: FloatArray, noise: NoiseModel, signals: FitSignals
 ) -> FloatArray:
+    """Orthonormal basis of start states and offsets of a group, shape (samples, up to n + 6)."""
     samples = group.effort.shape[1] - group.history
     poles = tuple(coordinates[: _swinging(group, coordinates.size, noise)].tolist())
     columns = _nuisance_columns(
@@ -376,7 +407,7 @@ def _nuisance_columns(
         # With an amplitude that changes along the record: its frequency is not exact.
         at, place = hum * np.arange(samples), np.linspace(-1.0, 1.0, samples)
         levels += [np.cos(at), np.sin(at), place * np.cos(at), place * np.sin(at)]
-    filters = _filters(coordinates, noise, settling)
+    filters = filters_of(coordinates, noise, settling)
     offsets = list(whiten(np.array(levels), filters.zeros, filters.poles))
     columns, free = [], pulse
     for taps in filters.free:

@@ -33,7 +33,8 @@ class LoopFit(NamedTuple):
         misfits: rho of each record, the residual beyond the noise as a share of its span.
         response_peak: Largest deviation of the fitted measurement, as the residual through 1/H.
         unexplained: What the model leaves of the measurement of each record, load and drift in
-            it, shape (its samples,); zero where it was not fitted.
+            it, shape (its samples,); zero where it was not fitted. With poles outside the unit
+            circle, through an all-pass.
         errors: Its prediction errors, shape (its samples,).
         is_white: Whether the prediction errors are white.
         left_out: Numbers of the records that the others contradict, and that are not fitted.
@@ -131,10 +132,12 @@ def summarise(
             unexplained[number][group.history :] = left.errors[own]
             at += size
     meat = np.array(scores)
-    outputs, white_std = unexplained, _noise_of(unexplained)
+    # An all-pass apart, which no power shows: with poles outside the unit circle it is not finite.
+    growth = math.prod(section.growth for section in model.sections)
+    outputs, white_std = [e / growth for e in unexplained], _noise_of(unexplained) / growth
     if not noise.is_white:
         H = shaping(model.coordinates, noise, signals.settling_samples)
-        outputs = [whiten(e[np.newaxis], H.poles, H.zeros)[0] for e in unexplained]
+        outputs = [whiten(e[np.newaxis], H.mirrored, H.zeros)[0] / H.growth for e in unexplained]
         white_std = math.sqrt(variance / H.gain)
     spans = [record.span for record in records]
     beyond = [

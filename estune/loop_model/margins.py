@@ -99,7 +99,7 @@ def frequency_grid(models: tuple[LoopModel, ...]) -> FrequencyGrid:
     if logs.size:
         # A pole that does not swing has no resonance: its points go to the end of the grid.
         resonances = np.where(logs.imag > 0.0, logs, math.pi * 1j).reshape(len(models), -1, 1)
-        widths = np.maximum(-resonances.real, 1e-6)
+        widths = np.maximum(np.abs(resonances.real), 1e-6)
         about = np.clip(resonances.imag + widths * ABOUT_A_POLE, LOWEST_rad, math.pi)
         theta = np.sort(np.concatenate([theta, about.reshape(len(models), -1)], axis=1), axis=1)
     return FrequencyGrid.at(models, theta)

@@ -89,7 +89,13 @@ class LoopModel(NamedTuple):
     @property
     def natural_period(self) -> float:
         """2 pi over the natural frequency of the first pair of poles, samples."""
-        return 2.0 * math.pi / math.exp(self.coordinates[0])
+        first = np.abs(self.sections[0].log_poles)
+        return 2.0 * math.pi / float(np.sqrt(first[0] * first[-1]))
+
+    @property
+    def grows(self) -> bool:
+        """Whether a pole lies outside the unit circle."""
+        return any(section.grows for section in self.sections)
 
 
 def exchanged(coefficients: FloatArray) -> FloatArray:

@@ -67,12 +67,17 @@ class Shaping(NamedTuple):
         poles: A P N in sections.
         effort: P N, which the effort is filtered by beside C.
         gain: Variance of e over that of the sensor's noise.
+        mirrored: A P N in sections with the poles outside the unit circle replaced by their
+            inverses: |H| times `growth`, and finite.
+        growth: Product of the sizes of these poles.
     """
 
     zeros: tuple[FloatArray, ...]
     poles: tuple[FloatArray, ...]
     effort: FloatArray
     gain: float
+    mirrored: tuple[FloatArray, ...]
+    growth: float
 
 
 def shaping(
@@ -89,7 +94,8 @@ def _shaping(
     sections = sections_of(coordinates)
     slow = 1.0 - 1.0 / (SLOW * settling_samples)
     # Roots in units of this share of s: they are as small as the squares of the slow poles.
-    unit = math.exp(2.0 * min(max(coordinates[0], -12.0), 1.0))
+    first = np.abs(sections[0].log_poles)
+    unit = min(max(float(first[0] * first[-1]), math.exp(-24.0)), math.exp(2.0))
     plant, at_one, leading = np.ones(1, complex), 1.0, complex(slow)
     for section in sections:
         at_one *= float(section.powers[0]) ** 2
@@ -103,7 +109,14 @@ def _shaping(
     gain = abs(leading) / max(float(np.abs(np.prod(roots))), 1e-300)
     PN = np.convolve([1.0, -slow], [1.0, *noise.colour])
     gain /= _power_gain(noise.colour)
-    return Shaping(_real_sections(roots), (*(one.taps for one in sections), PN), PN, gain)
+    return Shaping(
+        _real_sections(roots),
+        (*(one.taps for one in sections), PN),
+        PN,
+        gain,
+        (*(one.mirrored for one in sections), PN),
+        math.prod(one.growth for one in sections),
+    )
 
 
 def _power_gain(colour: tuple[float, ...]) -> float:

@@ -25,7 +25,7 @@ from estune.loop_model.least_squares import (
     without,
 )
 from estune.loop_model.noise_model import NoiseModel, shaping
-from estune.loop_model.poles import pair_coordinates, sections_of
+from estune.loop_model.poles import GROWS_FROM, OUTSIDE, pair_coordinates, sections_of
 from estune.loop_model.sensor_colour import recoloured
 from estune.loop_model.whiteness import is_white, rows_of
 
@@ -158,6 +158,8 @@ def without_slowest_pole(signals: FitSignals, fit: PoleFit) -> PoleFit:
     real = sorted((-poles.real[poles.imag == 0.0]).tolist())
     if fit.coordinates.size < 3 or len(real) < 2 or _is_resolved(signals, fit.coordinates):
         return fit
+    if real[0] < 0.0:  # a pole outside the unit circle is none of the plant's integrators
+        return fit
     turning = poles[poles.imag > 0.0]
     sizes = np.abs(turning)
     fewer = np.log(np.column_stack([sizes, -turning.real / sizes])).ravel()
@@ -199,7 +201,8 @@ def without_spare_pole(signals: FitSignals, fit: PoleFit) -> PoleFit:
     two = improve(signals, fit)
     (pair,) = sections_of(two.coordinates)
     rates = np.clip(np.log(np.abs(pair.log_poles)), SLOWEST_SINGLE, FASTEST_SINGLE)
-    starts = [two._replace(coordinates=np.array([rate])) for rate in rates]
+    singles = rates + np.where(pair.log_poles.real > 0.0, OUTSIDE, 0.0)
+    starts = [two._replace(coordinates=np.array([single])) for single in singles]
     one = min((searched_dead_time(signals, [start]) for start in starts), key=by_cost)
     return min(_judged(signals, two), _judged(signals, one), key=lambda it: it.criterion).fit
 
@@ -211,6 +214,11 @@ def _judged(signals: FitSignals, fit: PoleFit) -> Selected:
     if not math.isfinite(fit.cost) or (fit.noise.is_white and fit.noise.colour):
         return Selected(fit, math.inf)
     return Selected(fit, criterion(signals, 2.0 * fit.cost, fit.coordinates.size, fit.noise))
+
+
+def criterion_of(signals: FitSignals, fit: PoleFit) -> float:
+    """The criterion of a fit."""
+    return _judged(signals, fit).criterion
 
 
 def criterion(
@@ -285,7 +293,7 @@ def at_least_two(poles: FloatArray) -> FloatArray:
 
 def _with_single(poles: FloatArray, single: float) -> FloatArray:
     """Coordinates with one more real pole; two single ones are a pair."""
-    if poles.size % 2 == 0:
+    if poles.size % 2 == 0 or poles[-1] > GROWS_FROM:
         return np.append(poles, single)
     p, q = math.exp(-math.exp(poles[-1])), math.exp(-math.exp(single))
     return np.append(poles[:-1], pair_coordinates(-(p + q), p * q))

@@ -4,6 +4,12 @@ A pair of poles has the logarithms of its natural frequency w (rad/sample) and d
 coordinates, a single real pole, the last one of an odd number, the logarithm of its decay per
 sample. With d = 1 - q^-1 a pole p is the factor 1 - p q^-1 = (1 - p) + p d, which keeps its digits
 however slow the pole is.
+
+A pole outside the unit circle has the logarithm of its growth per sample plus `OUTSIDE`, which is
+far beyond all logarithms of the others. A pair is then (growth, decay) of two real poles, or, with
+`OUTSIDE` added to both, the frequency and the damping ratio of the two poles whose inverses they
+are. No search leads from one kind to another: with a growth or a decay of nothing a pole is an
+integrator.
 """
 
 import math
@@ -22,6 +28,15 @@ LEAST, GREATEST = -25.0, 6.0
 """Range of the logarithm of a frequency that changes the poles; beyond it they stay. That of a
 damping ratio reaches to the negative of the least: an integrator beside a fast pole has such."""
 
+OUTSIDE = 100.0
+"""What is added to the logarithm of a growth."""
+
+GROWS_FROM = OUTSIDE / 2.0
+"""Coordinate from which on it is one of a growing pole."""
+
+MOST_GROWTH = 1.0
+"""Largest logarithm of a growth: such a pole is 15 times as large after each sample."""
+
 FASTEST = 1e-20
 """Least magnitude of a pole of z that has coordinates."""
 
@@ -34,12 +49,21 @@ class PoleSection(NamedTuple):
         powers: The same polynomial in powers of d = 1 - q^-1.
         poles: The poles.
         log_poles: Their logarithms.
+        mirrored: The taps with each pole outside the unit circle replaced by its inverse.
+        growth: Product of the sizes of the poles outside; one without any.
     """
 
     taps: FloatArray
     powers: FloatArray
     poles: ComplexArray
     log_poles: ComplexArray
+    mirrored: FloatArray
+    growth: float
+
+    @property
+    def grows(self) -> bool:
+        """Whether a pole lies outside the unit circle."""
+        return self.growth > 1.0
 
 
 def sections_of(coordinates: Sequence[float] | FloatArray) -> tuple[PoleSection, ...]:
@@ -56,6 +80,14 @@ def _sections(coordinates: tuple[float, ...]) -> tuple[PoleSection, ...]:
 
 
 def _pair(at: tuple[float, float]) -> PoleSection:
+    if at[0] > GROWS_FROM > at[1]:
+        decay = math.exp(min(max(at[1], LEAST), GREATEST))
+        return _of_logarithms(complex(_growth(at[0])), complex(-decay))
+    if at[0] > GROWS_FROM:
+        inverse = _pair((at[0] - OUTSIDE, at[1] - OUTSIDE)).log_poles
+        most = math.exp(MOST_GROWTH)
+        one, other = (complex(min(-s.real, most), -s.imag) for s in inverse.tolist())
+        return _of_logarithms(one, other)
     w = math.exp(min(max(at[0], LEAST), GREATEST))
     z = math.exp(min(max(at[1], LEAST), -LEAST))
     if z < 1.0:
@@ -65,10 +97,22 @@ def _pair(at: tuple[float, float]) -> PoleSection:
     return _of_logarithms(complex(-w * w / (z * w + spread)), complex(-(z * w + spread)))
 
 
+def _growth(x: float) -> float:
+    """Logarithm of a pole outside the unit circle with this coordinate."""
+    return math.exp(min(max(x - OUTSIDE, LEAST), MOST_GROWTH))
+
+
 def _single(x: float) -> PoleSection:
-    log_pole = np.array([-math.exp(min(max(x, LEAST), GREATEST))], complex)
-    p, rest = float(np.exp(log_pole[0].real)), -math.expm1(log_pole[0].real)
-    return PoleSection(np.array([1.0, -p]), np.array([rest, p]), np.exp(log_pole), log_pole)
+    log_p = _growth(x) if x > GROWS_FROM else -math.exp(min(max(x, LEAST), GREATEST))
+    p, rest = math.exp(log_p), -math.expm1(log_p)
+    return PoleSection(
+        np.array([1.0, -p]),
+        np.array([rest, p]),
+        np.array([p], complex),
+        np.array([log_p], complex),
+        np.array([1.0, -math.exp(-abs(log_p))]),
+        max(p, 1.0),
+    )
 
 
 def _of_logarithms(one: complex, other: complex) -> PoleSection:
@@ -78,7 +122,11 @@ def _of_logarithms(one: complex, other: complex) -> PoleSection:
     product = (p * q).real
     taps = np.array([1.0, -(p + q).real, product])
     powers = np.array([(u * v).real, (p * v + q * u).real, product])
-    return PoleSection(taps, powers, np.array([p, q]), log_poles)
+    r, s = np.exp(np.where(log_poles.real > 0.0, -log_poles.conj(), log_poles))
+    inside = max(one.real, other.real) <= 0.0
+    turned = taps if inside else np.array([1.0, -(r + s).real, (r * s).real])
+    growth = math.exp(max(one.real, 0.0) + max(other.real, 0.0))
+    return PoleSection(taps, powers, np.array([p, q]), log_poles, turned, growth)
 
 
 def pair_coordinates(a1: float, a2: float) -> FloatArray:
@@ -92,6 +140,16 @@ def pair_coordinates(a1: float, a2: float) -> FloatArray:
     product, total = abs((log_poles[0] * log_poles[1]).real), abs((log_poles.sum()).real)
     w = math.sqrt(max(product, 1e-20))
     return np.log([w, max(total / (2.0 * w), 1e-6)])
+
+
+def mirrored(coordinates: FloatArray) -> FloatArray:
+    """The coordinates with each pole outside the unit circle replaced by its inverse."""
+    found = np.where(coordinates > GROWS_FROM, coordinates - OUTSIDE, coordinates)
+    for i in range(0, coordinates.size - 1, 2):
+        if coordinates[i] > GROWS_FROM > coordinates[i + 1]:
+            mean, half = found[i : i + 2].sum() / 2.0, (found[i] - found[i + 1]) / 2.0
+            found[i : i + 2] = mean, math.log(math.cosh(half))
+    return found
 
 
 def polynomial(coordinates: Sequence[float] | FloatArray) -> FloatArray:
@@ -110,13 +168,17 @@ def difference_polynomial(coordinates: Sequence[float] | FloatArray) -> FloatArr
     return product
 
 
-def coordinates_of(polynomials: FloatArray) -> list[tuple[float, ...] | None]:
+def coordinates_of(
+    polynomials: FloatArray, *, growing: bool = False
+) -> list[tuple[float, ...] | None]:
     """Coordinates of the poles of polynomials in powers of 1 - q^-1, the constants first.
 
-    None where a pole has none: outside the unit circle, or real and not above zero.
+    None where a pole has none: real and not above zero, or outside the unit circle where none
+    may be.
 
     Args:
         polynomials: Shape (polynomials, poles + 1).
+        growing: Whether poles may lie outside the unit circle.
     """
     count, poles = polynomials.shape[0], polynomials.shape[1] - 1
     # The last coefficient is the product of the poles: where nothing can be divided by it, a pole
@@ -131,8 +193,37 @@ def coordinates_of(polynomials: FloatArray) -> list[tuple[float, ...] | None]:
         log_poles = -np.log1p(-d)
     found: list[tuple[float, ...] | None] = [None] * count
     for index, *row in zip(np.flatnonzero(nonzero), d.tolist(), log_poles.tolist(), strict=True):
-        found[index] = _coordinates(*row)
+        found[index] = _with_growing(*row) if growing else _coordinates(*row)
     return found
+
+
+def _with_growing(d: list[complex], log_poles: list[complex]) -> tuple[float, ...] | None:
+    """Coordinates of poles that may lie outside the unit circle, these first.
+
+    A single growing pole is a pair with the slowest real one beside it, or the last coordinate
+    where it is alone; two are a pair.
+    """
+    poles = list(zip(d, log_poles, strict=True))
+    outside = [(at, -s) for at, s in poles if s.real > 0.0]
+    inside = [(at, s) for at, s in poles if not s.real > 0.0]
+    single = sorted((-s.real, k) for k, (at, s) in enumerate(inside) if at.imag == 0.0)
+    beside, last = list[float](), list[float]()
+    if len(outside) % 2:
+        slowest = min(outside, key=lambda one: (one[0].imag != 0.0, -one[1].real))
+        outside.remove(slowest)
+        growth = math.log(max(-slowest[1].real, 1e-300)) + OUTSIDE
+        if slowest[1].imag != 0.0:
+            return None
+        if single:
+            beside = [growth, math.log(single[0][0])] if single[0][0] > 0.0 else []
+            del inside[single[0][1]]
+        else:
+            last = [growth]
+    pairs = _coordinates(*map(list, zip(*outside, strict=True))) if outside else ()
+    rest = _coordinates(*map(list, zip(*inside, strict=True))) if inside else ()
+    if pairs is None or rest is None:
+        return None
+    return (*beside, *(x + OUTSIDE for x in pairs), *rest, *last)
 
 
 def _coordinates(d: list[complex], log_poles: list[complex]) -> tuple[float, ...] | None:
