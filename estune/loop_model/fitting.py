@@ -23,6 +23,7 @@ from estune.loop_model.order import (
     at_least_two,
     criterion,
     criterion_of,
+    is_resolved,
     select_order,
     solution_of,
     without_slowest_pole,
@@ -38,6 +39,11 @@ SETTLING_TIMES_STARTED_BY = 25.0
 search are compared: seven settling times, of 400 samples each, began from the wrong one. They are
 the first trials from rest, or else the longest records: the first two of 17 stretches of a
 measured chamber, of 46 and 228 samples, led to a loop of another kind."""
+
+GROWTH_GAIN, GROWTH_SHARE = 10.0, 0.5
+"""Decrease of the criterion, very strong evidence, from which on a plant is taken to grow, and the
+share of the squared errors that such a fit may leave where it is not white. Of a plant that is not
+linear, or that changes, a growing pole explains a little more."""
 
 FRICTION_DONE = 0.002
 """Misfit with friction up to which no further poles are tried. One timid trial of the reference
@@ -272,22 +278,36 @@ def _fit(
     signals = signals_of(records, settling, round(settling))
     first = searched_dead_time(signals, starts)
     first = without_slowest_pole(signals, first)
-    in_motion = any(group.history for group in signals.groups)
-    growing = None
-    if again and not (in_motion or is_white(signals, solution_of(signals, first).residual)):
-        growing = growing_fit(signals)
-    if growing and criterion_of(signals, growing) < criterion_of(signals, first):
-        fit = _explaining(records, signals, growing, last, again=again)
-        if not fit.is_white:
-            other = _explaining(records, signals, first, last, again=again)
-            fit = min(fit, other, key=lambda one: _criterion(one, signals))
-    else:
-        fit = _explaining(records, signals, first, last, again=again)
+    begun = _begun(signals, first) if again else [first]
+    fits = [_explaining(records, signals, one, last, again=again) for one in begun]
+    fit = min(fits, key=lambda one: _criterion(one, signals))
     # In records of service a load may take the place of a pole.
+    in_motion = any(group.history for group in signals.groups)
     if fit.order != 2 or fit.model.friction or in_motion:
         return fit
     two = PoleFit(math.nan, np.array(fit.model.coordinates), fit.model.dead_samples)
     return _summarised(records, signals, without_spare_pole(signals, two))
+
+
+def _begun(signals: FitSignals, first: PoleFit) -> list[PoleFit]:
+    """The fits of low order to begin from: a first one, or one with poles that grow, or both.
+
+    Those are sought in trials from rest that the first does not explain, or explains by a pole
+    that they do not resolve.
+    """
+    white = is_white(signals, solution_of(signals, first).residual)
+    if any(group.history for group in signals.groups):
+        return [first]
+    if white and is_resolved(signals, first.coordinates):
+        return [first]
+    growing = growing_fit(signals)
+    if growing is None:
+        return [first]
+    at, before = solution_of(signals, growing), solution_of(signals, first)
+    if is_white(signals, at.residual):
+        gained = criterion_of(signals, first) - criterion_of(signals, growing)
+        return [growing] if gained > GROWTH_GAIN else [first]
+    return [growing, first] if at.squares < GROWTH_SHARE * before.squares else [first]
 
 
 def _explaining(

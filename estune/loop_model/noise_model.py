@@ -20,7 +20,7 @@ import numpy as np
 
 from estune.core.filtering import lfilter
 from estune.core.quantities import FloatArray
-from estune.loop_model.poles import ComplexArray, sections_of
+from estune.loop_model.poles import OUTSIDE, ComplexArray, sections_of
 
 FASTEST = 1e-9
 """Least magnitude of a pole that counts: a faster one is none."""
@@ -94,8 +94,8 @@ def _shaping(
     sections = sections_of(coordinates)
     slow = 1.0 - 1.0 / (SLOW * settling_samples)
     # Roots in units of this share of s: they are as small as the squares of the slow poles.
-    first = np.abs(sections[0].log_poles)
-    unit = min(max(float(first[0] * first[-1]), math.exp(-24.0)), math.exp(2.0))
+    first = coordinates[0] - OUTSIDE if sections[0].grows else coordinates[0]
+    unit = math.exp(2.0 * min(max(first, -12.0), 1.0))
     plant, at_one, leading = np.ones(1, complex), 1.0, complex(slow)
     for section in sections:
         at_one *= float(section.powers[0]) ** 2

@@ -121,8 +121,8 @@ def _best_of(signals: FitSignals, best: Selected, options: Sequence[Selected]) -
     """The best of the options that promise most; None where none is better than a fit."""
     promising = sorted(options, key=by_criterion)[:TRIED]
     tried = [_judged(signals, improve(signals, one.fit)) for one in promising]
-    resolves = 1.0 if _is_resolved(signals, best.fit.coordinates) else INTEGRATOR
-    tried = [one for one in tried if _is_settled(signals, one.fit, resolves)]
+    is_usable = _is_settled if is_resolved(signals, best.fit.coordinates) else _is_controllable
+    tried = [one for one in tried if is_usable(signals, one.fit)]
     better = min(tried, key=by_criterion, default=best)
     return better if better.criterion < best.criterion else None
 
@@ -156,7 +156,7 @@ def without_slowest_pole(signals: FitSignals, fit: PoleFit) -> PoleFit:
     """
     poles = np.concatenate([section.log_poles for section in sections_of(fit.coordinates)])
     real = sorted((-poles.real[poles.imag == 0.0]).tolist())
-    if fit.coordinates.size < 3 or len(real) < 2 or _is_resolved(signals, fit.coordinates):
+    if fit.coordinates.size < 3 or len(real) < 2 or is_resolved(signals, fit.coordinates):
         return fit
     if real[0] < 0.0:  # a pole outside the unit circle is none of the plant's integrators
         return fit
@@ -169,20 +169,28 @@ def without_slowest_pole(signals: FitSignals, fit: PoleFit) -> PoleFit:
     return tried.fit if tried.criterion < _judged(signals, fit).criterion else fit
 
 
-def _is_resolved(signals: FitSignals, coordinates: FloatArray, least: float = 1.0) -> bool:
+def is_resolved(signals: FitSignals, coordinates: FloatArray, least: float = 1.0) -> bool:
     """Whether no pole is slower than all records: it decays by more than this over the longest."""
     longest = max(group.effort.shape[1] for group in signals.groups)
     return bool(_slowest(coordinates) * longest > least)
 
 
-def _is_settled(signals: FitSignals, fit: PoleFit, least: float) -> bool:
+def _is_controllable(signals: FitSignals, fit: PoleFit) -> bool:
+    """Whether the plant of trials from rest is no integrator of the wrong sign."""
+    in_motion = any(group.history for group in signals.groups)
+    if in_motion or is_resolved(signals, fit.coordinates, INTEGRATOR):
+        return True
+    return bool(solution_of(signals, fit).numerator[0] > 0.0)
+
+
+def _is_settled(signals: FitSignals, fit: PoleFit) -> bool:
     """Whether no pole is slower than all records, or its sign is that of a stable loop.
 
     In records of service a load takes the place of a slow pole that is refused: with it the step
     response of the chamber of `tests/test_loop_records.py` is 3 % of the true one after 300 of
     its 700 samples. A trial from rest has no load.
     """
-    if _is_resolved(signals, fit.coordinates, least):
+    if is_resolved(signals, fit.coordinates):
         return True
     in_motion = any(group.history for group in signals.groups)
     return in_motion and bool(solution_of(signals, fit).numerator[0] > 0.0)

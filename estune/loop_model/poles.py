@@ -104,7 +104,7 @@ def _growth(x: float) -> float:
 
 def _single(x: float) -> PoleSection:
     log_p = _growth(x) if x > GROWS_FROM else -math.exp(min(max(x, LEAST), GREATEST))
-    p, rest = math.exp(log_p), -math.expm1(log_p)
+    p, rest = float(np.exp(log_p)), -math.expm1(log_p)
     return PoleSection(
         np.array([1.0, -p]),
         np.array([rest, p]),
