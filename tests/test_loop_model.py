@@ -11,12 +11,13 @@ import plants
 from estune.core.cost import StepCost
 from estune.core.gains import Gains
 from estune.core.margins import loop_margins, sample_plant
+from estune.core.pidf import ControllerSettings
 from estune.loop_model.claim import claim
-from estune.loop_model.fitting import fit_loop, fit_with_excitations
+from estune.loop_model.fitting import better_fit, fit_loop, fit_with_excitations
 from estune.loop_model.intervals import predict_with_intervals
 from estune.loop_model.margins import robustness
 from estune.loop_model.model import LoopModel, close_loop, exchanged
-from estune.loop_model.optimum import RegionSearch, RobustnessLimits
+from estune.loop_model.optimum import DERIVATIVES, RegionSearch, RobustnessLimits
 from estune.loop_model.poles import pair_coordinates, polynomial
 from estune.loop_model.prediction import StepTrial, predict, predictions
 from estune.loop_model.records import LoopRecord
@@ -217,6 +218,45 @@ def test_searches_from_all_starts_end_at_one_optimum_where_peaks_of_the_sensitiv
     assert all(one.feasible for one in found)
     costs = [one.prediction.cost for one in found]
     assert max(costs) < 1.01 * min(costs)
+
+
+def test_fit_of_two_that_knows_less_of_the_loop_is_not_preferred():
+    plant = linear()
+    records = [record_of(plant, GAINS, number) for number in range(2)]
+    found = fit_loop(records, SAMPLING_HZ, COST.settling_time_s)
+    late = found.model._replace(dead_samples=12)
+    worse = found._replace(model=late, errors=tuple(1.1 * e for e in found.errors))
+    assert better_fit((worse, ()), (found, ()), records)[0] is found
+    assert better_fit((found, ()), (worse, ()), records)[0] is found
+    fewer = found._replace(left_out=(1,))
+    assert better_fit((fewer, ()), (worse, ()), records)[0] is worse
+
+
+def test_wide_search_finds_the_derivative_that_a_lag_of_many_orders_wants():
+    rate, settling_s = 200.0 / 12.0, 12.0
+    step = StepProfile(0.0, 1.0, 3.0, 33.0)
+    lag = LoopModel((-3.724, -0.066), (0.0, 0.0, 0.0), 63)  # as eight lags of 1 s are fitted
+    unit = math.prod(float(section.powers[0]) for section in lag.sections)
+    controller = ControllerSettings(rate, 2.0 / rate, -math.inf, math.inf)
+    cost = StepCost(settling_s, time_unit="settling_time", move_weight=0.2)
+    search = RegionSearch(
+        model=lag._replace(numerator=(unit, 0.0, 0.0)),
+        trial=StepTrial(controller, cost, 0.0, step.shape(rate), step.samples(rate)),
+        limits=RobustnessLimits(),
+        gains_of=lambda x: Gains(*np.exp(x).tolist()),
+        low=np.log([1e-2, 1e-3, 1e-5, 1e-3]),
+        high=np.log([1e2, 1e1, 1e2, 1e1]),
+    )
+
+    def start(derivative):
+        return np.log([0.3, 0.05, 0.3 * settling_s * derivative, 0.1])
+
+    found = search.minimise([start(d) for d in (1e-5, *DERIVATIVES)], wide=True)
+    everywhere = [search.minimise([start(d)]) for d in np.geomspace(1e-4, 0.3, 8)]
+    assert found.feasible
+    least = min(one.prediction.cost for one in everywhere if one.feasible)
+    assert found.prediction.cost < 1.01 * least
+    assert search.minimise([start(1e-5)]).prediction.cost > 1.1 * least
 
 
 def test_claim_needs_trials_near_the_gains():

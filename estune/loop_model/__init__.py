@@ -12,6 +12,9 @@ white.
   samples a period. Ms is read on a grid that is finer about each resonance, and again about its
   peak; the loop is stable where the characteristic polynomial neither turns about the origin nor
   is negative at one: without the second a negative gain had Ms 1.31 with a pole at 1.015.
+- `growing_poles`: poles outside the unit circle are searched where a fit without them leaves
+  errors. The predictor is the same one for all plants, and needs no controller: their output
+  error is taken through an all-pass, which keeps it finite and white (`least_squares`).
 - `noise_model`: H holds a load at the input, a drift at the output and the noise of the sensor,
   white or of a colour that its errors show (`sensor_colour`).
 - `drawn_models` are models that the records allow: linear in the coefficients of A and B, which
