@@ -72,3 +72,37 @@ def test_random_short_logs_end_in_a_verdict_or_a_refusal_of_one_line():
     said = [verdict(seed)[0] for seed in (2, 29, 61, 64, 70, 77)]
 
     assert not [one for one in said if one.startswith("failed")]
+
+
+def kettle(gains: Gains, rows: int = 1200) -> LoopLog:
+    """A cold start of `PLANT` with an effort from 0 to 100, a sample a second."""
+    y, u, sums = np.zeros(rows), np.zeros(rows), 0.0
+    rng = np.random.default_rng(7)
+    measured = np.zeros(rows)
+    for k in range(rows):
+        if k >= 3:
+            y[k] = 1.8 * y[k - 1] - 0.805 * y[k - 2] + 0.0004 * u[k - 3]
+        measured[k] = round(y[k] + 0.002 * rng.standard_normal(), 3)
+        sums = min(max(sums + gains.I * (2.0 - measured[k]), 0.0), 100.0)
+        u[k] = min(max(gains.P * (2.0 - measured[k]) + sums, 0.0), 100.0)
+    columns = {
+        "time": np.arange(rows) * 1.0,
+        "setpoint": np.full(rows, 2.0),
+        "measurement": measured,
+        "effort": u,
+    }
+    return LoopLog("kettle.csv", 1.0, (columns,), None, {}, {}, ())
+
+
+@pytest.mark.parametrize(("P", "stable"), [(150.0, True), (400.0, False)])
+def test_a_loop_that_rings_at_one_setpoint_is_told_with_its_period_and_gains_that_hold(P, stable):
+    gains = Gains(P, 5.0, 0.0, 0.0)
+    found = judged(kettle(gains), gains)
+
+    rings = found.judgement.ringing
+    assert rings is not None
+    assert rings.stable == stable == (found.margins is not None)
+    assert found.verdict == "change"
+    better = robustness(PLANT, found.recommendation.gains, found.trial.controller).sensitivity
+    assert better <= 1.6
+    assert any("period" in remark for remark in found.remarks())

@@ -9,21 +9,15 @@ import numpy as np
 from estune.core.gains import Gains
 from estune.core.pidf import ControllerSettings
 from estune.core.quantities import FloatArray
-from estune.loop_model.drawn_models import (
-    INFLATION,
-    clustered_factor,
-    drawn_models,
-    white_factor,
-)
+from estune.loop_model.allowed_models import Draws, plain_draws
+from estune.loop_model.drawn_models import INFLATION
 from estune.loop_model.least_squares import Solution, signals_of
 from estune.loop_model.limited_loop import setpoint_response
 from estune.loop_model.loop_fit import LoopFit
-from estune.loop_model.margins import robustness
+from estune.loop_model.margins import loop_response, robustness
+from estune.loop_model.model import LoopModel
 from estune.loop_model.prediction import Prediction, StepTrial, predict, predictions
 from estune.loop_model.records import LoopRecord
-
-DRAWS = 48
-"""Models drawn for each interval."""
 
 MODEL_ERROR = 0.02
 """Error of Ms that always remains, relative to it: in records of 300 settling times one interval
@@ -58,16 +52,23 @@ class PredictedMargins(NamedTuple):
     phase_margin_deg: Interval
 
 
-def predict_with_intervals(fit: LoopFit, trial: StepTrial, gains: Gains) -> PredictedMargins:
+def predict_with_intervals(
+    fit: LoopFit, trial: StepTrial, gains: Gains, draws: Draws = ()
+) -> PredictedMargins:
     """Predictions of an identified loop with 95 % intervals from drawn models.
 
     They are the wider of those by the white and by the between-record covariance, both inflated.
     What the records leave unexplained or do not excite is not in them (`plant_error`).
+
+    Args:
+        fit: The identified loop.
+        trial: The step trial.
+        gains: The gains.
+        draws: The models; those that the covariances allow by default.
     """
     centre = _transformed(predict(fit.model, trial, gains, fit.noise_std))
     low, high = np.full(4, math.inf), np.full(4, -math.inf)
-    for factor in (white_factor(fit), clustered_factor(fit)):
-        models = drawn_models(fit, factor, DRAWS, seed=0)
+    for models in draws or plain_draws(fit):
         drawn = predictions(models, trial, [gains], fit.noise_std)
         ends = _ends(np.array([_transformed(one) for one in drawn]))
         low, high = np.fmin(low, ends[0]), np.fmax(high, ends[1])
@@ -146,12 +147,20 @@ def setpoint_deviation(
         moved = np.zeros(theta.size)
         moved[:count] = share * column
         ends = [
-            math.log(robustness(model.with_parameters(theta + s * moved), gains, controller)[0])
+            math.log(peak_sensitivity(model.with_parameters(theta + s * moved), gains, controller))
             for s in (1.0, -1.0)
         ]
         slopes.append((ends[0] - ends[1]) / (2.0 * share))
     total = INFLATION * math.hypot(*slopes)
     return total if math.isfinite(total) else math.inf
+
+
+def peak_sensitivity(model: LoopModel, gains: Gains, controller: ControllerSettings) -> float:
+    """Largest |S| over frequency: Ms, or of an unstable loop how far it is from the margin."""
+    Ms = robustness(model, gains, controller)[0]
+    if math.isfinite(Ms):
+        return Ms
+    return float(np.max(1.0 / np.abs(1.0 + loop_response(model, gains, controller).loop)))
 
 
 def _transformed(p: Prediction) -> FloatArray:

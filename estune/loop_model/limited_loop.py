@@ -1,9 +1,11 @@
 """The answer of a loop to the setpoint of a record, with the limits of its effort."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 
+from estune.core.controller_equation import controller_polynomials
 from estune.core.filtering import lfilter
 from estune.core.gains import Gains
 from estune.core.pidf import ControllerSettings
@@ -48,19 +50,32 @@ def _by_samples(
     settings: ControllerSettings,
     limits: tuple[float, float],
 ) -> tuple[FloatArray, FloatArray]:
-    """The same sample by sample. The integral holds at a limit, by the equation of differences."""
-    law, (A, B) = controller_law(settings, gains), plant_polynomials(model)
-    asked = np.convolve(law.setpoint, lfilter(law.filter_numerator, law.filter_denominator, moves))
-    late, past = model.dead_samples + 1, B.size + A.size + law.measurement.size
-    B, S, R = B[late:][::-1], law.measurement[::-1], law.denominator[:0:-1]
-    A = A[:0:-1]
-    output, effort = np.zeros(past + moves.size), np.zeros(past + moves.size)
+    """The same sample by sample. The integral stays within the limits, as the effort does.
+
+    As controllers for heaters and motors run it: the effort leaves a limit where the error asks
+    for it. By the equation of differences it would leave as soon as the error turns, and a kettle
+    that swings with a period of 178 samples would with 115.
+    """
+    A, B = plant_polynomials(model)
+    held = replace(gains, I=0.0)
+    law, without = controller_law(settings, held), controller_polynomials(settings, held)
+    whole = controller_polynomials(settings, gains)
+    filtered = lfilter(whole.filter_numerator, whole.filter_denominator, moves)
+    asked = np.convolve(law.setpoint, filtered)
+    summed = np.convolve(whole.setpoint - without.setpoint, filtered)
+    S, S_sum = law.measurement[::-1], (whole.measurement - without.measurement)[::-1]
+    R, R_sum = law.denominator[:0:-1], whole.denominator[:0:-1]
+    late, past = model.dead_samples + 1, B.size + A.size + S.size + S_sum.size
+    B, A = B[late:][::-1], A[:0:-1]
+    output, effort, moved, sums = np.zeros((4, past + moves.size))
     low, high = limits
     with np.errstate(over="ignore", invalid="ignore"):
         for k in range(past, past + moves.size):
             driven = B @ effort[k - late - B.size + 1 : k - late + 1]
             output[k] = driven - A @ output[k - A.size : k]
-            wanted = asked[k - past] - S @ output[k - S.size + 1 : k + 1]
-            wanted -= R @ effort[k - R.size : k]
-            effort[k] = min(max(wanted, low), high)
+            moved[k] = asked[k - past] - S @ output[k - S.size + 1 : k + 1]
+            moved[k] -= R @ moved[k - R.size : k]
+            more = summed[k - past] - S_sum @ output[k - S_sum.size + 1 : k + 1]
+            sums[k] = min(max(more - R_sum @ sums[k - R_sum.size : k], low), high)
+            effort[k] = min(max(moved[k] + sums[k], low), high)
     return output[past:], effort[past:]

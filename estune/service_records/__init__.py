@@ -9,6 +9,7 @@ is needed, nor rest, nor a chosen window. The steps, one file each:
     replay         the logged effort against that of the stated gains, before anything else
     gain_sets      several sets of gains within one log
     identification the loop by a direct fit with a model of load, drift and noise
+    ringing        a loop that rings, with its period
     judgement      whether the records show the margins of the gains in use
     recommendation the best gains whose limits hold by the upper ends of their intervals
     advice         the experiment that shows what the records do not

@@ -82,7 +82,9 @@ class JudgedRecords:
             return f"OTHER {other} RAN: {sentence.removeprefix(RAN_OTHERWISE)}."
         if self.verdict == "cannot tell":
             return f"CANNOT TELL: {self.judgement.reason}."
-        assert self.margins is not None  # noqa: S101  a judged loop has margins
+        if self.margins is None:  # its limits alone hold it
+            assert self.recommendation is not None  # noqa: S101  else nothing is told
+            return f"CHANGE: the loop is unstable; {self.recommendation.gains} hold it."
         Ms = self.margins.sensitivity
         now = f"Ms {Ms.value:.2f} ({Ms.low:.2f} to {Ms.high:.2f})"
         if self.recommendation is None:
@@ -130,6 +132,10 @@ class JudgedRecords:
         if self.replay is not None and (self.replay.stated is None or self.replay.is_thin):
             sentence = self.replay.sentence()
             remarks.append(f"{sentence[0].upper()}{sentence[1:]}.")
+        rings = self.judgement.ringing
+        if self.judgement.can_tell and rings is not None:
+            better = self.recommendation and self.recommendation.gains
+            remarks.append(rings.sentence(self.in_use, better))
         if self.judgement.can_tell and self.judgement.unseen:
             remarks.append(
                 f"Nothing is known {self.judgement.unseen}: the records do not excite it, and a "
@@ -170,6 +176,7 @@ class JudgedRecords:
             "price_of_uncertainty": better and better.price,
             "setpoint_half_width": self.judgement.half_width,
             "reason": self.judgement.reason,
+            "ringing": self.judgement.ringing and self.judgement.ringing._asdict(),
             "replay": self.replay
             and {
                 "agrees": self.replay.agrees,

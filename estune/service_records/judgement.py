@@ -17,6 +17,7 @@ from estune.loop_model.motion_score import changes_with_motion
 from estune.loop_model.plant_error import ErrorMargin, error_margin, unknown_band
 from estune.loop_model.prediction import StepTrial
 from estune.service_records.identification import ServiceLoop, effort_span
+from estune.service_records.ringing import Ringing, ringing
 
 HALF_WIDTH_MAX = 0.3
 """Half width of the interval of ln Ms, by what the setpoint excites alone, up to which margins are
@@ -44,11 +45,13 @@ class Judgement(NamedTuple):
             excites nothing.
         reason: Why no margins are stated; empty where they are.
         unseen: Band that the records do not excite, in words; empty without one.
+        ringing: The oscillation of the loop; None where it does not ring.
     """
 
     half_width: float
     reason: str
     unseen: str = ""
+    ringing: Ringing | None = None
 
     @property
     def can_tell(self) -> bool:
@@ -65,7 +68,7 @@ def margins_of(
     excite is not in it: ordinary service excites little above the loop's own band.
     """
     fit, error, settings = loop.fit, loop.error, loop.settings
-    at = predict_with_intervals(fit, trial, gains)
+    at = predict_with_intervals(fit, trial, gains, loop.draws)
     shown = error_margin(fit, error._replace(bound=error.unexplained), gains, settings)
     Ms = at.sensitivity
     at = at._replace(sensitivity=Ms._replace(high=max(Ms.high, shown.sensitivity)))
@@ -91,7 +94,9 @@ def judge(
         reason = "friction is shown, but not its size: the setpoint moves too little against it"
     if not reason and changes_with_motion(loop.fit, loop.records, loop.settings):
         reason = "the identified loop changes with its motion, as of friction or an eyelet"
-    Ms = margins.sensitivity
+    Ms, rings = margins.sensitivity, ringing(loop, gains)
+    if not reason and rings is not None and not rings.stable:
+        return Judgement(half_width, "", band or "", rings)
     if not reason and not math.isfinite(Ms.value):
         reason = "the identified loop is unstable with the gains that ran"
     if not reason and not math.isfinite(Ms.high):
@@ -101,12 +106,13 @@ def judge(
         reason = f"the records allow loops that are unstable with the gains that ran: {why}"
     friction = bool(loop.fit.model.friction)
     widest = FRICTION_HALF_WIDTH_MAX if friction else HALF_WIDTH_MAX
-    if not reason and not Ms.high <= Ms.low * math.exp(2.0 * widest):
+    # Of a loop that rings no width makes a sound one.
+    if not reason and rings is None and not Ms.high <= Ms.low * math.exp(2.0 * widest):
         known = f"all that is known of Ms is that it lies from {Ms.low:.2f} to {Ms.high:.2f}"
         reason = f"with friction, {known}" if friction else known
     if not reason and band and margin.excited:
         reason = f"the loop is not known {band}: {unexplained(loop.fit.misfit)}"
-    return Judgement(half_width, reason, band or "")
+    return Judgement(half_width, reason, band or "", rings)
 
 
 def _too_still(loop: ServiceLoop, half_width: float) -> str:

@@ -78,7 +78,7 @@ def _replayed(suggestion: JudgedRecords) -> Iterator[Block]:
 
 
 def _loops(suggestion: JudgedRecords) -> list[Loop]:
-    loops: list[Loop] = [("in use", suggestion.in_use)]
+    loops: list[Loop] = [("in use", suggestion.in_use)] if suggestion.margins else []
     if suggestion.recommendation is not None:
         loops.append(("recommended", suggestion.recommendation.gains))
     return loops
@@ -90,7 +90,7 @@ def _responses(suggestion: JudgedRecords) -> Iterator[Block]:
         return
     figure, axes = stacked(3, 6.4)
     rate = suggestion.trial.controller.sampling_Hz
-    for (label, gains), color in zip(_loops(suggestion), (ORANGE, BLUE), strict=False):
+    for (label, gains), color in zip(reversed(_loops(suggestion)), (BLUE, ORANGE), strict=False):
         at, drawn = _signals(suggestion, gains)
         time = np.arange(at.shape[1]) / rate
         thin = slice(None, None, max(time.size // _POINTS_MAX, 1))

@@ -1,9 +1,9 @@
 """The gains of least predicted cost whose limits hold by the upper ends of their intervals."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
-from operator import itemgetter
+from itertools import product
 from typing import NamedTuple
 
 import numpy as np
@@ -12,8 +12,8 @@ from estune.core.gains import Gains
 from estune.core.quantities import FloatArray
 from estune.loop_model.intervals import PredictedMargins
 from estune.loop_model.model import LoopModel
-from estune.loop_model.optimum import GENTLER, RegionSearch, RobustnessLimits
-from estune.loop_model.prediction import StepTrial, predict
+from estune.loop_model.optimum import RegionSearch, RobustnessLimits
+from estune.loop_model.prediction import StepTrial, predict, predictions
 from estune.loop_model.rival import rival_model
 from estune.service_records.identification import ServiceLoop
 from estune.service_records.judgement import margins_of
@@ -22,16 +22,24 @@ FACTOR = 30.0
 """Largest factor between a recommended gain and the one in use. Beyond it a fit of records at the
 gains in use says nothing: the intervals refuse such gains long before."""
 
-ALLOWED_MS = 1.03
-ALLOWED_OVERSHOOT = 0.01
-"""What the upper end of an interval may lie above its limit, as a factor of Ms and as a share of
-the step: with a limit of Ms of 1.6 and an overshoot of 5 %, at most 1.65 and 6 %."""
-
 ROUNDS = 6
 """Most optima, each within tighter limits than the last."""
 
-GENTLER_BY = (0.25, 0.5, 1.0, 2.0, 4.0)
-"""Steps along `GENTLER` at which gains are checked before it is said that none keep the limits."""
+SCALED_DOWN = tuple(
+    np.log(shares)
+    for shares in product(
+        (1.0, 0.6, 0.35, 0.2, 0.1, 0.05), (1.0, 0.4, 0.1), (1.0, 0.3, 0.03), (1.0, 4.0, 16.0)
+    )
+)
+"""Shares of P, of I beside P, of D beside P and of the setpoint filter at which gains are checked
+before it is said that none keep the limits. The optimiser's own limits stop at an overshoot of
+none, where an interval may still be wide."""
+
+BISECTIONS = 4
+"""Bisections between such gains and the optimum, whose limits do not hold."""
+
+AIMED = (1.0, 0.7, 0.4, 0.2)
+"""Shares of the limit of ln Ms within which the best of those gains are checked in turn."""
 
 SCATTERED = 64
 """Low-discrepancy points of which the best is one of the starts of an optimum."""
@@ -92,16 +100,10 @@ def recommend(
         if tighter == within:
             break
         within = tighter
-    found = [
-        (margins.cost.value, x + step, margins)
-        for base in (x, start)
-        for step, margins in [_first_kept(base, margins_at, limits)]
-        if margins is not None
-    ]
-    if not found:
+    kept = _scaled_down(loop, trial, limits, (gains_of, margins_at), (x, start))
+    if kept is None:
         return None
-    _, x, margins = min(found, key=itemgetter(0))
-    return Recommendation(gains_of(x), margins, _price(margins, first_cost))
+    return Recommendation(gains_of(kept[0]), kept[1], _price(kept[1], first_cost))
 
 
 def _price(margins: PredictedMargins, first_cost: float) -> float:
@@ -109,19 +111,61 @@ def _price(margins: PredictedMargins, first_cost: float) -> float:
     return max(price, 0.0) if math.isfinite(price) else 0.0
 
 
-def _first_kept(
-    x: FloatArray, margins_at: Callable[[FloatArray], PredictedMargins], limits: RobustnessLimits
-) -> tuple[FloatArray, PredictedMargins | None]:
-    """The least step towards gentler gains from which the limits hold by their intervals.
+def _scaled_down(
+    loop: ServiceLoop,
+    trial: StepTrial,
+    limits: RobustnessLimits,
+    known: tuple[Callable[[FloatArray], Gains], Callable[[FloatArray], PredictedMargins]],
+    about: Sequence[FloatArray],
+) -> tuple[FloatArray, PredictedMargins] | None:
+    """The best of scaled-down gains whose limits hold by their intervals; None without any.
 
-    The optimiser's own limits stop at an overshoot of none, where an interval may still be wide;
-    less integral and a slower setpoint narrow it.
+    Args:
+        loop: The identified loop.
+        trial: The step trial.
+        limits: What the gains have to keep.
+        known: From logarithms of gains to gains, and to their margins.
+        about: Logarithms of the gains that are scaled down.
     """
-    for share in GENTLER_BY:
-        margins = margins_at(x + share * GENTLER)
+    gains_of, margins_at = known
+    beside = np.array([[1.0, 1.0, 1.0, 0.0], [0, 1.0, 0, 0], [0, 0, 1.0, 0], [0, 0, 0, 1.0]])
+    points = [x + shares @ beside for x in about for shares in SCALED_DOWN]
+    gains = [gains_of(x) for x in points]
+    found = predictions([loop.fit.model], trial, gains, loop.fit.noise_std)
+    stable = [(one, i) for i, one in enumerate(found) if math.isfinite(one.cost)]
+    ranked = sorted(stable, key=lambda one: one[0].cost)
+    for share in AIMED:
+        within = limits
+        if limits.max_sensitivity is not None:
+            within = replace(within, max_sensitivity=limits.max_sensitivity**share)
+        kept = (i for one, i in ranked if not (within.excess(one) > 0.0).any())
+        best = next(kept, None)
+        if best is None:
+            return None
+        margins = margins_at(points[best])
         if _tightened(limits, limits, margins) is None:
-            return share * GENTLER, margins
-    return np.zeros(x.size), None
+            return _nearest_kept((points[best], margins), about[0], margins_at, limits)
+    return None
+
+
+def _nearest_kept(
+    kept: tuple[FloatArray, PredictedMargins],
+    wanted: FloatArray,
+    margins_at: Callable[[FloatArray], PredictedMargins],
+    limits: RobustnessLimits,
+) -> tuple[FloatArray, PredictedMargins]:
+    """The point nearest to a wanted one whose limits hold, by bisection from one where they do."""
+    inside, outside, best = kept[0], wanted, kept
+    for _ in range(BISECTIONS):
+        middle = 0.5 * (inside + outside)
+        margins = margins_at(middle)
+        if _tightened(limits, limits, margins) is not None:
+            outside = middle
+            continue
+        inside = middle
+        if margins.cost.value < best[1].cost.value:
+            best = middle, margins
+    return best
 
 
 def _with_rival(
@@ -144,14 +188,14 @@ def _tightened(
     Ms, overshoot, angle = margins.sensitivity, margins.overshoot, margins.phase_margin_deg
     changes: dict[str, float] = {}
     if limits.max_sensitivity is not None and within.max_sensitivity is not None:
-        most = ALLOWED_MS * limits.max_sensitivity
+        most = limits.max_sensitivity
         if not Ms.high <= most:
             # The width of the interval shrinks with Ms, to zero at one.
             high = Ms.high if math.isfinite(Ms.high) else 4.0 * most
             share = (most - 1.0) / (high - 1.0)
             changes["max_sensitivity"] = 1.0 + 0.98 * share * (min(Ms.value, most) - 1.0)
     if limits.max_overshoot is not None and within.max_overshoot is not None:
-        most = limits.max_overshoot + ALLOWED_OVERSHOOT
+        most = limits.max_overshoot
         if not overshoot.high <= most:
             high = overshoot.high if math.isfinite(overshoot.high) else 4.0 * most
             changes["max_overshoot"] = max(within.max_overshoot - (high - most), 1e-3)

@@ -124,6 +124,11 @@ def suggest(
     margins, margin = margins_of(loop, trial, in_use)
     judgement = judge(loop, in_use, margins, margin)
     better = recommend(loop, trial, in_use, limits) if judgement.can_tell else None
+    holds = math.isfinite(margins.sensitivity.value)
+    if better is None and judgement.can_tell and not holds:
+        judgement = judgement._replace(
+            reason="the loop is unstable, and no gains are known to hold"
+        )
     verdict: Verdict = "cannot tell"
     if decides is not None and decides.contradicts:
         verdict = "other gains ran"
@@ -140,7 +145,7 @@ def suggest(
     return Suggestion(
         verdict=verdict,
         in_use=in_use,
-        margins=margins if judgement.can_tell else None,
+        margins=margins if judgement.can_tell and holds else None,
         recommendation=better,
         judgement=judgement,
         replay=decides,
