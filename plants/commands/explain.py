@@ -53,7 +53,7 @@ def explain(
         report: Write a report as one HTML page that works offline.
         save: Write the model with the identified effects as a model file.
         next_: Folder for the trial that would distinguish the candidates, for estune
-            run-experiment.
+            run-experiment, or else for a table of what to record next.
         export: Write the identified joint for another simulator: MJCF (.xml), URDF (.urdf) or a
             table of the fields of Isaac Sim (.csv).
         hold_out: A record, or folder of records, that nothing is fitted to; its errors are
@@ -84,13 +84,13 @@ def explain(
     check_folder_exists("--export", export)
     import plants  # noqa: PLC0415  slow to import
     from plants.effects import declared, find  # noqa: PLC0415  slow to import
+    from plants.joint_export import check_export  # noqa: PLC0415  slow to import
+    from plants.joint_export import export as export_joint  # noqa: PLC0415  as above
 
     own = tuple(map(find, effects))
     columns = column_map(map_, unit, scale, save_map)
     given = plants.load_model(model)
     if export is not None:
-        from plants.joint_export import check_export  # noqa: PLC0415  as above
-
         check_export(given, export)
     with showing_phases(quiet=quiet) as progress:
         diagnosis = plants.explain(
@@ -105,22 +105,34 @@ def explain(
         output.print_json(diagnosis.to_json())
     else:
         _show(diagnosis)
+    if export is not None:
+        export_joint(diagnosis, export)
+    trial, table = _written(diagnosis, model, report, save, next_)
+    if not json:
+        again = partial(command_line, "explain", model=model, data=data)
+        facts: dict[str, object] = {"report": report or again(report="report.html")}
+        if diagnosis.next_recording is not None and diagnosis.next_recording.columns:
+            facts["next recording"] = table or again(next=".")
+        output.show_next(facts | _next_steps(diagnosis, save, trial, again, data))
+    return diagnosis.exit_code
+
+
+def _written(
+    diagnosis: "Diagnosis",
+    model: str,
+    report: Path | None,
+    save: Path | None,
+    folder: Path | None,
+) -> tuple[Path | None, Path | None]:
+    """Writes the files that were asked for; those of the next trial and the next recording."""
     if report is not None:
         diagnosis.report(report)
     if save is not None:
         diagnosis.save(save, plant=model)
-    if export is not None:
-        from plants.joint_export import export as export_joint  # noqa: PLC0415  as above
-
-        export_joint(diagnosis, export)
-    trial = None
-    if next_ is not None and diagnosis.next_experiment is not None:
-        trial = diagnosis.next_experiment.write(next_)
-    if not json:
-        again = partial(command_line, "explain", model=model, data=data)
-        facts: dict[str, object] = {"report": report or again(report="report.html")}
-        output.show_next(facts | _next_steps(diagnosis, save, trial, again, data))
-    return diagnosis.exit_code
+    following, recording = diagnosis.next_experiment, diagnosis.next_recording
+    trial = None if folder is None or following is None else following.write(folder)
+    table = None if folder is None or recording is None else recording.write(folder)
+    return trial, table
 
 
 def _next_steps(
@@ -180,8 +192,9 @@ def _show(diagnosis: "Diagnosis") -> None:
         style = "red" if issue.level == "refused" else "yellow"
         line = Text.assemble((f"{issue.level}  ", style), str(issue))
         out.print(line, soft_wrap=True)
-    if diagnosis.next_experiment is not None:
-        sentence = diagnosis.next_experiment.sentence
+    following = diagnosis.next_experiment or diagnosis.next_recording
+    if following is not None:
+        sentence = following.sentence
         out.print(Text.assemble(("next  ", "bold"), sentence), soft_wrap=True)
 
 

@@ -12,6 +12,7 @@ from estune.recordings.issue import DataIssue
 from estune.run.trial_file import SUFFIX, TrialFile
 from plants.diagnosis.data.noise_floor import NoiseFloor
 from plants.diagnosis.interval import Interval
+from plants.diagnosis.recording_plan import NextRecording
 from plants.diagnosis.residual.localisation import ResidualLocation
 from plants.effects import Effect
 from plants.effects.plant_scale import written_unit
@@ -306,6 +307,7 @@ class DiagnosisResult:
         limitations: What these records cannot tell.
         models: Every model that was fitted, the base model first.
         shown_by: The experiment that shows each effect, by slug; empty where none is declared.
+        next_recording: What to record next where a question is left and no trial is chosen.
     """
 
     verdict: Verdict
@@ -336,6 +338,7 @@ class DiagnosisResult:
     models: tuple[ModelSummary, ...] = ()
     shown_by: Mapping[str, str] = field(default_factory=dict)
     not_of_the_plant: frozenset[str] = frozenset()
+    next_recording: NextRecording | None = None
 
     @property
     def hidden(self) -> tuple[str, ...]:

@@ -115,6 +115,13 @@ class BaseNumbers:
         moving = sizes[sizes > 1e-9 * sizes.max(initial=0.0)]
         return float(moving.min()) if moving.size else 0.0
 
+    @property
+    def integrates(self) -> bool:
+        """Whether a constant effort moves it without end."""
+        poles = self._poles()
+        size = max(1.0, float(np.abs(poles).max(initial=0.0)))
+        return bool(np.any(poles.real >= -1e-9 * size))
+
     def _poles(self) -> NDArray[np.complex128]:
         if self.linear is not None:
             n = len(self.linear.B)

@@ -9,10 +9,13 @@ from plants.diagnosis.data.measured_record import OUTPUTS
 from plants.diagnosis.data.records import FolderContents
 from plants.diagnosis.declared_effects import declared_effects
 from plants.diagnosis.experiments.next_experiment import Evidence, next_experiment
+from plants.diagnosis.experiments.next_recording import next_recording
 from plants.diagnosis.interval import Interval
+from plants.diagnosis.models.base import BaseNumbers
 from plants.diagnosis.models.diagnosed_model import DiagnosedModel
 from plants.diagnosis.pipeline.compare import EffectComparison
 from plants.diagnosis.pipeline.intervals import StatedIntervals
+from plants.diagnosis.recording_plan import NextRecording
 from plants.diagnosis.report.diagnosis import Diagnosis
 from plants.diagnosis.report.plant_units import in_own_units, located_in_own_units
 from plants.diagnosis.result import (
@@ -62,6 +65,7 @@ def report(
     for effect in (named.effect for named in effects):
         values |= {f"{effect.name}.{n}": getattr(effect, n) for n in effect.parameters()}
     limits = limitations(after.fitter.measurements, usable.findings, believed, scale)
+    following = _next(compared, rig)
     return Diagnosis(
         verdict=compared.verdict,
         sentence=_sentence(compared, effects, limits, written_unit(plant.output, plant.model)),
@@ -80,7 +84,8 @@ def report(
             **not_excited(compared.screening, compared.effects),
             **choices.unavailable,
         },
-        next_experiment=_next(compared, rig),
+        next_experiment=following,
+        next_recording=None if following is not None else _recording(compared),
         findings=usable.findings,
         steps=steps,
         traces=_traces(before, after),
@@ -154,6 +159,15 @@ def _next(compared: EffectComparison, rig: RigDescription | None) -> NextExperim
     evidence = Evidence(measurements, fitted.noise, fitted.where, compared.steps[-1].ratio)
     base = plant.calibrated(compared.start.values)
     return next_experiment(compared.verdict, base, rivals, evidence, rig)
+
+
+def _recording(compared: EffectComparison) -> NextRecording | None:
+    """What to record next where something is left open."""
+    if compared.verdict not in ("ambiguous", "unknown", "incomplete"):
+        return None
+    model, measurements = compared.fitter.model.model, compared.fitter.measurements
+    numbers = [BaseNumbers.of(model, m) for m in measurements]
+    return next_recording(measurements, numbers, PlantScale.of(model))
 
 
 def _calibrations(

@@ -5,6 +5,7 @@ from collections.abc import Mapping
 from dataclasses import fields, is_dataclass
 from typing import Any
 
+from plants.diagnosis.recording_plan import NextRecording
 from plants.diagnosis.report import summary
 from plants.diagnosis.report.plant_units import own_names
 from plants.diagnosis.result import (
@@ -42,6 +43,7 @@ def to_json(d: DiagnosisResult) -> dict[str, Any]:
         "not_excited": d.not_excited,
         "ruled_out": d.ruled_out,
         "next_experiment": d.next_experiment and _trial(d.next_experiment),
+        "next_recording": d.next_recording and _recording(d.next_recording),
         "declared": [_effect(named, declared[named.name], d) for named in d.declared],
         "hold_out": d.hold_out and _hold_out(d.hold_out, unit),
         "calibrations": {c.name: _fields(c, "name") for c in d.calibrations},
@@ -80,6 +82,10 @@ def _trial(trial: NextExperiment) -> dict[str, Any]:
     named = {"name": trial.trial.name, "file": trial.file_name, "command": trial.command}
     others = {"sentence": trial.sentence, "separation": trial.separation, "tried": trial.tried}
     return named | others | {"profile": trial.trial.profile}
+
+
+def _recording(recording: NextRecording) -> dict[str, Any]:
+    return {"file": recording.file_name, "sentence": recording.sentence}
 
 
 def _hold_out(held: HoldOut, unit: str) -> dict[str, Any]:
