@@ -51,6 +51,14 @@ def command(*arguments):
     return run(["explain", "--model", "plants:reference_reel", "--data", "runs", *arguments])
 
 
+@pytest.mark.usefixtures("asked")
+def test_remedies_are_predicted_for_the_gains_that_are_asked_for(capsys):
+    assert command("--gains", "P=0.9,I=25") == 0
+    assert "predictions for the gains P=0.9,I=25,D=0,F=0." in capsys.readouterr().out
+    assert command("--gains", "I=25") != 0
+    assert "P is missing" in capsys.readouterr().err
+
+
 def test_terminal_shows_verdict_error_parameters_and_file_issues(asked, capsys):
     assert command() == 0
     shown = capsys.readouterr().out

@@ -2,6 +2,7 @@
 
 import json
 import math
+import re
 import tomllib
 from contextlib import closing
 from dataclasses import replace
@@ -217,6 +218,7 @@ def test_patch_is_written_read_and_applied_never_unasked(tmp_path, capsys):
     told = capsys.readouterr().out
     assert "+[compensation.friction]" in told
     assert "+coulomb_Nm = 0.05" in told
+    assert re.search(r"predicted +cost [\d.]+ \[[\d.]+, [\d.]+\], tracking 0\.", told)
     file = tmp_path / "coulomb_friction.remedy.json"
     assert rig.read_text() == before
     assert run(["apply", str(file), str(rig)]) == InvalidInput.exit_code  # nobody confirms

@@ -13,7 +13,7 @@ from estune.trial import TrialRequest
 from estune.trial.tracking import tracking_of, tracking_profile
 from plants.diagnosis.interval import Interval
 from plants.diagnosis.report.page import page
-from plants.diagnosis.result import BaseParameter, NamedEffect
+from plants.diagnosis.result import BaseParameter, ModelErrors, NamedEffect
 from plants.effects import EFFECTS, CoulombFriction, Effect, Port, parameter
 from plants.effects.plant_scale import PlantScale
 from plants.effects.remedy import Place, Remedy
@@ -123,7 +123,8 @@ def test_remedy_that_needs_no_share_of_a_number_is_offered_as_declared():
 
 def test_remedy_of_one_of_two_effects_is_told_beside_the_experiment_that_decides():
     d = found(CoulombFriction(0.05), verdict="ambiguous", next_experiment=deciding())
-    (told,) = text.sentences(d, offers_for(d, GAINS))
+    gains, told = text.sentences(d, offers_for(d, GAINS))
+    assert gains == "These are predictions for the gains P=0.78,I=31,D=0.0206,F=0.0003."
     assert told.startswith("The records allow another effect, whose remedy is another. ")
     assert text.sentences(d, ())[0].startswith("What is not named cannot be remedied. ")
 
@@ -189,6 +190,24 @@ def test_an_effect_of_ones_own_brings_its_remedies():
     (offer,) = offers_for(found(OwnEffect(0.2)), GAINS)
     assert offer.title == "take 0.2 N away"
     assert not offer.ratios
+
+
+def test_prediction_is_for_the_gains_of_the_records_and_wider_where_more_is_unexplained():
+    d = found(CoulombFriction(torque_Nm=0.05))
+    left = replace(d, gains=GAINS, after=ModelErrors(0.3, 7.0, 0.5))
+    (asked,), (unsure,) = offers_for(d, GAINS), offers_for(left)
+    assert unsure.gains == GAINS
+    for name in ("cost", "tracking"):
+        one, other = asked.ratios[name], unsure.ratios[name]
+        assert one.value == other.value
+        if abs(one.value - 1.0) > 0.1:
+            assert other.high - other.low > 1.2 * (one.high - one.low)
+
+
+def test_what_is_predicted_to_grow_is_among_what_a_remedy_may_harm():
+    for offer in offers_for(found(CoulombFriction(torque_Nm=0.05)), Gains(0.2, 60.0, 0.0, 0.0)):
+        for name, ratio in offer.ratios.items():
+            assert (f"{name} {ratio.value:.2f} times" in offer.harm) == (ratio.value > 1.02)
 
 
 def test_page_and_json_tell_what_can_be_done():

@@ -44,11 +44,22 @@ def remedy(
     output.show_next(
         {
             "patch": path,
+            **_predicted(patch),
             "may harm": patch.harm,
             "prove it": command_line("prove", path, "ENDPOINT"),
             "then": command_line("apply", path, rig),
         }
     )
+
+
+def _predicted(patch: Patch) -> dict[str, object]:
+    """The prediction of a patch, ratios with to without; nothing where there is none."""
+    ratios = (
+        f"{n} {r['value']:.2f} [{r['low']:.2f}, {r['high']:.2f}]"
+        for n, r in patch.predicted.items()
+    )
+    told = ", ".join(ratios)
+    return {"predicted": f"{told}, of what they are without it"} if told else {}
 
 
 def prove(

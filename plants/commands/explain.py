@@ -1,6 +1,7 @@
 """`estune explain`: the effect that is missing from a model, identified from records."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -10,7 +11,9 @@ from rich.table import Table
 from rich.text import Text
 
 from estune.cli import output
+from estune.cli.stated_controller import stated_controller
 from estune.cli.values import Effects, Flag, Values, check_folder_exists, command_line
+from estune.core.gains import Gains
 from estune.errors import InvalidInput
 from estune.run.progress import showing_phases
 from plants.commands.columns import Sources, column_map
@@ -35,6 +38,7 @@ def explain(
     next_: Annotated[Path | None, Parameter(name="--next")] = None,
     export: Path | None = None,
     hold_out: Path | None = None,
+    gains: str | None = None,
     effects: Effects = (),
     map_: Sources = (),
     unit: Values = (),
@@ -58,6 +62,8 @@ def explain(
             table of the fields of Isaac Sim (.csv).
         hold_out: A record, or folder of records, that nothing is fitted to; its errors are
             reported.
+        gains: Gains that remedies are predicted for, such as "P=1.2,I=40,D=0.01,F=0.005"; by
+            default those of the records.
         effects: Effects of your own that join the search, each as module:Class.
         map_: Where the columns come from: time=t,current=vir,angle=qm, or a TOML file of them.
         unit: Their units, such as angle=mm,tension=lbf.
@@ -87,7 +93,9 @@ def explain(
     from plants.joint_export import check_export  # noqa: PLC0415  slow to import
     from plants.joint_export import export as export_joint  # noqa: PLC0415  as above
 
-    own = tuple(map(find, effects))
+    own, asked = tuple(map(find, effects)), stated_controller(gains).gains
+    if asked is not None and not isinstance(asked, Gains):
+        raise InvalidInput("--gains: gains of several logs; remedies are predicted for one set")
     columns = column_map(map_, unit, scale, save_map)
     given = plants.load_model(model)
     if export is not None:
@@ -101,6 +109,7 @@ def explain(
             hold_out=hold_out,
             progress=progress,
         )
+    diagnosis = replace(diagnosis, gains=asked or diagnosis.gains)
     if json:  # before anything is written: a full disk must not cost the verdict
         output.print_json(diagnosis.to_json())
     else:

@@ -308,6 +308,8 @@ class DiagnosisResult:
         models: Every model that was fitted, the base model first.
         shown_by: The experiment that shows each effect, by slug; empty where none is declared.
         next_recording: What to record next where a question is left and no trial is chosen.
+        gains: Gains of the loop that remedies are predicted for: those asked for, or of the last
+            closed-loop record that states them.
     """
 
     verdict: Verdict
@@ -339,6 +341,7 @@ class DiagnosisResult:
     shown_by: Mapping[str, str] = field(default_factory=dict)
     not_of_the_plant: frozenset[str] = frozenset()
     next_recording: NextRecording | None = None
+    gains: Gains | None = None
 
     @property
     def hidden(self) -> tuple[str, ...]:
@@ -355,7 +358,7 @@ class DiagnosisResult:
         """What can be done, each with what it is predicted to bring; see `plants.remedies`.
 
         Args:
-            gains: Gains of the loop; the model's own safe ones by default.
+            gains: Gains of the loop; by default `gains`, or else the model's own safe ones.
         """
         return offers_for(self, gains)
 

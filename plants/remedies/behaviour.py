@@ -27,6 +27,7 @@ def behaviour(
     *,
     truth: Callable[[FloatArray], FloatArray] | None = None,
     limits: RigLimits | None = None,
+    seed: int = 0,
 ) -> FloatArray:
     """`MEASURES` of a plant's loop; the cost counts the whole current.
 
@@ -40,6 +41,7 @@ def behaviour(
         truth: Tension that is there at a reading of the gauge, of which tracking and reversal then
             are; None where the gauge reads the tension.
         limits: Limits within which the triangle is as wide as they allow; None for the usual one.
+        seed: Of the noise.
 
     Returns:
         Cost, then tracking, reversal and rest in N, shape (4,); NaN where the loop diverges.
@@ -48,7 +50,7 @@ def behaviour(
     resting = resting_profile(step, settling_time_s)
     triangle = tracking_profile(step, settling_time_s, limits)
     rate = plant.controller.sampling_Hz
-    tension, current, outside = _run(plant, gains, resting, remedy, seed=0)
+    tension, current, outside = _run(plant, gains, resting, remedy, seed=2 * seed)
     _, wanted, *_ = drive_of(resting, rate)
     used = step.samples(rate)
     if tension.size < wanted.size:
@@ -56,7 +58,7 @@ def behaviour(
     cost = default_cost(settling_time_s).evaluate(
         rate, step.shape(rate), wanted[:used], outside[:used], current[:used]
     )
-    read, _, outside = _run(plant, gains, triangle, remedy, seed=1)
+    read, _, outside = _run(plant, gains, triangle, remedy, seed=2 * seed + 1)
     followed = outside if truth is None else truth(read)
     _, asked, *_ = drive_of(triangle, rate)
     error = asked[: followed.size] - followed

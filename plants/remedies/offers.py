@@ -1,8 +1,10 @@
 """The remedies of a diagnosis, each with what it is predicted to bring.
 
 The prediction runs the fitted model with and without the remedy at the same gains. A remedy keeps
-the numbers of the diagnosis; the machine has those of a draw from their intervals. So the interval
-of a ratio is what the uncertainty of the diagnosis makes of it.
+the numbers of the diagnosis; the machine has those of a draw from their intervals, and each draw
+other noise. What the model leaves unexplained of the error that the effect explains may change the
+ratio by as large a part of its distance from one. So the interval of a ratio is what the
+uncertainty of the diagnosis makes of it.
 """
 
 import math
@@ -81,6 +83,7 @@ class Offer:
         ratios: Predicted ratios by `MEASURES`, and of Ms (`sensitivity`) where it takes margin.
         tables: Tables of `[compensation]` that switch it on.
         refused: Why it cannot be done yet, with the experiment that helps; empty where it can.
+        gains: Gains that the prediction is for; None where nothing is predicted.
     """
 
     effect: str
@@ -92,6 +95,7 @@ class Offer:
     ratios: Mapping[str, PredictedRatio] = field(default_factory=dict)
     tables: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     refused: str = ""
+    gains: Gains | None = None
 
 
 def offers_for(diagnosis: Any, gains: Gains | None = None) -> tuple[Offer, ...]:
@@ -99,8 +103,10 @@ def offers_for(diagnosis: Any, gains: Gains | None = None) -> tuple[Offer, ...]:
 
     Args:
         diagnosis: A finished diagnosis, `plants.diagnosis.result.DiagnosisResult`.
-        gains: Gains of the loop; the model's own safe ones by default.
+        gains: Gains of the loop; by default those of the records, or else the model's own safe
+            ones.
     """
+    gains = gains or getattr(diagnosis, "gains", None)
     moved = _calibrations(diagnosis)
     if moved:
         return moved
@@ -156,8 +162,22 @@ def _offer(diagnosis: Any, found: Found, remedy: Remedy, gains: Gains | None) ->
         name: dict(table) | ({"fraction": fraction} if "fraction" in table else {})
         for name, table in remedy.tables.items()
     }
-    ratios = _predicted(diagnosis, found, remedy, tables, gains)
-    return replace(row, worth=_worth(ratios), ratios=ratios, tables=tables)
+    ratios, at = _predicted(diagnosis, found, remedy, tables, gains)
+    return replace(
+        row,
+        worth=_worth(ratios),
+        harm="; ".join(filter(None, (remedy.harm, _predicted_harm(ratios)))),
+        ratios=ratios,
+        tables=tables,
+        gains=at,
+    )
+
+
+def _predicted_harm(ratios: Mapping[str, PredictedRatio]) -> str:
+    """Measures that are predicted to grow by more than is worth a remedy, in words."""
+    worse = [(name, at) for name, at in ratios.items() if at.value > 1.0 + WORTH]
+    listed = ", ".join(f"{name} {at.value:.2f} times" for name, at in worse)
+    return f"predicted to be worse: {listed}" if worse else ""
 
 
 def _worth(ratios: Mapping[str, PredictedRatio]) -> bool | None:
@@ -198,26 +218,31 @@ def _predicted(
     remedy: Remedy,
     tables: Mapping[str, Mapping[str, Any]],
     gains: Gains | None,
-) -> dict[str, PredictedRatio]:
-    """Ratios of the measures with the remedy to those without; none where nothing is predicted."""
+) -> tuple[dict[str, PredictedRatio], Gains | None]:
+    """Ratios of the measures with the remedy to those without, and the gains they are for.
+
+    No ratios where nothing is predicted.
+    """
     model = diagnosis.augmented
     if model.profile.loop != "closed" or not (tables or remedy.removes):
-        return {}
+        return {}, None
     try:
         beside = compensation_of(tables, PlantScale.of(model), model.controller)
         about = model.describe("model", gains)
         rows = [
-            _ratios((model, about), drawn, beside, found, remedy)
-            for drawn in (found.effect, *_draws(found))
+            _ratios((model, about), drawn, beside, found, remedy, seed=seed)
+            for seed, drawn in enumerate((found.effect, *_draws(found)))
         ]
     except EstuneError:  # a model that cannot be run at these gains predicts nothing
-        return {}
+        return {}, None
     if not np.isfinite(rows).all():  # a machine of the intervals does not bear it
-        return {}
-    ratios = _intervals(np.array(rows), widened="friction" in tables)
+        return {}, None
+    closure = float(getattr(diagnosis, "closure", math.nan))
+    unexplained = math.sqrt(1.0 - min(max(closure, 0.0), 1.0)) if math.isfinite(closure) else 0.0
+    ratios = _intervals(np.array(rows), unexplained, widened="friction" in tables)
     if "mode" in tables:
         ratios["sensitivity"] = _sensitivity(model, about.gains, found, tables)
-    return ratios
+    return ratios, about.gains
 
 
 def _sensitivity(
@@ -241,6 +266,8 @@ def _ratios(
     beside: TrialCompensation | None,
     found: Found,
     remedy: Remedy,
+    *,
+    seed: int,
 ) -> FloatArray:
     """Measures with the remedy over those without, on a machine that has the drawn effect."""
     model, about = rig
@@ -260,11 +287,10 @@ def _ratios(
     waves = any(p.role is Role.PERIODS for p in true.parameters().values())
     wide = about.limits if waves or WIDE & set(remedy.tables) else None
     after = behaviour(
-        mended, gains, settling, beside, truth=truth_behind(left_effect), limits=wide
+        mended, gains, settling, beside, truth=truth_behind(left_effect), limits=wide, seed=seed
     )
-    return np.asarray(
-        after / behaviour(machine, gains, settling, truth=truth_behind(true), limits=wide)
-    )
+    before = behaviour(machine, gains, settling, truth=truth_behind(true), limits=wide, seed=seed)
+    return np.asarray(after / before)
 
 
 def truth_behind(effect: Effect) -> Callable[[FloatArray], FloatArray] | None:
@@ -281,12 +307,22 @@ def truth_behind(effect: Effect) -> Callable[[FloatArray], FloatArray] | None:
     return tension_N
 
 
-def _intervals(rows: FloatArray, *, widened: bool) -> dict[str, PredictedRatio]:
-    """Ratios of the fitted model, and the range of the draws."""
+def _intervals(
+    rows: FloatArray, unexplained: float, *, widened: bool
+) -> dict[str, PredictedRatio]:
+    """Ratios of the fitted model, and the range of the draws.
+
+    Args:
+        rows: Of the fitted model, then of the draws, shape (draws + 1, measures).
+        unexplained: Part of the error, rms, that the effect leaves of what there was without it.
+        widened: Whether friction is fed forward.
+    """
     found = {}
     for name, column in zip(MEASURES, rows.T, strict=True):
-        high = float(column.max()) + (REVERSAL_MARGIN if widened and name == "reversal" else 0.0)
-        found[name] = PredictedRatio(float(column[0]), float(column.min()), high)
+        more = unexplained * abs(float(column[0]) - 1.0)
+        low, high = float(column.min()) - more, float(column.max()) + more
+        high += REVERSAL_MARGIN if widened and name == "reversal" else 0.0
+        found[name] = PredictedRatio(float(column[0]), max(low, 0.0), high)
     return found
 
 

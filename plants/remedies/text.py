@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from dataclasses import asdict
 from typing import Any
 
+from estune.core.gains import Gains
 from plants.remedies.behaviour import MEASURES
 from plants.remedies.offers import WORTH, Offer, PredictedRatio
 
@@ -37,6 +38,9 @@ def work_rows(offers: Sequence[Offer]) -> tuple[tuple[str, ...], ...]:
 def sentences(diagnosis: Any, offers: Sequence[Offer]) -> tuple[str, ...]:
     """What cannot be done yet, and what experiment would help."""
     found = [f"{offer.effect}: not yet; {offer.refused}." for offer in offers if offer.refused]
+    predicted = next((offer.gains for offer in offers if offer.gains is not None), None)
+    if predicted is not None:
+        found.append(f"These are predictions for the gains {gains_in_words(predicted)}.")
     next_one = diagnosis.next_experiment
     if diagnosis.verdict in ("unknown", "incomplete", "ambiguous") and next_one is not None:
         told = "What is not named cannot be remedied."
@@ -48,6 +52,12 @@ def sentences(diagnosis: Any, offers: Sequence[Offer]) -> tuple[str, ...]:
         told = f"; these records cannot show {hidden}" if hidden else ""
         found.append(f"The model lacks nothing that could be remedied{told}.")
     return tuple(found)
+
+
+def gains_in_words(gains: Gains) -> str:
+    """Gains as they are written for --gains."""
+    names = ("P", "I", "D", "F")
+    return ",".join(f"{n}={v:.4g}" for n, v in zip(names, gains.as_tuple(), strict=True))
 
 
 def to_json(offers: Sequence[Offer]) -> list[dict[str, Any]]:

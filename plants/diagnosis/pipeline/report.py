@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
+from estune.core.gains import Gains
 from estune.trial import RigDescription
 from plants.diagnosis.data.measured_record import OUTPUTS
 from plants.diagnosis.data.records import FolderContents
@@ -85,6 +86,7 @@ def report(
             **choices.unavailable,
         },
         next_experiment=following,
+        gains=_live_gains(compared),
         next_recording=None if following is not None else _recording(compared),
         findings=usable.findings,
         steps=steps,
@@ -159,6 +161,13 @@ def _next(compared: EffectComparison, rig: RigDescription | None) -> NextExperim
     evidence = Evidence(measurements, fitted.noise, fitted.where, compared.steps[-1].ratio)
     base = plant.calibrated(compared.start.values)
     return next_experiment(compared.verdict, base, rivals, evidence, rig)
+
+
+def _live_gains(compared: EffectComparison) -> Gains | None:
+    """Gains of the last record in closed loop that states them."""
+    records = compared.fitted.plant.measurements
+    stated = [m.gains for m in records if m.loop == "closed" and m.gains is not None]
+    return stated[-1] if stated else None
 
 
 def _recording(compared: EffectComparison) -> NextRecording | None:
