@@ -54,19 +54,28 @@ def _brakes(angle_rad: FloatArray, effort: FloatArray, smoother: Smoother) -> bo
     """Whether an effort explains the motion of a free drum by an inertia and friction below zero.
 
     A load that drives the motor, a cogging torque or a record that begins in motion may make one
-    of them negative, but not both. Motion in one direction cannot tell friction from an offset.
+    of them negative, but not both, and gravity of a link both; so it is beside them, and each
+    quarter of the record has to say so. Motion in one direction cannot tell friction from an
+    offset: such a quarter says nothing.
     """
     velocity = smoother.sampled(angle_rad, 0.0, 1.0)
     terms = np.column_stack(
-        [smoother.sampled(angle_rad, 0.0, 0.0, 1.0), velocity, np.sign(velocity)]
+        [
+            smoother.sampled(angle_rad, 0.0, 0.0, 1.0),
+            velocity,
+            np.sign(velocity),
+            np.ones(velocity.size),
+            *(smoother.sampled(f(angle_rad), 1.0) for f in (np.sin, np.cos)),
+        ]
     )
-    known = np.isfinite(terms).all(axis=1) & np.isfinite(effort)
-    columns = np.column_stack([terms[known], np.ones(known.sum())])
-    a, b, dry, _ = np.linalg.lstsq(columns, effort[known], rcond=None)[0]
-    v = velocity[known]
-    if min(np.mean(v > 0.0), np.mean(v < 0.0)) < CONSTANTS.small:
-        return False
-    return bool(a < 0.0 and np.mean(b * v**2 + dry * np.abs(v)) < 0.0)
+    known = np.flatnonzero(np.isfinite(terms).all(axis=1) & np.isfinite(effort))
+    said = []
+    for part in (known, *np.array_split(known, 4)):
+        v = velocity[part]
+        if part.size > terms.shape[1] and min(np.mean(v > 0), np.mean(v < 0)) >= CONSTANTS.small:
+            a, b, dry, *_ = np.linalg.lstsq(terms[part], effort[part], rcond=1e-9)[0]
+            said.append(bool(a < 0.0 and np.mean(b * v**2 + dry * np.abs(v)) < 0.0))
+    return bool(said) and all(said)
 
 
 def _reversed(

@@ -1,9 +1,11 @@
 """The judgement of the torque balance on the records of a fit, and a model with its values."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
+from plants.diagnosis.data.measured_record import MeasuredRecord
 from plants.diagnosis.models.base import BaseNumbers
 from plants.diagnosis.models.free_parameters import BASE
 from plants.diagnosis.pipeline.fit import BaseFit
@@ -11,7 +13,7 @@ from plants.diagnosis.search.model_fitter import CandidateFit, ModelFitter
 from plants.diagnosis.torque_balance.agreement import VISIBLE, family_of
 from plants.diagnosis.torque_balance.balance import INERTIA, OFFSET, VISCOUS, torque_balance
 from plants.diagnosis.torque_balance.judge import TorqueJudgement, judge
-from plants.effects import EFFECTS, Effect
+from plants.effects import EFFECTS, Effect, Port, RateLimit, Role
 from plants.effects.plant_scale import PlantScale
 
 ZERO = "encoder_zero_rad["
@@ -44,6 +46,57 @@ def judgement(fitted: BaseFit) -> TorqueJudgement | None:
     judged = judge(balance, looked, declared, narrower)
     offered = all(effect in fitted.choices.structural for effect in judged.effects)
     return judged if offered else None
+
+
+def disputed(
+    fitted: BaseFit, judged: TorqueJudgement, fit: CandidateFit
+) -> frozenset[type[Effect]]:
+    """Limits of the drive, of a fit, that the balance of torques does not bear out.
+
+    A command that was logged as its mean, or at other moments than the angle, looks to a
+    prediction as if a limit had cut it: torques then balance worse with the limit. One that acts
+    in a single stretch of time may be any disturbance; it is not believed beside another effect,
+    nor where the torques balance without it.
+    """
+    limits = [e for e in fit.effects if e.port is Port.ACTUATOR and e.named(Role.LIMIT)]
+    plant = fitted.plant
+    numbers = [BaseNumbers.of(plant.model, m) for m in plant.measurements]
+    free = [b for b in numbers if b is not None]
+    found = set()
+    for effect in limits:
+        (name,) = effect.named(Role.LIMIT)
+        most = fit.values[f"{effect.name}.{name}"] * plant.drive_unit
+        per_sample = effect is RateLimit
+        limited = [
+            _limited(m, b, most / m.sampling_Hz if per_sample else most, slewing=per_sample)
+            for m, b in zip(plant.measurements, free, strict=True)
+        ]
+        balance = torque_balance(limited, free, fitted.noise.angle_rad)
+        pairs = zip(plant.measurements, limited, strict=True)
+        acts = sum(_stretches(m, cut, plant.newtons_per_ampere) for m, cut in pairs)
+        if acts <= 1 and (len(fit.effects) > 1 or judged.is_complete):
+            found.add(effect)
+        if balance is not None and judged.disputes(balance):
+            found.add(effect)
+    return frozenset(found)
+
+
+def _stretches(m: MeasuredRecord, cut: MeasuredRecord, newtons_per_ampere: float) -> int:
+    """Twentieths of a record in which a limit changes its command."""
+    changed = np.not_equal(cut.command_A(newtons_per_ampere), m.command_A(newtons_per_ampere))
+    return sum(bool(part.any()) for part in np.array_split(changed, 20))
+
+
+def _limited(m: MeasuredRecord, b: BaseNumbers, most: float, *, slewing: bool) -> MeasuredRecord:
+    """A record whose command is cut at a limit, or changes by no more in a sample."""
+    command = m.command_A(b.newtons_per_ampere)
+    if not slewing:
+        return replace(m, loop="closed", current_A=np.clip(command, -most, most))
+    followed, at = np.empty(command.size), float(command[0])
+    for n, wanted in enumerate(command.tolist()):
+        at += min(max(wanted - at, -most), most)
+        followed[n] = at
+    return replace(m, loop="closed", current_A=followed)
 
 
 def with_values(

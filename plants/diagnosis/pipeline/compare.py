@@ -14,7 +14,7 @@ from plants.diagnosis.constants import CONSTANTS
 from plants.diagnosis.data.measured_record import MeasuredRecord
 from plants.diagnosis.data.records import FolderContents
 from plants.diagnosis.models.base import BaseNumbers
-from plants.diagnosis.pipeline.balance import judgement, with_values
+from plants.diagnosis.pipeline.balance import disputed, judgement, with_values
 from plants.diagnosis.pipeline.fit import BaseFit
 from plants.diagnosis.progress import Progress, portion
 from plants.diagnosis.residual.localisation import ResidualLocation
@@ -114,6 +114,7 @@ def compare(
     judged = judgement(fitted) if waves is None else None
     together = SILENT
     if wrong is None and judged is not None:
+        conclusion, stages = _undisputed(conclusion, stages, every.models, fitted, judged)
         believed = stages[-1].fit.effects
         together = agreement(
             conclusion.verdict, believed, conclusion.tied, conclusion.leading, judged
@@ -136,6 +137,33 @@ def compare(
         judged=judged,
         together=together,
     )
+
+
+def _undisputed(
+    conclusion: Conclusion,
+    stages: tuple[ModelStage, ...],
+    models: FittedModels,
+    fitted: BaseFit,
+    judged: TorqueJudgement,
+) -> tuple[Conclusion, tuple[ModelStage, ...]]:
+    """The conclusion without limits of the drive that the balance of torques disputes."""
+    last = stages[-1]
+    wrong = disputed(fitted, judged, last.fit)
+    if not wrong:
+        return conclusion, stages
+    titles = " and ".join(effect.title for effect in last.fit.effects)
+    rest = frozenset(e.name for e in last.fit.effects if e not in wrong)
+    if not rest:
+        reason = (
+            f"The prediction of the motion would name {titles}; with it torques balance worse."
+        )
+        return conclusion.unknown(reason), stages[:1]
+    fit = models.with_effects[rest]
+    kept = stage(last.fitter, last.fitter.final(fit), next(iter(sorted(rest))))
+    complete = kept.step.ratio <= CONSTANTS.above_noise
+    verdict: Verdict = "named" if complete else "incomplete"
+    conclusion = conclusion._replace(verdict=verdict, stages=(models.base, fit), tied=(), rest="")
+    return conclusion, (*stages[:1], kept)
 
 
 def _weighed(

@@ -27,6 +27,7 @@ class TorqueJudgement(NamedTuple):
 
     Attributes:
         laws: The laws it names, the one that explains the most first.
+        declared: The laws of the model's own effects.
         values: Their values, and those of declared laws, by slug and parameter.
         base: Inertia, viscous friction and constant torque beside them, by term.
         rivals: Titles of laws that explain data left out as well as the last of them.
@@ -40,6 +41,7 @@ class TorqueJudgement(NamedTuple):
     """
 
     laws: tuple[TorqueLaw, ...]
+    declared: tuple[TorqueLaw, ...]
     values: dict[str, Interval]
     base: dict[str, Interval]
     rivals: tuple[str, ...]
@@ -58,7 +60,12 @@ class TorqueJudgement(NamedTuple):
     @property
     def is_complete(self) -> bool:
         """Whether what is left is no more than a complete model may leave."""
-        return self.after_Nm <= CONSTANTS.above_noise * self.noise_Nm
+        return not self.like and self.after_Nm <= CONSTANTS.above_noise * self.noise_Nm
+
+    def disputes(self, balance: TorqueBalance) -> bool:
+        """Whether a balance of torques that another effect has changed leaves twice as much."""
+        left = BalanceFits(balance).left_out((*self.declared, *self.laws))
+        return LEFT * left.total > balance.torque_Nm.size * self.after_Nm**2
 
     @property
     def families(self) -> frozenset[str]:
@@ -101,6 +108,7 @@ def judge(
     samples, power = balance.torque_Nm.size, float(np.square(balance.torque_Nm).sum())
     return TorqueJudgement(
         _by_strength(fits, kept, len(own)),
+        own,
         {name: at for law in kept.laws for name, at in _values(kept, other, law).items()},
         {name: _interval(kept, other, name) for name in BASE},
         rivals,
