@@ -15,6 +15,7 @@ import plants
 from estune.core.schedule import GainCurve, GainSchedule
 from estune.remote import zenoh
 from estune.studies.sweep.sweep import sweep
+from plants.emulator import RIG_FILE
 from plants.models import model_file
 from tests.support_daemon import Plant, daemon, rig_table
 from tests.support_rigs import ScriptedRig
@@ -46,6 +47,7 @@ def write(folder: Path) -> None:
     # A tuner whose proposals are those of a paper, and stay.
     estune.tune(ArithmeticRig(), tuner="otis", trials=6, folder=folder, run="run", watch=None)
     sweep(DESIGN, folder=folder / "sweep", watch=None, jobs=1)
+    shutil.copy(RIG_FILE, folder / "rig.toml")
     model_file.save_model(MODEL, folder / "model.toml")
     (folder / "schedule.json").write_text(json.dumps(SCHEDULE.as_dict(), indent=2) + "\n")
     with (

@@ -9,7 +9,6 @@ the trials that were submitted.
 """
 
 import logging
-import re
 from collections import Counter
 from dataclasses import replace
 from random import Random
@@ -32,12 +31,8 @@ from estune.trial.profiles import (
     TriangleProfile,
 )
 from experiments.inert_rig import DESCRIBED, RECORD, REQUEST, InertRig
+from experiments.misuse.mutations import mutated
 from tests.protocol_examples import COMMANDS, EXAMPLES, LEASE, SAMPLES
-
-EXTREMES = (
-    *("NaN", "Infinity", "-Infinity", "1e999", "-1e999", "1e308", "5e-324", "-0.0", "0"),
-    *("9223372036854775808", "1" * 400, "true", "null", '"1"', "[]", "{}", "-1", "0.5"),
-)
 
 Sent = tuple[str, bytes]
 """Destination and bytes: a verb, `result/<trial id>`, or `decode/<kind>`."""
@@ -72,44 +67,6 @@ def seeds() -> list[Sent]:
     ]
 
 
-def mutated(random: Random, data: bytes, others: list[Sent]) -> bytes:
-    """The bytes with one to four changes."""
-    for _ in range(random.randint(1, 4)):
-        at, to = sorted((random.randint(0, len(data)), random.randint(0, len(data))))
-        piece = data[at:to]
-        match random.randrange(8):
-            case 0 if data:
-                place = random.randrange(len(data))
-                flipped = data[place] ^ 1 << random.randrange(8)
-                data = data[:place] + bytes([flipped]) + data[place + 1 :]
-            case 1 if data:
-                place = random.randrange(len(data))
-                data = data[:place] + random.randbytes(1) + data[place + 1 :]
-            case 2:
-                data = data[:at] + data[to:]
-            case 3:
-                data = data[:to] + piece + data[to:]
-            case 4:
-                data = data[:at]
-            case 5:
-                data = data[:at] + random.randbytes(random.randint(1, 8)) + data[at:]
-            case 6:
-                other = random.choice(others)[1]
-                data = data[:at] + other[at:to] + data[to:]
-            case _:
-                data = _with_extreme(random, data)
-    return data
-
-
-def _with_extreme(random: Random, data: bytes) -> bytes:
-    """One value of a JSON text made extreme."""
-    values = list(re.finditer(rb'(?<=:)(-?\d[\d.eE+-]*|"[^"]*"|true|false|null)', data))
-    if not values:
-        return data
-    value = random.choice(values)
-    return data[: value.start()] + random.choice(EXTREMES).encode() + data[value.end() :]
-
-
 class Fuzz:
     """Sends messages to their receivers, and checks the results.
 
@@ -135,7 +92,7 @@ class Fuzz:
             request = replace(REQUEST, number=number, profile=self.random.choice(PROFILES))
             where = "submit"
             data = messages.encode(Submit(LEASE, request, digest(request)))
-        changed = mutated(self.random, data, self.seeds)
+        changed = mutated(self.random, data, [other for _, other in self.seeds])
         if where.startswith("decode/"):
             self._decode(where.removeprefix("decode/"), data, changed)
             return

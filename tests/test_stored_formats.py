@@ -10,6 +10,7 @@ import estune
 from estune import api
 from estune.daemon.store import DaemonStore
 from estune.errors import InvalidInput
+from estune.hardware import read_config
 from estune.hardware.schedule_file import read_schedule
 from estune.remote.ledger import LEDGER, FileLedger
 from estune.remote.state_machine.trials import TrialState
@@ -45,6 +46,15 @@ def test_sweep_is_read_and_none_of_its_cells_runs_again(stored):
     assert len(result.outcomes) == 2
     assert all(outcome.cost > 0.0 for outcome in result.outcomes)
     assert not [cell for cell in cells if "again" in str(cell)]
+
+
+def test_rig_file_is_read_with_the_values_it_stated(stored):
+    rig = read_config(stored / "rig.toml")
+    about, plan = rig.describe(), rig.plan()
+    assert about.gains.as_tuple() == (0.4, 12.0, 0.01, 0.03)
+    assert (about.newtons_per_ampere, about.measurement) == (20.0, "tension, N")
+    assert (plan.guard.tension_max_N, plan.guard.gap_s, plan.guard.frozen_s) == (60.0, 0.015, 0.1)
+    assert (plan.motion.taut_N, plan.safe.ramp_s) == (2.0, 0.2)
 
 
 def test_ledger_knows_its_trials(stored):

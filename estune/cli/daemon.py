@@ -24,7 +24,7 @@ from estune.support.user import user_at_host
 if TYPE_CHECKING:
     from estune.remote.zenoh.daemon_service import DaemonClient
 
-_EXAMPLE = Path(estune.daemon.__file__).with_name("example.toml")
+EXAMPLE = Path(estune.daemon.__file__).with_name("example.toml")
 _TAKES_EFFECT_WITHIN_S = 10.0
 """Time for which a command is waited for; a rig that is away may take longer."""
 _POLL_S = 0.1
@@ -58,7 +58,7 @@ def daemon(
         example: Print a complete file and exit.
     """
     if example:
-        print(_EXAMPLE.read_text("utf-8"), end="")
+        print(EXAMPLE.read_text("utf-8"), end="")
         return
     if config is None:
         raise InvalidInput("give the daemon's file; for one to begin from, use --example")

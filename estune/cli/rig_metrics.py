@@ -1,6 +1,5 @@
 """Metrics of a rig on hardware, for Prometheus."""
 
-import json
 from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -13,6 +12,7 @@ from estune.daemon.metrics import MetricsServer, build_info
 from estune.hardware import HardwareRig
 from estune.hardware.black_box import BlackBox
 from estune.hardware.trial_board.rig import BoardRig
+from estune.support.file_limits import parse_json
 
 METRICS = {
     "estune_rig_build_info": "1, with the version as a label.",
@@ -41,7 +41,7 @@ class RigMetrics(Collector):
         if self._box is not None:
             self._box.hear(verb, payload, reply)
         try:
-            verdict = str(json.loads(reply).get("verdict", "accepted"))
+            verdict = str(parse_json(reply).get("verdict", "accepted"))
         except ValueError:
             verdict = "accepted"
         self._commands[verb, verdict] += 1

@@ -32,6 +32,7 @@ from estune.hardware.shared_memory import MotionPhase
 from estune.hardware.tables import BlackBoxTable
 from estune.recordings.black_box_file import ENDING, HEAD_BYTES, ROW, head
 from estune.support.closing import Closing
+from estune.support.file_limits import parse_json
 from estune.support.whole_file import replace_file
 from estune.trial import GUARD, RigDescription
 
@@ -235,7 +236,7 @@ def _metadata(rig: RigDescription) -> dict[str, Any]:
 def _json(data: bytes) -> Any:
     """JSON of a command or reply; what is none as its size."""
     try:
-        return json.loads(data)
+        return parse_json(data)
     except ValueError:
         return f"{len(data)} bytes"
 

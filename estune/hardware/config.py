@@ -3,7 +3,6 @@
 Every key carries its unit. All mistakes are reported at once, a line for each, with its path.
 """
 
-import json
 import math
 from collections.abc import Iterator
 from importlib.metadata import version
@@ -46,6 +45,7 @@ from estune.hardware.tables import (
 )
 from estune.reel.calibration import CurrentCalibration, GaugeCalibration
 from estune.reel.guard import GuardWords, Limits
+from estune.support.file_limits import parse_json
 from estune.support.quantity_text import with_unit
 from estune.support.toml_file import TomlTable, read_toml, validate
 from estune.trial import RigDescription, RigLimits
@@ -439,6 +439,6 @@ def config_from(data: dict[str, Any], source: str) -> RigConfig:
 
 def _json(path: Path) -> Any:
     try:
-        return json.loads(path.read_text(encoding="utf-8"))
+        return parse_json(path.read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:
         raise InvalidInput(f"calibration {path}: {error}") from error

@@ -48,6 +48,8 @@ from estune.trial.records import record_of
 JUMP_s = 1.0
 """Jump of the time of day between two trials that is logged."""
 
+TINY = float(np.finfo(np.float64).tiny)
+
 _log = logging.getLogger(__name__)
 
 
@@ -316,6 +318,7 @@ class HardwareRig(Closing):
             isinstance(step, StepProfile)
             and step.loop == "closed"
             and self._cost.settling_time_s <= step.duration_s - step.step_at_s
+            and step.step_N**2 >= TINY  # else nothing can be divided by it
         ):
             shape = step.shape(rate)
             weights[shape.sample :] = self._cost.weights(rate, shape, len(weights))

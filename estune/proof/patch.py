@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any, Self
 
 from estune.errors import InvalidInput
+from estune.support.file_limits import parse_json
 from estune.support.toml_file import read_toml
 from estune.support.whole_file import write_file
 
@@ -64,7 +65,7 @@ class Patch:
         Returns:
             JSON of the tables, `{}` for none; empty where the rig's own are right.
         """
-        there = json.loads(own or "{}")
+        there = parse_json(own or "{}")
         wanted = {name: table for name, table in there.items() if name not in self.tables}
         wanted |= self.tables if on else {}
         if wanted == there:
@@ -213,7 +214,7 @@ def _numbers(name: str, value: Any) -> Iterator[tuple[str, float]]:
 
 def _json(path: Path) -> Any:
     try:
-        return json.loads(path.read_text(encoding="utf-8"))
+        return parse_json(path.read_text(encoding="utf-8"))
     except OSError as error:
         raise InvalidInput(f"{path} cannot be read: {error.strerror}") from error
     except ValueError as error:

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estune.recordings.issue import Unusable
+from estune.support.file_limits import parse_json
 from estune.trial.records import COLUMNS
 
 ENDING = ".blackbox"
@@ -47,7 +48,7 @@ def read_file(path: Path) -> BlackBoxFile:
     data = path.read_bytes()
     if not data.startswith(MAGIC) or len(data) < HEAD_BYTES:
         raise Unusable("the file is no black box, or cut off; copy it again")
-    metadata = json.loads(data[len(MAGIC) : HEAD_BYTES])
+    metadata = parse_json(data[len(MAGIC) : HEAD_BYTES])
     body = data[HEAD_BYTES:]
     rows = np.frombuffer(body, ROW, len(body) // ROW.itemsize)
     rows = rows[rows["sample"] > 0]

@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 
 from estune.errors import InvalidInput
 from estune.run.ending import RunEnding
+from estune.support.file_limits import parse_json
 from estune.support.whole_file import write_file
 
 LABELS, NUMBERS = "labels.json", "numbers.json"
@@ -85,7 +86,7 @@ def write_numbers(run: Path, numbers: ListedNumbers) -> None:
 
 def _read(path: Path) -> dict[str, Any]:
     try:
-        found = json.loads(path.read_text("utf-8"))
+        found = parse_json(path.read_text("utf-8"))
     except (OSError, ValueError):
         return {}
     return found if isinstance(found, dict) else {}

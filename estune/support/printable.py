@@ -4,6 +4,8 @@ import json
 import re
 from typing import Any
 
+from estune.support.file_limits import parse_json
+
 _OBEYED = re.compile(
     "[\x00-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069\ud800-\udfff]"
 )
@@ -24,7 +26,7 @@ def printable_json(data: bytes) -> bytes:
     if data.isascii() and b"\\" not in data:
         return data  # a control character would be an escape, or an error of its own
     try:
-        found = json.loads(data.decode())
+        found = parse_json(data.decode())
         return json.dumps(_printable(found), ensure_ascii=False).encode()
     except RecursionError as error:
         raise ValueError("nested too deeply") from error

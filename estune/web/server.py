@@ -2,7 +2,6 @@
 
 import asyncio
 import hashlib
-import json
 import math
 import threading
 import time
@@ -16,6 +15,7 @@ from starlette.routing import Route
 
 from estune.errors import EstuneError
 from estune.remote.messages.rights import Right
+from estune.support.file_limits import parse_json
 from estune.support.user import user_at_host
 from estune.web.board import Seen, to_json
 from estune.web.daemon_reader import daemon_row
@@ -192,7 +192,7 @@ class PageServer:
             sentence = "this page may not command; start it with --allow-commands"
             return JSONResponse({"done": False, "sentence": sentence}, 403, headers=HEADERS)
         try:
-            asked = json.loads(await body_of(request, COMMAND_MAX_BYTES))
+            asked = parse_json(await body_of(request, COMMAND_MAX_BYTES))
             view = await self._view(asked["view"])
             name = asked["command"]
             allowed = view is not None and name in view.allowed(self._right)

@@ -1,6 +1,5 @@
 """The server of the page: every request needs its key, for it reads files of this machine."""
 
-import json
 import secrets
 from collections.abc import Awaitable, Callable
 from pathlib import Path
@@ -12,6 +11,7 @@ from starlette.responses import JSONResponse, Response
 from starlette.routing import Route
 
 from estune.errors import EstuneError, InvalidInput
+from estune.support.file_limits import parse_json
 from estune.web.http_service import HEADERS, HttpService, body_of
 from plants.explain_page.workbook import REPORT, Workbook, form
 
@@ -93,7 +93,7 @@ class ExplainPage:
     async def _act(self, request: Request) -> Response:
         async def act() -> Any:
             try:
-                given = json.loads(await body_of(request, REQUEST_MAX_BYTES) or b"{}")
+                given = parse_json(await body_of(request, REQUEST_MAX_BYTES) or b"{}")
                 name = ACTS[request.path_params["name"]]
             except (ValueError, KeyError) as error:
                 raise InvalidInput(f"the request cannot be used: {error}") from error

@@ -19,6 +19,7 @@ from estune.run.loop import CONSECUTIVE_VOID_MAX
 from estune.run.planning import description_from_json, description_to_json
 from estune.run.results.export import write_record
 from estune.run.trial_file import TrialFile
+from estune.support.file_limits import parse_json
 from estune.support.whole_file import replace_file
 from estune.trial import Outcome, Rig, RigDescription, TrialRecord, TrialRequest, record_frame
 from estune.trial.profiles import AnyProfile
@@ -169,9 +170,9 @@ def _continued(file: Path, model: str) -> dict[str, Any]:
     if (file.parent / RESULT).exists():
         raise InvalidInput(f"{file.parent} holds a finished improvement; give a new folder")
     try:
-        plan: dict[str, Any] = json.loads(file.read_bytes())
+        plan: dict[str, Any] = parse_json(file.read_bytes())
         same = plan["model"] == model
-    except (ValueError, KeyError) as error:
+    except (ValueError, KeyError, TypeError) as error:
         raise InvalidInput(f"{file} cannot be read: {error}; give a new folder") from error
     if not same:
         raise InvalidInput(

@@ -20,6 +20,7 @@ from estune.hardware.compensation.plan import (
 from estune.hardware.tables import FileOrNumbers, NotNegative, Positive
 from estune.reel.friction import FRACTION_MAX, FrictionFeedForward, StribeckFriction
 from estune.reel.velocity import Windows
+from estune.support.file_limits import parse_json
 from estune.support.toml_file import TomlTable, validate
 
 INTERVALS_MAX = 200
@@ -71,7 +72,7 @@ class FrictionTable(FileOrNumbers):
         if self.file is None:
             return StribeckFriction(self.coulomb_Nm, self.static_Nm, self.stribeck_rad_s)  # type: ignore[arg-type]
         try:
-            stored = json.loads(self.file.read_text(encoding="utf-8"))
+            stored = parse_json(self.file.read_text(encoding="utf-8"))
             return StribeckFriction(**{name: float(value) for name, value in stored.items()})
         except (OSError, ValueError, TypeError, AttributeError) as error:
             raise InvalidInput(f"friction {self.file}: {error}") from error
@@ -179,7 +180,7 @@ def table_of(text: str, source: str) -> "CompensationTable | None":
         InvalidInput: it is no JSON, or has mistakes; the message has a line for each.
     """
     try:
-        values = json.loads(text)
+        values = parse_json(text)
     except ValueError as error:
         raise InvalidInput(f"{source}: no JSON: {error}") from error
     if not isinstance(values, dict):

@@ -1,6 +1,5 @@
 """JSON lines: an object a line, each number in it a channel by its path."""
 
-import json
 from pathlib import Path
 from typing import Any
 
@@ -9,6 +8,7 @@ import numpy as np
 from estune.recordings.issue import Unusable
 from estune.recordings.raw_file import Channel, RawFile
 from estune.recordings.readers.mcap import numbers
+from estune.support.file_limits import parse_json
 
 
 def read_json_lines(path: Path) -> RawFile:
@@ -18,7 +18,7 @@ def read_json_lines(path: Path) -> RawFile:
         if not line.strip():
             continue
         try:
-            row = json.loads(line)
+            row = parse_json(line)
         except ValueError as error:
             raise Unusable(f"the line is no JSON ({error}); correct it", row=place) from error
         if not isinstance(row, dict):

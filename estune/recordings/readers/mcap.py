@@ -3,7 +3,6 @@
 Each number of a JSON message is a channel, `/topic.field.field[i]`, stamped by its publish time.
 """
 
-import json
 import struct
 from collections import defaultdict
 from collections.abc import Iterator
@@ -15,6 +14,7 @@ import numpy as np
 from estune.recordings.issue import Unusable
 from estune.recordings.raw_file import Channel, RawFile
 from estune.recordings.readers.ros import MOST_NUMBERS, read_bag
+from estune.support.file_limits import parse_json
 
 MAGIC = b"\x89MCAP0\r\n"
 METADATA = "estune"
@@ -38,12 +38,12 @@ def read_mcap(path: Path) -> RawFile:
                     "messages, or export CSV",
                     channel.topic,
                 )
-            rows[channel.topic].append(dict(numbers(json.loads(message.data))))
+            rows[channel.topic].append(dict(numbers(parse_json(message.data))))
             stamps[channel.topic].append(message.publish_time)
         about = [m.metadata for m in reader.iter_metadata() if m.name == METADATA]
     begin = min((min(s) for s in stamps.values()), default=0)
     channels = [c for t in rows for c in _channels(t, rows[t], stamps[t], begin)]
-    return RawFile(tuple(channels), json.loads(about[0]["record"]) if about else {})
+    return RawFile(tuple(channels), parse_json(about[0]["record"]) if about else {})
 
 
 def refuse_compressed(path: Path) -> RawFile:

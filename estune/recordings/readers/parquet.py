@@ -1,10 +1,10 @@
 """Parquet, with a record's metadata under the key `estune` of the file's own."""
 
-import json
 from pathlib import Path
 
 from estune.recordings.issue import Unusable
 from estune.recordings.raw_file import Channel, RawFile
+from estune.support.file_limits import parse_json
 
 KEY = b"estune"
 
@@ -20,7 +20,7 @@ def read_parquet(path: Path) -> RawFile:
             own = file.schema_arrow.metadata or {}
     except (pa.ArrowException, OSError) as error:
         raise Unusable("the file is truncated or no Parquet; copy or export it again") from error
-    metadata = json.loads(own[KEY]) if KEY in own else {}
+    metadata = parse_json(own[KEY]) if KEY in own else {}
     return RawFile(
         tuple(Channel(str(name), frame[name].to_numpy()) for name in frame.columns), metadata
     )

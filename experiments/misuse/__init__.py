@@ -1,0 +1,1 @@
+"""Commands and files of somebody, or something, that writes at random."""
