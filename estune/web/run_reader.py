@@ -284,7 +284,8 @@ def _search_text(expected: dict[str, Any] | None, pending: JournalEntry | None) 
         parts.append(f"The next trial runs P, I, D, filter = {gains}.")
     if pending and known["next_cost"]:
         low, _, high = (math.inf if x is None else x for x in known["next_cost"])
-        parts.append(f"Its cost is expected between {low:.3g} and {high:.3g}.")
+        if math.isfinite(high):  # else nothing is expected
+            parts.append(f"Its cost is expected between {low:.3g} and {high:.3g}.")
     return " ".join((*parts, "The grey band is the noise about the best cost."))
 
 
