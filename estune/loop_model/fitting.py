@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 
@@ -65,11 +66,28 @@ OTHERS = 3
 """Records that have to agree against each one that is left out."""
 
 
+class Beginning(NamedTuple):
+    """Where the search for a loop begins.
+
+    Attributes:
+        records: The records.
+        settling_time_s: Settling time that sets its scale.
+        starts: Fits of two poles, the best first.
+        power: Mean square of the prediction errors of the best.
+    """
+
+    records: tuple[LoopRecord, ...]
+    settling_time_s: float
+    starts: tuple[PoleFit, ...]
+    power: float
+
+
 def fit_loop(
     records: Sequence[LoopRecord],
     sampling_Hz: float,
     settling_time_s: float,
     last: LoopFit | None = None,
+    starts: Sequence[PoleFit] = (),
 ) -> LoopFit:
     """The loop model that fits records best.
 
@@ -80,35 +98,39 @@ def fit_loop(
         sampling_Hz: Sampling rate.
         settling_time_s: Settling time asked for, which sets the scale of the search.
         last: An earlier fit to start from.
+        starts: Where the search begins, as `best_scale` found it.
     """
     settling = settling_time_s * sampling_Hz
-    starts = _cold_starts(records, settling)[1] if last is None else [_start_of(last)]
+    if last is not None:
+        starts = [_start_of(last)]
+    starts = starts or _cold_starts(records, settling)[1]
     return _fit_of_those_that_agree(records, settling, starts, last)
 
 
 def best_scale(
-    choices: Sequence[Sequence[LoopRecord]], sampling_Hz: float, settling_times_s: Sequence[float]
-) -> tuple[int, float]:
-    """Number of the records and settling time with which a search begins with the least error.
-
-    Later records are chosen only where their prediction errors are no larger than chance allows.
+    records: Sequence[LoopRecord],
+    sampling_Hz: float,
+    settling_times_s: Sequence[float],
+    other: Beginning | None = None,
+) -> Beginning:
+    """The beginning of a search with the least error.
 
     Args:
-        choices: Records of the same signals in several forms, at least one.
+        records: At least one.
         sampling_Hz: Sampling rate.
         settling_times_s: Those that are tried, at least one.
+        other: One with the same signals in another form, which is left only where the errors of
+            these are no larger than chance allows.
     """
-    chosen, least = (0, settling_times_s[0]), math.inf
-    for number, records in enumerate(choices):
-        if any(records is earlier for earlier in choices[:number]):
-            continue
-        for settling_time_s in settling_times_s:
-            signals, starts = _cold_starts(records, settling_time_s * sampling_Hz)
-            power = starts[0].cost / signals.samples
-            chance = 1.0 + 5.0 * math.sqrt(2.0 / signals.samples) if number > chosen[0] else 1.0
-            if power < chance * least:
-                chosen, least = (number, settling_time_s), power
-    return chosen
+    best = other
+    for settling_time_s in settling_times_s:
+        signals, starts = _cold_starts(records, settling_time_s * sampling_Hz)
+        power = starts[0].cost / signals.samples
+        chance = 1.0 + 5.0 * math.sqrt(2.0 / signals.samples) if best is other else 1.0
+        if best is None or power < chance * best.power:
+            best = Beginning(tuple(records), settling_time_s, tuple(starts), power)
+    assert best is not None  # noqa: S101  a settling time is tried
+    return best
 
 
 def _fit_of_those_that_agree(

@@ -80,12 +80,16 @@ def identify(
     records = tuple(loop_record(part, settings) for part in parts)
     rate = settings.sampling_Hz
     scales = [settling_time_s] if settling_time_s else _scales(records, rate)
-    settling = best_scale([records], rate, scales)[1]
+    begun = best_scale(records, rate, scales)
+    settling = begun.settling_time_s
     rest = round(settling * rate) + REACH
-    switched = tuple(_switched_on(r, rest) if _begins_off(r, rest) else r for r in records)
-    chosen, _ = best_scale([records, switched], rate, [settling])
-    records = (records, switched)[chosen]
-    fit = fit_loop(records, rate, settling)
+    off = [_begins_off(record, rest) for record in records]
+    if any(off):
+        pairs = zip(records, off, strict=True)
+        switched = [_switched_on(r, rest) if begins_off else r for r, begins_off in pairs]
+        begun = best_scale(switched, rate, [settling], begun)
+    records = begun.records
+    fit = fit_loop(records, rate, settling, starts=begun.starts)
     draws = _draws(fit, records, settings, parts[-1].gains)
     return ServiceLoop(fit, records, settings, plant_error(fit, records), draws)
 

@@ -76,7 +76,12 @@ def margins_of(
 
 
 def judge(
-    loop: ServiceLoop, gains: Gains, margins: PredictedMargins, margin: ErrorMargin
+    loop: ServiceLoop,
+    gains: Gains,
+    margins: PredictedMargins,
+    margin: ErrorMargin,
+    *,
+    is_thin: bool = False,
 ) -> Judgement:
     """Whether the records show the margins of a loop with these gains.
 
@@ -85,14 +90,16 @@ def judge(
         gains: The gains in question.
         margins: The predictions at these gains.
         margin: What the error of the identified plant leaves of them.
+        is_thin: Whether the effort moved between the rows: then the errors show that, and would
+            be taken for friction.
     """
     deviation = setpoint_deviation(loop.fit, loop.records, gains, loop.settings)
     half_width = DEVIATIONS * deviation
     band = margin.unknown and unknown_band(margin.unknown, loop.settings.sampling_Hz)
     reason = _too_still(loop, half_width)
-    if not reason and hides_friction(loop.records, loop.fit):
+    if not reason and not is_thin and hides_friction(loop.records, loop.fit):
         reason = "friction is shown, but not its size: the setpoint moves too little against it"
-    if not reason and changes_with_motion(loop.fit, loop.records, loop.settings):
+    if not reason and not is_thin and changes_with_motion(loop.fit, loop.records, loop.settings):
         reason = "the identified loop changes with its motion, as of friction or an eyelet"
     Ms, rings = margins.sensitivity, ringing(loop, gains)
     if not reason and rings is not None and not rings.stable:

@@ -122,7 +122,8 @@ def suggest(
     limitless = replace(trial.controller, output_min_N=-math.inf, output_max_N=math.inf)
     trial = replace(trial, controller=limitless)
     margins, margin = margins_of(loop, trial, in_use)
-    judgement = judge(loop, in_use, margins, margin)
+    is_thin = decides is not None and decides.is_thin
+    judgement = judge(loop, in_use, margins, margin, is_thin=is_thin)
     better = recommend(loop, trial, in_use, limits) if judgement.can_tell else None
     holds = math.isfinite(margins.sensitivity.value)
     if better is None and judgement.can_tell and not holds:
