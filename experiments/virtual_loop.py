@@ -24,10 +24,13 @@ from estune.hardware.loop_messages import (
 )
 from estune.hardware.reel_machine.machine import ReelStateMachine
 from estune.hardware.rig import HardwareRig
-from estune.hardware.shared_memory import Memory, make_file
+from estune.hardware.shared_memory import Memory, MotionPhase, make_file
 from plants.emulator.settings import make_board
 
 _Answer = TypeVar("_Answer")
+
+LOOKED_AT_s = 1.0
+"""Time that passes before somebody clears a stop: the ramp ends, and the cable goes slack."""
 
 
 class VirtualLoop:
@@ -87,6 +90,9 @@ class VirtualLoop:
             case SetCompensation():
                 self.machine.set_compensation(command)
             case ResetEstop():
+                if self.machine.phase in (MotionPhase.RAMP, MotionPhase.STOPPED):
+                    for _ in range(round(LOOKED_AT_s * self._plan.sampling_Hz)):
+                        self.sample()
                 self.machine.reset()
         if isinstance(answer, Refused):
             raise RigError(f"rig {self._name} takes no trial: {answer.reason}")

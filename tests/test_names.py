@@ -7,8 +7,12 @@ from pathlib import Path
 ROOT = Path(__file__).parents[1]
 
 SHARED = {
+    "GainSet": "gains that the daemon stores; gains with which a part of a log ran",
     "Interval": "of a predicted margin; of an effect's parameter: both are low, value, high",
+    "Lane": "of queries that wait at a listener; of tests, in an experiment",
+    "LeftOut": "part of a log that is not used; error of a law on data it was not fitted to",
     "Prediction": "of a step response by the identified loop; of records by a plant's model",
+    "Signals": "names and units of a rig's signals; the signals of a torque balance",
     "Status": "a message of the rig protocol; a coloured line of a page",
     "StribeckFriction": "law (10): what a controller compensates; what a model has",
 }

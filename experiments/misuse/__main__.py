@@ -18,6 +18,7 @@ import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
+from estune.errors import EstuneError
 from estune.hardware import read_config
 from estune.remote import zenoh
 from estune.support.child_process import child_process, next_line
@@ -75,7 +76,11 @@ def main(arguments: list[str] | None = None) -> int:
             commands.run(round(share * COMMANDS))
             for number, handler in handlers.items():
                 signal.signal(number, handler)
-            alive = runs_a_trial(endpoint) and process.poll() is None
+            try:
+                alive = runs_a_trial(endpoint) and process.poll() is None
+            except EstuneError as error:
+                commands.faults.append(f"the rig runs no trial: {error}")
+                alive = False
     for fault in (*files.faults, *commands.faults):
         print(fault, file=sys.stderr)
     figures = dict(sorted((files.counts + commands.counts).items()))
