@@ -100,6 +100,11 @@ def test_serve_says_what_is_wrong_in_its_settings_before_that_its_ledger_is_take
     assert says in said
 
 
+def test_path_that_the_system_refuses_is_one_line(refused):
+    code, said = refused("suggest", "9" * 400)
+    assert (code, "File name too long; give another path" in said) == (2, True)
+
+
 def test_missing_locked_newer_or_torn_run_exits_with_code_5(refused, arithmetic_run):
     assert refused("show", "nothing", "--folder", arithmetic_run.parent)[0] == 5
     with Journal.open(arithmetic_run, write=True):

@@ -1,5 +1,7 @@
 """What a file from outside may cost before it is refused."""
 
+import math
+
 import numpy as np
 import pytest
 from scipy.io import savemat
@@ -76,6 +78,14 @@ def test_nested_json_is_refused(tmp_path, name):
     (tmp_path / name).write_text("[" * 100_000)
     with pytest.raises(Unusable, match="nested too deeply"):
         read_recording(table)
+
+
+def test_whole_number_of_hundreds_of_digits_is_refused_or_infinite(tmp_path):
+    file = tmp_path / "rig.toml"
+    file.write_text(f"sampling_Hz = {'1' * 400}\n")
+    with pytest.raises(InvalidInput, match="a whole number is above 1e"):
+        read_toml(file)
+    assert file_limits.parse_json(f"[{'1' * 400}, {2**63}]") == [math.inf, 2**63]
 
 
 @pytest.mark.parametrize("text", ["four", "0", "-1", "nan", "1e9"])

@@ -158,10 +158,24 @@ def run(arguments: Sequence[str]) -> int:
     except KeyboardInterrupt as stop:
         _print_error(_stop_message(stop))
         return INTERRUPTED
-    except BrokenPipeError:  # the reader of standard output has closed it: estune list | head
+    except OSError as error:
+        return _system_fault(error)
+    return code if isinstance(code, int) else 0
+
+
+def _system_fault(error: OSError) -> int:
+    """The exit code where the system refuses: a name is too long, a folder goes while it is read.
+
+    Raises:
+        OSError: it is none of a file.
+    """
+    if isinstance(error, BrokenPipeError):  # standard output was closed: estune list | head
         sys.stderr.close()
         return 0
-    return code if isinstance(code, int) else 0
+    if error.filename is None:
+        raise error
+    _print_error(f"{error.filename}: {error.strerror}; give another path")
+    return InvalidInput.exit_code
 
 
 def _usage_fault(error: CycloptsError) -> str:

@@ -15,9 +15,15 @@ Numbers = Any
 """A float, or an array of float64: scalars in, scalars out."""
 
 
+SMALLEST = 1e-150
+"""Smallest number that counts as above zero: its square and its reciprocal are numbers."""
+
+
 def check_positive(name: str, value: float, unit: str = "") -> None:
     """Raises InvalidInput unless the value is finite and above zero."""
-    if not (_is_finite(name, value) and value > 0.0):  # a NaN passes every comparison with a bound
+    if not (
+        _is_finite(name, value) and value >= SMALLEST
+    ):  # a NaN passes every comparison with a bound
         raise InvalidInput(
             f"{name} is {value}{unit and ' ' + unit}; it must be finite and above zero"
         )

@@ -32,7 +32,11 @@ LINE_MAX = 2**20
 DEPTH_MAX = 64
 """Depth of nested tables and arrays; the example of a rig's file has 4."""
 
+WHOLE_MAX = 10**300
+"""Whole number that a float still holds: one of 400 digits ended in a traceback."""
+
 _LINES = 400
+_DIGITS_MAX = 300
 _one_at_a_time = threading.RLock()
 
 
@@ -77,8 +81,8 @@ def check_lines(path: Path) -> None:
                 return
 
 
-def check_depth(value: Any, path: Path) -> None:
-    """Raises `InvalidInput` if tables and arrays are nested too deeply."""
+def check_values(value: Any, path: Path) -> None:
+    """Raises `InvalidInput` if values are nested too deeply, or whole numbers are too large."""
     level, depth = [value], 0
     while level := [
         inner
@@ -89,18 +93,24 @@ def check_depth(value: Any, path: Path) -> None:
         depth += 1
         if depth > DEPTH_MAX:
             raise InvalidInput(f"{path}: nested more than {DEPTH_MAX} deep; write it flatter")
+        if any(isinstance(inner, int) and abs(inner) > WHOLE_MAX for inner in level):
+            raise InvalidInput(f"{path}: a whole number is above {WHOLE_MAX:g}; correct it")
 
 
 def parse_json(data: bytes | str) -> Any:
-    """JSON of a file from outside.
+    """JSON of a file from outside; a whole number that no float holds is infinite.
 
     Raises:
         ValueError: it is none, or is nested too deeply.
     """
     try:
-        return json.loads(data)
+        return json.loads(data, parse_int=_whole)
     except RecursionError as error:
         raise ValueError("nested too deeply") from error
+
+
+def _whole(digits: str) -> int | float:
+    return int(digits) if len(digits) <= _DIGITS_MAX else float(digits)
 
 
 @contextmanager

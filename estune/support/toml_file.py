@@ -13,7 +13,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 from pydantic_core import ErrorDetails
 
 from estune.errors import InvalidInput
-from estune.support.file_limits import SETTINGS_MAX, check_depth, check_size
+from estune.support.file_limits import SETTINGS_MAX, check_size, check_values
 from estune.support.plain_fault import plain_fault
 
 
@@ -42,7 +42,7 @@ def read_toml(path: Path) -> dict[str, Any]:
         raise InvalidInput(f"{path}: no TOML: {error}") from error
     except RecursionError as error:
         raise InvalidInput(f"{path}: nested too deeply; write it flatter") from error
-    check_depth(found, path)
+    check_values(found, path)
     return found
 
 
