@@ -20,6 +20,7 @@ from estune.loop_model.poles import (
     coordinates_of,
     difference_polynomial,
     polynomial,
+    sections_of,
 )
 from estune.loop_model.prediction import StepTrial
 from estune.loop_model.records import LoopRecord
@@ -122,3 +123,9 @@ def test_unstable_plant_is_tuned_in_few_trials_and_its_claim_is_true(name):
     assert robustness(result.identified.fit.model, result.gains, plant.controller)[
         0
     ] == pytest.approx(true, rel=0.02)
+
+
+@pytest.mark.parametrize("coordinates", [(1e9,), (1e9, 0.0), (-2.0, 1e9), (1e9, 1e9)])
+def test_a_step_far_beyond_any_coordinate_makes_no_pole_grow(coordinates):
+    # Along a pole that records do not know covariances allow such steps.
+    assert not any(section.grows for section in sections_of(coordinates))

@@ -68,6 +68,9 @@ def _slopes(coordinates: FloatArray) -> FloatArray:
 def factor_of(covariance: FloatArray) -> FloatArray:
     """A factor F of a covariance F F' with rounding errors removed."""
     scale = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
-    correlation = covariance / np.outer(scale, scale)
+    with np.errstate(over="ignore", invalid="ignore"):
+        correlation = np.clip(covariance / np.outer(scale, scale), -1.0, 1.0)
+    # Of a direction that records do not know at all no correlation is left.
+    correlation = np.where(np.isfinite(correlation), correlation, 0.0)
     values, vectors = np.linalg.eigh((correlation + correlation.T) / 2.0)
     return np.asarray(scale[:, np.newaxis] * vectors * np.sqrt(np.maximum(values, 0.0)))

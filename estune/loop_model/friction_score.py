@@ -85,7 +85,8 @@ def hides_friction(records: Sequence[LoopRecord], linear: LoopFit) -> bool:
     Friction in small motion, under a load that moves as much, is explained by no size of it; Ms
     is then read as 1.20 for 1.79.
     """
-    if linear.model.friction or not math.isfinite(linear.model.static_gain):
+    gain = linear.model.static_gain
+    if linear.model.friction or not (gain and math.isfinite(gain)):
         return False
     two = linear._replace(model=two_poles(linear.model))
     return shows_friction(FrictionMotion.of(records[:SCORED], two), linear)

@@ -130,16 +130,9 @@ def setpoint_deviation(
         np.array(model.numerator),
     )
     count = model.order + len(model.numerator)
-    J = at.slopes(signals)[:, :count]
-    size = np.maximum(np.linalg.norm(J, axis=0), 1e-300)
-    if not np.isfinite(size).all():  # poles that no record of this length resolves
+    columns = _deviations(at.slopes(signals)[:, :count], fit.residual_std)
+    if columns is None:
         return math.inf
-    values, vectors = np.linalg.eigh((J / size).T @ (J / size))
-    if not values[-1] > 0.0:
-        return math.inf
-    if values[0] <= 1e-13 * values[-1]:
-        values = np.maximum(values, 1e-13 * values[-1])
-    columns = fit.residual_std * (vectors / np.sqrt(values)) / size[:, np.newaxis]
     theta, slopes = model.parameters, []
     for column in columns.T:
         # A step that changes Ms by little, for one as long as the deviation may be unstable.
@@ -153,6 +146,20 @@ def setpoint_deviation(
         slopes.append((ends[0] - ends[1]) / (2.0 * share))
     total = INFLATION * math.hypot(*slopes)
     return total if math.isfinite(total) else math.inf
+
+
+def _deviations(slopes: FloatArray, error_std: float) -> FloatArray | None:
+    """Independent steps of one standard deviation each, as columns; None where one is endless."""
+    size = np.maximum(np.linalg.norm(slopes, axis=0), 1e-300)
+    if not np.isfinite(size).all():  # poles that no record of this length resolves
+        return None
+    values, vectors = np.linalg.eigh((slopes / size).T @ (slopes / size))
+    if not values[-1] > 0.0:
+        return None
+    values = np.maximum(values, 1e-13 * values[-1])
+    with np.errstate(over="ignore"):
+        columns = error_std * (vectors / np.sqrt(values)) / size[:, np.newaxis]
+    return columns if np.isfinite(columns).all() else None
 
 
 def peak_sensitivity(model: LoopModel, gains: Gains, controller: ControllerSettings) -> float:

@@ -31,8 +31,9 @@ damping ratio reaches to the negative of the least: an integrator beside a fast 
 OUTSIDE = 100.0
 """What is added to the logarithm of a growth."""
 
-GROWS_FROM = OUTSIDE / 2.0
-"""Coordinate from which on it is one of a growing pole."""
+GROWS_FROM, GROWS_TO = OUTSIDE / 2.0, 1.5 * OUTSIDE
+"""Coordinates between which it is one of a growing pole. Beyond both it is a pole that decays
+within a sample: a step along a direction that records do not know, of 1e7 say, makes none grow."""
 
 MOST_GROWTH = 1.0
 """Largest logarithm of a growth: such a pole is 15 times as large after each sample."""
@@ -80,10 +81,11 @@ def _sections(coordinates: tuple[float, ...]) -> tuple[PoleSection, ...]:
 
 
 def _pair(at: tuple[float, float]) -> PoleSection:
-    if at[0] > GROWS_FROM > at[1]:
+    grow = [GROWS_FROM < x < GROWS_TO for x in at]
+    if grow[0] and not grow[1]:
         decay = math.exp(min(max(at[1], LEAST), GREATEST))
         return _of_logarithms(complex(_growth(at[0])), complex(-decay))
-    if at[0] > GROWS_FROM:
+    if grow[0]:
         inverse = _pair((at[0] - OUTSIDE, at[1] - OUTSIDE)).log_poles
         most = math.exp(MOST_GROWTH)
         one, other = (complex(min(-s.real, most), -s.imag) for s in inverse.tolist())
@@ -103,7 +105,7 @@ def _growth(x: float) -> float:
 
 
 def _single(x: float) -> PoleSection:
-    log_p = _growth(x) if x > GROWS_FROM else -math.exp(min(max(x, LEAST), GREATEST))
+    log_p = _growth(x) if GROWS_FROM < x < GROWS_TO else -math.exp(min(max(x, LEAST), GREATEST))
     p, rest = float(np.exp(log_p)), -math.expm1(log_p)
     return PoleSection(
         np.array([1.0, -p]),
@@ -144,9 +146,10 @@ def pair_coordinates(a1: float, a2: float) -> FloatArray:
 
 def mirrored(coordinates: FloatArray) -> FloatArray:
     """The coordinates with each pole outside the unit circle replaced by its inverse."""
-    found = np.where(coordinates > GROWS_FROM, coordinates - OUTSIDE, coordinates)
+    grow = (coordinates > GROWS_FROM) & (coordinates < GROWS_TO)
+    found = np.where(grow, coordinates - OUTSIDE, coordinates)
     for i in range(0, coordinates.size - 1, 2):
-        if coordinates[i] > GROWS_FROM > coordinates[i + 1]:
+        if grow[i] and not grow[i + 1]:
             mean, half = found[i : i + 2].sum() / 2.0, (found[i] - found[i + 1]) / 2.0
             found[i : i + 2] = mean, math.log(math.cosh(half))
     return found
