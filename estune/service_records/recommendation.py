@@ -38,8 +38,10 @@ none, where an interval may still be wide."""
 BISECTIONS = 4
 """Bisections between such gains and the optimum, whose limits do not hold."""
 
-AIMED = (1.0, 0.7, 0.4, 0.2)
-"""Shares of the limit of ln Ms within which the best of those gains are checked in turn."""
+AIMED = ((1.0, 1.0), (0.7, 0.4), (0.4, 0.1), (0.2, 0.1))
+"""Shares of the limit of ln Ms, and of I, within which the best of those gains are checked in
+turn: where the slow part of a plant is hardly known, less I alone keeps the overshoot in all that
+it may be."""
 
 SCATTERED = 64
 """Low-discrepancy points of which the best is one of the starts of an optimum."""
@@ -129,16 +131,21 @@ def _scaled_down(
     """
     gains_of, margins_at = known
     beside = np.array([[1.0, 1.0, 1.0, 0.0], [0, 1.0, 0, 0], [0, 0, 1.0, 0], [0, 0, 0, 1.0]])
-    points = [x + shares @ beside for x in about for shares in SCALED_DOWN]
+    scaled = [(x, shares) for x in about for shares in SCALED_DOWN]
+    points = [x + shares @ beside for x, shares in scaled]
     gains = [gains_of(x) for x in points]
     found = predictions([loop.fit.model], trial, gains, loop.fit.noise_std)
     stable = [(one, i) for i, one in enumerate(found) if math.isfinite(one.cost)]
     ranked = sorted(stable, key=lambda one: one[0].cost)
-    for share in AIMED:
+    for share, most_I in AIMED:
         within = limits
         if limits.max_sensitivity is not None:
             within = replace(within, max_sensitivity=limits.max_sensitivity**share)
-        kept = (i for one, i in ranked if not (within.excess(one) > 0.0).any())
+        kept = (
+            i
+            for one, i in ranked
+            if scaled[i][1][1] <= math.log(most_I) and not (within.excess(one) > 0.0).any()
+        )
         best = next(kept, None)
         if best is None:
             return None
