@@ -3,21 +3,22 @@
 A log of setpoint and measurement, the gains that ran and the controller's form are enough; no step
 is needed, nor rest, nor a chosen window. The steps, one file each:
 
-    sources        logs below a path, in any format of `estune.recordings`, or of a run
-    stretches      parts without a gap, and those in which the controller's equation holds
-    usable         the same of whole folders, before anything is fitted
-    replay         the logged effort against that of the stated gains, before anything else
-    gain_sets      several sets of gains within one log
-    identification the loop by a direct fit with a model of load, drift and noise
-    ringing        a loop that rings, with its period
-    judgement      whether the records show the margins of the gains in use
-    recommendation the best gains whose limits hold by the upper ends of their intervals
-    advice         the experiment that shows what the records do not
-    judged_records what all of it found, as a value
-    suggestion     the steps in their order
-    page           the report
-    watched_loop   the same record by record: margins, and whether the plant has changed
-    plant_change   what records show of another plant, which adds up over them
+    sources           logs below a path, in any format of `estune.recordings`, or of a run
+    stretches         parts without a gap, and those in which the controller's equation holds
+    usable            the same of whole folders, before anything is fitted
+    replay            the logged effort against that of the stated gains, before anything else
+    controller_search its derivative and setpoint filters where others ran than stated
+    gain_sets         several sets of gains within one log
+    identification    the loop by a direct fit with a model of load, drift and noise
+    ringing           a loop that rings, with its period
+    judgement         whether the records show the margins of the gains in use
+    recommendation    the best gains whose limits hold by the upper ends of their intervals
+    advice            the experiment that shows what the records do not
+    judged_records    what all of it found, as a value
+    suggestion        the steps in their order
+    page              the report
+    watched_loop      the same record by record: margins, and whether the plant has changed
+    plant_change      what records show of another plant, which adds up over them
 
 What was not obvious:
 

@@ -9,7 +9,8 @@ import numpy as np
 from estune.core.gains import Gains
 from estune.core.pidf import ControllerSettings
 from estune.recordings.loop_log import LoopLog
-from estune.service_records.replay import AS_WELL, FITS, Replay, apart, plain_error, replay
+from estune.service_records.controller_search import AS_WELL, FITS
+from estune.service_records.replay import Replay, apart, plain_error, replay
 from estune.service_records.stretches import Stretch, find_stretches
 
 FEWEST = 8

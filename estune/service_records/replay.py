@@ -12,11 +12,10 @@ the rules apart.
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
-from functools import partial
 from itertools import pairwise
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -25,16 +24,8 @@ from estune.core.controller_form import ControllerForm
 from estune.core.gains import Gains
 from estune.core.pidf import ControllerSettings
 from estune.core.quantities import FloatArray
+from estune.service_records.controller_search import AS_WELL, FITS, least_changed
 from estune.service_records.stretches import Stretch
-
-FITS = 0.005
-"""Residual, over the range of the effort, up to which the effort is explained. Eleven logs of a
-heated chamber leave 0.01 to 0.10 % with the gains that ran, 4.7 % with a P stated as 4 that was 3,
-and 6 to 12 % with a time scale of the integral that is wrong."""
-
-SURE = 0.0005
-"""Residual up to which nothing else is tried: a derivative filter of 2 s for one of 5 s leaves
-0.2 %, and a D that is 15 % off."""
 
 APART = 0.02
 """Relative difference from which a stated gain is said to be another than the one that ran."""
@@ -45,14 +36,8 @@ TIME_FACTORS = (60.0, 1e3, 6e4, 1e6)
 RAN_OTHERWISE = "the stated gains are not what ran: "
 """Beginning of the sentence on gains that were stated and did not run."""
 
-AS_WELL = 2.0
-"""Ratio of two residuals up to which both explain the effort."""
-
 TERMS = ([0], [0, 1], [0, 2], [0, 1, 2])
 """Terms of P, I and D that may have run; the fewest that explain the effort did."""
-
-FILTERS = 25
-"""Time constants of a filter that are tried, evenly in the logarithm."""
 
 MEMORY = 32
 FORGOTTEN = 0.35
@@ -75,9 +60,6 @@ FORMS = tuple(
 
 INTEGRALS = tuple(form for form in FORMS if form == ControllerForm(integral=form.integral))
 """Those that differ in the integral alone."""
-
-Measure = Callable[[ControllerSettings, float], tuple[float, FloatArray]]
-"""Error and gains for one controller and one time constant of the setpoint filter."""
 
 
 class Replay(NamedTuple):
@@ -272,7 +254,7 @@ def _compared(
     tau = stated.setpoint_filter_s if stated is not None else 0.0
     longest_s = max(s.samples for s in stretches) / settings.sampling_Hz
     moves = any(np.ptp(s.setpoint) for s in stretches)
-    ran_error, values, own, tau = _least_changed(best, settings, tau, longest_s, moves=moves)
+    ran_error, values, own, tau = least_changed(best, settings, tau, longest_s, moves=moves)
     ran = (
         Gains(float(values[0]), float(values[1]), float(values[2]), tau)
         if values[0] > 0.0
@@ -288,75 +270,6 @@ def _compared(
         if error <= min(FITS, AS_WELL * ran_error):
             return Replay(stated, stated_error, stated, error, other, span)
     return found
-
-
-def _least_changed(
-    best: Measure, settings: ControllerSettings, tau: float, longest_s: float, *, moves: bool
-) -> tuple[float, FloatArray, ControllerSettings, float]:
-    """Error, gains, controller and setpoint filter: the fewest changes that explain the effort.
-
-    Args:
-        best: What a controller leaves with the gains of least squares.
-        settings: The controller as stated.
-        tau: Time constant of the setpoint filter, as stated.
-        longest_s: Length of the longest stretch, which bounds the filters, s.
-        moves: Whether the setpoint does.
-    """
-    at = best(settings, tau)
-    tried = [(*at, settings, tau)]
-    if at[0] <= SURE:
-        return tried[0]
-    own = settings.form or ControllerForm()
-    on: Literal["measurement", "error"] = (
-        "error" if own.derivative_on == "measurement" else "measurement"
-    )
-    # Of one setpoint neither its filter nor its derivative shows.
-    others = (settings.form, replace(own, derivative_on=on)) if moves else (settings.form,)
-    rate = settings.sampling_Hz
-    for form in others:
-        here = replace(settings, form=form)
-        by_lag = partial(_with_derivative, best, here, tau)
-        lagged = _derivative_filter(here, _best_filter(by_lag, rate, longest_s))
-        for controller in (here, lagged):
-            tried.append((*best(controller, tau), controller, tau))
-            if moves:
-                slow = _best_filter(partial(best, controller), rate, longest_s)
-                tried.append((*best(controller, slow), controller, slow))
-    least = min(error for error, *_ in tried)
-    within = least if least > FITS else min(max(AS_WELL * least, SURE), FITS)
-    return next(one for one in tried if one[0] <= within)
-
-
-def _with_derivative(
-    best: Measure, settings: ControllerSettings, tau: float, lag: float
-) -> tuple[float, FloatArray]:
-    return best(_derivative_filter(settings, lag), tau)
-
-
-def _derivative_filter(settings: ControllerSettings, lag: float) -> ControllerSettings:
-    """The controller with another derivative filter, by the rule of `pidf`."""
-    form = settings.form and replace(settings.form, derivative="backward")
-    return replace(settings, form=form, derivative_filter_s=lag)
-
-
-def _best_filter(
-    best: Callable[[float], tuple[float, FloatArray]], sampling_Hz: float, longest_s: float
-) -> float:
-    """Time constant of a filter that leaves least."""
-    from scipy.optimize import minimize_scalar  # noqa: PLC0415  slow to import
-
-    grid = np.geomspace(0.2 / sampling_Hz, max(0.1 * longest_s, 2.0 / sampling_Hz), FILTERS)
-    error, at = min((best(tau)[0], n) for n, tau in enumerate(grid.tolist()))
-    if best(0.0)[0] <= error:
-        return 0.0
-    logs, ratio = np.log(grid), math.log(grid[1] / grid[0])
-    inner = minimize_scalar(
-        lambda x: best(math.exp(x))[0],
-        bounds=(logs[at] - ratio, logs[at] + ratio),
-        method="bounded",
-        options={"xatol": 1e-4},
-    )
-    return math.exp(float(inner.x))
 
 
 def _unit_efforts(stretch: Stretch, settings: ControllerSettings, tau: float) -> FloatArray:
