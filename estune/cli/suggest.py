@@ -15,9 +15,10 @@ from estune.support.quantity_text import time_text
 
 if TYPE_CHECKING:
     from estune.core.controller_form import ControllerForm
-    from estune.service_records.suggestion import Suggestion
+    from estune.service_records.suggestion import GainsUnknown, Suggestion
 
 _STYLES = {"change": "bold green", "keep": "bold green"}
+_CAUSES = {"none": "bold green", "sticking": "bold red", "sensor": "bold red"}
 
 
 def suggest(
@@ -60,8 +61,9 @@ def suggest(
             run-experiment.
         json: Print JSON.
 
-    Exits with 9 where the records do not show enough, and with 10 where other gains ran than those
-    stated.
+    The first line says whether it is the tuning, the actuator, the sensor or something outside;
+    without gains it comes alone. Exits with 9 where the records do not show enough, and with 10
+    where other gains ran than those stated.
 
     Raises:
         InvalidInput: no record can be used, or an option cannot be read.
@@ -70,21 +72,24 @@ def suggest(
     from estune.service_records import suggestion as service  # noqa: PLC0415  slow to import
 
     stated = stated_controller(gains)
-    found = service.suggest(
-        records,
-        gains=stated.gains,
-        columns=words_from("--map", map_),
-        sampling_Hz=sampling_Hz,
-        derivative_filter_s=(
-            stated.derivative_filter_s if derivative_filter_s is None else derivative_filter_s
-        ),
-        form=_form(form),
-        reverse=reverse,
-        settling_time_s=settling_time_s,
-        step=step,
-        cost=cost,
-        limits=limits.limits,
-    )
+    try:
+        found = service.suggest(
+            records,
+            gains=stated.gains,
+            columns=words_from("--map", map_),
+            sampling_Hz=sampling_Hz,
+            derivative_filter_s=(
+                stated.derivative_filter_s if derivative_filter_s is None else derivative_filter_s
+            ),
+            form=_form(form),
+            reverse=reverse,
+            settling_time_s=settling_time_s,
+            step=step,
+            cost=cost,
+            limits=limits.limits,
+        )
+    except service.GainsUnknown as error:
+        return _cause_alone(error, report, json=json)
     if report is not None:
         found.report(report)
     trial = _written(found, next_) if next_ is not None else None
@@ -93,6 +98,28 @@ def suggest(
     else:
         _show(found, report, trial)
     return found.exit_code
+
+
+def _cause_alone(error: "GainsUnknown", report: Path | None, *, json: bool) -> int:
+    """The cause without margins, and what margins would need."""
+    cause = error.cause
+    if report is not None:
+        from estune.service_records.cause.page import page  # noqa: PLC0415  slow to import
+        from estune.support import html_page  # noqa: PLC0415  as above
+
+        html_page.write(page(cause), report)
+    if json:
+        found = {"verdict": "no gains", "heading": cause.heading(), "reason": str(error)}
+        output.print_json({**found, "cause": cause.to_json()})
+    else:
+        out = output.console()
+        out.print(
+            Text(cause.heading(), style=_CAUSES.get(cause.name, "bold yellow")), soft_wrap=True
+        )
+        out.print(Text(f"No gains are judged: {error}."), soft_wrap=True)
+        if report is not None:
+            output.show_next({"report": report})
+    return 9 if cause.name == "unknown" else 0
 
 
 def _form(texts: Values) -> "ControllerForm | None":
@@ -125,6 +152,9 @@ def _written(found: "Suggestion", folder: Path) -> Path | None:
 def _show(found: "Suggestion", report: Path | None, trial: Path | None) -> None:
     out = output.console()
     output.show_doubts(found.issues)
+    if found.cause is not None:
+        style = _CAUSES.get(found.cause.name, "bold yellow")
+        out.print(Text(found.cause.heading(), style=style), soft_wrap=True)
     style = _STYLES.get(found.verdict, "bold yellow")
     out.print(Text(found.heading(), style=style), soft_wrap=True)
     for sentence in found.remarks():

@@ -11,6 +11,7 @@ from estune.loop_model.optimum import RobustnessLimits
 from estune.loop_model.prediction import StepTrial
 from estune.recordings.issue import DataIssue
 from estune.service_records.advice import AdvisedExperiment, advice
+from estune.service_records.cause.judge import Cause
 from estune.service_records.judgement import Judgement
 from estune.service_records.recommendation import Recommendation
 from estune.service_records.replay import RAN_OTHERWISE, Replay, apart
@@ -47,6 +48,7 @@ class JudgedRecords:
         issues: What was done to the time stamps, and files that cannot be used.
         limits: The limits of the recommended gains.
         experiment: What would show the margins; None where nothing is known to, or is needed.
+        cause: Whether it is the tuning or the machine, by the last log.
     """
 
     verdict: Verdict
@@ -63,6 +65,7 @@ class JudgedRecords:
     issues: tuple[DataIssue, ...]
     limits: RobustnessLimits
     experiment: AdvisedExperiment | None = None
+    cause: Cause | None = None
 
     @property
     def exit_code(self) -> int:
@@ -124,6 +127,8 @@ class JudgedRecords:
     def remarks(self) -> list[str]:
         """What limits the statements, and what to do about it, a sentence each."""
         remarks = []
+        if self.recommendation and self.cause and self.cause.name in ("outside", "sensor"):
+            remarks.append("Other gains do not mend the cause; they are what the loop allows.")
         if any(apart(gains, self.in_use) for gains in self.gains_by_log.values()):
             remarks.append(
                 f"Several sets of gains ran: {_listed(self.gains_by_log)}; those in use are the "
@@ -168,6 +173,7 @@ class JudgedRecords:
         return {
             "verdict": self.verdict,
             "heading": self.heading(),
+            "cause": self.cause and self.cause.to_json(),
             "gains_in_use": _gains_json(self.in_use),
             "gains_by_log": {log: _gains_json(ran) for log, ran in self.gains_by_log.items()},
             "in_use": self.margins and _margins_json(self.margins),

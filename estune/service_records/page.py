@@ -15,6 +15,7 @@ from estune.run.results.frequency_figures import (
     draw_bode,
     draw_nyquist,
 )
+from estune.service_records.cause.page import sections
 from estune.service_records.judged_records import JudgedRecords
 from estune.support.html_page import (
     Block,
@@ -59,15 +60,22 @@ def page(suggestion: JudgedRecords) -> Page:
                 f"that of a step in {time_text(suggestion.trial.cost.settling_time_s)}.",
                 style="soft",
             ),
+            *_caused(suggestion),
             *_replayed(suggestion),
             Warnings(suggestion.remarks()),
         ),
         (
+            *sections(suggestion.cause),
             Section("Predicted responses", tuple(_responses(suggestion))),
             Section("Loop", tuple(_loop(suggestion))),
             Section("Records", tuple(_records(suggestion))),
         ),
     )
+
+
+def _caused(suggestion: JudgedRecords) -> Iterator[Block]:
+    if suggestion.cause is not None:
+        yield Paragraph(suggestion.cause.heading())
 
 
 def _replayed(suggestion: JudgedRecords) -> Iterator[Block]:

@@ -18,6 +18,7 @@ from estune.loop_model.optimum import RobustnessLimits
 from estune.loop_model.prediction import StepTrial
 from estune.recordings.loop_log import LoopLog
 from estune.service_records.advice import advise
+from estune.service_records.cause.judge import Cause, judge_cause
 from estune.service_records.gain_sets import cut, gain_sets
 from estune.service_records.identification import (
     ServiceLoop,
@@ -26,7 +27,7 @@ from estune.service_records.identification import (
     settling_time,
 )
 from estune.service_records.judged_records import JudgedRecords, Verdict
-from estune.service_records.judgement import judge, margins_of
+from estune.service_records.judgement import Judgement, judge, margins_of
 from estune.service_records.recommendation import Recommendation, recommend
 from estune.service_records.replay import Replay
 from estune.service_records.sources import Logs, check_names, gains_of, read_logs
@@ -38,6 +39,18 @@ TRIAL_SPAN = 3.0
 
 WORTHWHILE = 0.05
 """Decrease of the cost, by the whole of both intervals, from which other gains are recommended."""
+
+
+class GainsUnknown(InvalidInput):
+    """No gains are known, so that the cause alone is told.
+
+    Attributes:
+        cause: Whether it is the tuning or the machine.
+    """
+
+    def __init__(self, needed: str, cause: Cause) -> None:
+        super().__init__(needed)
+        self.cause = cause
 
 
 class Suggestion(JudgedRecords):
@@ -94,7 +107,8 @@ def suggest(
         limits: What the recommended gains keep; Ms 1.6 and overshoot 5 % by default.
 
     Raises:
-        InvalidInput: there is no usable log, or no gains are known.
+        InvalidInput: there is no usable log.
+        GainsUnknown: no gains are known; it has the cause of what the last log shows.
 
     Example::
 
@@ -106,7 +120,8 @@ def suggest(
     settings = logs.controller or ControllerSettings(
         logs.logs[0].sampling_Hz, derivative_filter_s or 0.0, -math.inf, math.inf, form
     )
-    parts, left_out, replays = _usable(logs, gains, settings)
+    cause = judge_cause(logs.logs[-1])
+    parts, left_out, replays = _usable(logs, gains, settings, cause)
     decides = _deciding(replays)
     if decides is not None and decides.explained and decides.controller is not None:
         settings = decides.controller
@@ -124,6 +139,7 @@ def suggest(
     margins, margin = margins_of(loop, trial, in_use)
     is_thin = decides is not None and decides.is_thin
     judgement = judge(loop, in_use, margins, margin, is_thin=is_thin)
+    judgement = _for_machine(judgement, cause, loop)
     better = recommend(loop, trial, in_use, limits) if judgement.can_tell else None
     holds = math.isfinite(margins.sensitivity.value)
     if better is None and judgement.can_tell and not holds:
@@ -158,6 +174,7 @@ def suggest(
         issues=logs.issues,
         limits=limits,
         experiment=advised,
+        cause=cause,
     )
 
 
@@ -181,8 +198,22 @@ def _logs(
     return read_logs(paths, columns, sampling_Hz, reverse=reverse)
 
 
+def _for_machine(judgement: Judgement, cause: Cause, loop: ServiceLoop) -> Judgement:
+    """A judgement that offers no gains where the actuator sticks.
+
+    Those that a linear loop asked for moved a sticking actuator up to 21 times as far. A loop that
+    is identified with its friction has it in its margins.
+    """
+    if cause.name == "sticking" and judgement.can_tell and not loop.fit.model.friction:
+        return judgement._replace(reason="the actuator sticks; free it before other gains")
+    return judgement
+
+
 def _usable(
-    logs: Logs, given: Gains | Mapping[str, Gains] | None, settings: ControllerSettings
+    logs: Logs,
+    given: Gains | Mapping[str, Gains] | None,
+    settings: ControllerSettings,
+    cause: Cause,
 ) -> tuple[list[ServicePart], list[LeftOut], list[Replay]]:
     """Stretches with the gains that ran, what is left out, and the replays of the effort."""
     parts, left_out, replays = list[ServicePart](), list[LeftOut](), list[Replay]()
@@ -200,9 +231,10 @@ def _usable(
         for stretch, number in (pair for one in whole for pair in cut(one, sets, log.sampling_Hz)):
             gains = ran[number]
             if gains is None:
-                raise InvalidInput(
+                raise GainsUnknown(
                     f"the gains that ran in {log.name} are not known; give them, as in "
-                    '--gains "P=2,I=0.5,D=0", or log the effort of the controller beside'
+                    '--gains "P=2,I=0.5,D=0", or log the effort of the controller beside',
+                    cause,
                 )
             if stretch.samples < SHORTEST:
                 left_out.append(too_short(stretch, log.sampling_Hz))

@@ -1,0 +1,125 @@
+"""Whether it is the tuning or the machine: the cause of what a log shows."""
+
+import json
+
+import numpy as np
+import pytest
+
+from estune.cli import main
+from estune.service_records.cause.judge import judge_signals
+from estune.service_records.cause.loop_signals import LoopSignals
+from estune.service_records.cause.valve import Valve, positions
+
+SAMPLES = 1200
+
+
+def flow_loop(band=0.0, slip=0.0, load=0.0, sensor=lambda _k, y: y):
+    """Signals of a flow loop of gain 2 behind an actuator that may stick."""
+    random = np.random.default_rng(3)
+    setpoint = np.repeat([50.0, 51.0, 50.5, 50.0, 51.5, 50.5], SAMPLES // 6)
+    y, u, flow, at, integral, slow = [], [], 50.0, 25.0, 25.0, 0.0
+    P, I = 0.1, 0.05
+    for k, r in enumerate(setpoint.tolist()):
+        slow += 0.01 * (random.normal() - slow)
+        flow += 0.5 * (2.0 * at + 0.3 * slow + load * np.sin(2.0 * np.pi * k / 37.0) - flow)
+        measured = sensor(k, flow + 0.03 * random.normal())
+        integral += I * (r - measured)
+        output = P * (r - measured) + integral
+        if abs(output - at) > 0.5 * (band + slip) or band == 0.0:
+            at = output - np.sign(output - at) * 0.5 * (band - slip)
+        y.append(measured)
+        u.append(output)
+    return LoopSignals(setpoint, np.array(y), np.array(u), 10.0)
+
+
+def test_sticking_actuator_is_told_with_its_band_inside_the_interval():
+    found = judge_signals(flow_loop(band=1.5, slip=0.9))
+    assert found.name == "sticking"
+    assert found.numbers["band_low"] <= 1.5 <= found.numbers["band_high"]
+    assert found.numbers["slip_low"] <= 0.9 <= found.numbers["slip_high"]
+
+
+def test_sound_loop_has_nothing_wrong():
+    assert judge_signals(flow_loop()).name == "none"
+
+
+def test_wave_from_outside_is_told_with_its_period():
+    found = judge_signals(flow_loop(load=1.0))
+    assert found.name == "outside"
+    assert found.numbers["period_s"] == pytest.approx(370.0, rel=0.05)
+
+
+def frozen(k, y, held=[]):  # noqa: B006  the reading that is held
+    if k == 400:
+        held[:] = [y]
+    return held[0] if 400 <= k < 600 else y
+
+
+@pytest.mark.parametrize(
+    ("fault", "sensor"),
+    [
+        ("frozen", frozen),
+        ("steps", lambda _k, y: round(2.0 * y) / 2.0),
+        ("spikes", lambda k, y: y + 3.0 * (k % 211 == 100)),
+    ],
+)
+def test_fault_of_the_sensor_is_named(fault, sensor):
+    found = judge_signals(flow_loop(sensor=sensor))
+    assert (found.name, found.numbers["fault"]) == ("sensor", fault)
+
+
+def test_log_too_short_to_judge_says_what_to_record():
+    few = LoopSignals(*(x[:60] for x in flow_loop()[:3]), 10.0)
+    found = judge_signals(few)
+    assert found.name == "unknown"
+    assert "record 100 or more" in found.heading()
+
+
+@pytest.mark.parametrize("scale", [1e-3, 1e3])
+def test_cause_does_not_depend_on_units(scale):
+    plain = flow_loop(band=1.5, slip=0.9)
+    scaled = LoopSignals(scale * plain.setpoint, scale * plain.measurement, plain.output, 10.0)
+    a, b = judge_signals(plain), judge_signals(scaled)
+    assert b.probability == pytest.approx(a.probability, rel=1e-6)
+    assert b.numbers["band"] == pytest.approx(a.numbers["band"])
+
+
+def test_actuator_rests_until_the_output_is_a_band_ahead():
+    output = np.concatenate([np.linspace(0.0, 3.0, 301), np.linspace(3.0, 0.0, 301)])
+    at = positions(output, [Valve(1.0, 0.0)])[:, 0]
+    assert at[300] == pytest.approx(2.5)
+    assert at[300:401] == pytest.approx(2.5, abs=0.011)
+    assert at[-1] == pytest.approx(0.5, abs=0.011)
+
+
+def said(capsys, *arguments):
+    """Exit code and what was printed."""
+    with pytest.raises(SystemExit) as ended:
+        main([*arguments])
+    return ended.value.code, capsys.readouterr().out
+
+
+def test_sticking_actuator_is_the_first_line_and_no_gains_are_offered(tmp_path, capsys):
+    signals = flow_loop(band=1.5, slip=0.9)
+    rows = zip(*signals[:3], strict=True)
+    lines = [f"{10 * k},{r},{y},{u}" for k, (r, y, u) in enumerate(rows)]
+    path = tmp_path / "flow.csv"
+    path.write_text("\n".join(["time_s,setpoint,measurement,output", *lines]))
+    code, out = said(capsys, "suggest", str(path), "--gains", "P=0.1,I=0.005")
+    assert out.startswith("STICKING ACTUATOR")
+    assert (code in (9, 10), "CHANGE" in out) == (True, False)
+
+
+def test_cause_is_told_alone_where_no_gains_explain_the_output(tmp_path, capsys):
+    signals = flow_loop(band=1.5, slip=0.9)
+    output = signals.output + np.random.default_rng(1).normal(0.0, 0.05, SAMPLES)
+    rows = zip(signals.setpoint, signals.measurement, output, strict=True)
+    lines = [f"{10 * k},{r},{y},{u}" for k, (r, y, u) in enumerate(rows)]
+    path = tmp_path / "flow.csv"
+    path.write_text("\n".join(["time_s,setpoint,measurement,output", *lines]))
+    report = tmp_path / "cause.html"
+    code, out = said(capsys, "suggest", str(path), "--json", "--report", str(report))
+    found = json.loads(out)
+    assert (code, found["verdict"], found["cause"]["name"]) == (0, "no gains", "sticking")
+    assert "gains that ran" in found["reason"]
+    assert "Tuning or machine" in report.read_text()
