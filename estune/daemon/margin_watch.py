@@ -20,6 +20,8 @@ from estune.loop_model.optimum import RobustnessLimits
 from estune.loop_model.prediction import StepTrial
 from estune.loop_model.records import LoopRecord
 from estune.service_records.advice import multisine
+from estune.service_records.cause.judge import Cause, judge_signals
+from estune.service_records.cause.loop_signals import LoopSignals
 from estune.service_records.recommendation import recommend
 from estune.service_records.watched_loop import (
     WatchedLoop,
@@ -169,8 +171,14 @@ class MarginWatch:
         description: RigDescription,
         gains: Gains,
     ) -> MarginReport:
-        """The report, with better gains where some keep the limits by their intervals."""
-        if not found.judgement.can_tell:
+        """The report with its cause, and with better gains where some keep the limits.
+
+        Where the actuator or the sensor is at fault, no gains are offered.
+        """
+        cause = self._cause(description.controller.sampling_Hz)
+        if cause.name != "unknown":
+            sentence = f"{sentence}; {cause.heading().rstrip('.')}"
+        if not found.judgement.can_tell or cause.is_machine:
             return MarginReport(kind, sentence)
         limits = self._settings.tuning.limits or RobustnessLimits()
         better = recommend(found.loop, self._trial(description), gains, limits)
@@ -178,6 +186,13 @@ class MarginWatch:
             return MarginReport(kind, sentence)
         return MarginReport(
             kind, f"{sentence}; {better.gains} is predicted to be within the limits", better.gains
+        )
+
+    def _cause(self, sampling_Hz: float) -> Cause:
+        """The cause that the newest record shows."""
+        newest = self._known.records[-1]
+        return judge_signals(
+            LoopSignals(newest.setpoint, newest.measurement, newest.effort, 1.0 / sampling_Hz)
         )
 
     def _stop(self, why: str) -> MarginReport:
