@@ -22,7 +22,7 @@ NARROWER = 0.25
 measured stage move by 2 % with it, and inverse dynamics with a filter of 100 Hz by as much."""
 
 
-def judgement(fitted: BaseFit) -> TorqueJudgement | None:
+def judgement(fitted: BaseFit, held_out: Sequence[MeasuredRecord] = ()) -> TorqueJudgement | None:
     """What the balance of torques says; None where it cannot be judged.
 
     It is of a drive that nothing holds, whose declared effects are all laws of a torque. All laws
@@ -40,10 +40,12 @@ def judgement(fitted: BaseFit) -> TorqueJudgement | None:
     narrower = torque_balance(plant.measurements, free, noise_rad, NARROWER)
     if balance is None:
         return None
+    others = [b for m in held_out if (b := BaseNumbers.of(plant.model, m)) is not None]
+    aside = torque_balance(held_out, others, noise_rad, like=balance) if held_out else None
     turns = PlantScale.of(plant.model).unit("rad") == "rad"
     of_torque = [e for e in EFFECTS.values() if family_of(e) in VISIBLE]
     looked = [e for e in of_torque if turns or e.name != "link_gravity"]
-    judged = judge(balance, looked, declared, narrower)
+    judged = judge(balance, looked, declared, narrower, aside)
     offered = all(effect in fitted.choices.structural for effect in judged.effects)
     return judged if offered else None
 

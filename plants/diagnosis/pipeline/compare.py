@@ -111,7 +111,7 @@ def compare(
     waves = None
     if Cogging in choices.in_torque and conclusion.verdict in ("unknown", "none"):
         waves = _waves(fitted, held_out)
-    judged = judgement(fitted) if waves is None else None
+    judged = judgement(fitted, held_out) if waves is None else None
     together = SILENT
     if wrong is None and judged is not None:
         conclusion, stages = _undisputed(conclusion, stages, every.models, fitted, judged)

@@ -108,6 +108,9 @@ def sentence(judged: TorqueJudgement, together: Agreement, scale: PlantScale) ->
         f"declares leave {before}, {titles} {after}, on {judged.stretches} stretches of time "
         "left out in turn"
     )
+    if judged.held_Nm is not None:
+        before, after = (scale.torque(rms) for rms in judged.held_Nm)
+        left += f"; on the held-out records {after} of {before}"
     match together.weight:
         case "both":
             return f"The balance of {effort} says the same: {left}."

@@ -83,7 +83,7 @@ class TorqueBalance:
         loaded_Nm: The motor's torque by size, against the motion, N m; same shape.
         block: Number of the stretch of time each sample lies in, same shape.
         scale: Sizes that the records show.
-        width_s: Standard deviation of the kernel, s.
+        widths_s: Standard deviation of the kernel of a velocity in a law, and of all terms, s.
         both_ways: Whether there is motion in both directions.
         noise_Nm: What a complete model may leave: noise of the encoder, numerics, model form; rms.
     """
@@ -93,7 +93,7 @@ class TorqueBalance:
     loaded_Nm: FloatArray
     block: NDArray[np.int64]
     scale: Scale
-    width_s: float
+    widths_s: tuple[float, float]
     both_ways: bool
     noise_Nm: float
 
@@ -108,6 +108,7 @@ def torque_balance(
     numbers: Sequence[BaseNumbers],
     noise_rad: float,
     narrower: float = 1.0,
+    like: TorqueBalance | None = None,
 ) -> TorqueBalance | None:
     """The balance of some records; None where they show too little motion above the noise.
 
@@ -116,11 +117,12 @@ def torque_balance(
         numbers: Numbers of the model, of each record.
         noise_rad: Noise of the encoder, rms.
         narrower: Width of the kernel relative to the widest; it is not below the least.
+        like: A balance of other records, whose kernel and sizes are used.
     """
     pairs = [(m, b) for m, b in zip(measurements, numbers, strict=True) if m.angle_rad is not None]
     if not pairs:
         return None
-    sharp_s, width_s = _widths_s(pairs, noise_rad)
+    sharp_s, width_s = _widths_s(pairs, noise_rad) if like is None else like.widths_s
     width_s = max(sharp_s, narrower * width_s)
     listed = [_signals(m, b, sharp_s, width_s) for m, b in pairs]
     velocity = np.concatenate([s.sharp_rad_s for s in listed])
@@ -142,6 +144,7 @@ def torque_balance(
         np.linspace(float(np.nanmin(angle)), float(np.nanmax(angle)), ANGLE_KNOTS),
         np.geomspace(max(0.03 * usual, least), usual, FADINGS),
     )
+    scale = scale if like is None else like.scale
     parts = max(PARTS, math.ceil(FEWEST_PARTS / len(listed)))
     torque, columns, loaded, blocks = [], [], [], []
     number = 0
@@ -173,7 +176,7 @@ def torque_balance(
         np.concatenate(loaded),
         np.concatenate(blocks),
         scale,
-        width_s,
+        (sharp_s, width_s),
         both_ways=min(forward, 1.0 - forward) >= CONSTANTS.small,
         noise_Nm=math.hypot(float(np.nanstd(of_torque)), allowance),
     )

@@ -11,7 +11,7 @@ from plants.diagnosis.constants import CONSTANTS
 from plants.diagnosis.interval import Interval
 from plants.diagnosis.torque_balance.balance import BASE, INERTIA, TorqueBalance
 from plants.diagnosis.torque_balance.laws import TorqueLaw, curves, laws
-from plants.diagnosis.torque_balance.left_out import BalanceFits, LeftOut
+from plants.diagnosis.torque_balance.left_out import BalanceFits, LeftOut, rest_Nm
 from plants.effects import Effect
 
 LEFT = 0.5
@@ -38,6 +38,7 @@ class TorqueJudgement(NamedTuple):
         after_Nm: What is left with the laws.
         noise_Nm: What may be left by a complete model.
         stretches: Number of stretches of time that were left out in turn.
+        held_Nm: The two above on records held out of all fits, or None.
     """
 
     laws: tuple[TorqueLaw, ...]
@@ -51,6 +52,7 @@ class TorqueJudgement(NamedTuple):
     after_Nm: float
     noise_Nm: float
     stretches: int
+    held_Nm: tuple[float, float] | None = None
 
     @property
     def effects(self) -> tuple[type[Effect], ...]:
@@ -78,6 +80,7 @@ def judge(
     effects: Sequence[type[Effect]],
     declared: Sequence[type[Effect]],
     narrower: TorqueBalance | None = None,
+    aside: TorqueBalance | None = None,
 ) -> TorqueJudgement:
     """The laws that a balance shows.
 
@@ -87,6 +90,7 @@ def judge(
         declared: Effects that the model has, which are part of what laws are compared with.
         narrower: The same with a narrower kernel: what no law explains shifts values by about as
             much as the kernel does.
+        aside: That of records held out, with the kernel and the sizes of the first.
     """
     fits = BalanceFits(balance)
     own = _declared(fits, declared)
@@ -118,6 +122,7 @@ def judge(
         after_Nm=math.sqrt(kept.total / samples),
         noise_Nm=balance.noise_Nm,
         stretches=len(base.error),
+        held_Nm=None if aside is None else (rest_Nm(aside, base), rest_Nm(aside, kept)),
     )
 
 

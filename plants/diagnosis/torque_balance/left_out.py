@@ -48,6 +48,14 @@ class LeftOut(NamedTuple):
         return dict(zip(self.names, spread.tolist(), strict=True))
 
 
+def rest_Nm(balance: TorqueBalance, fit: LeftOut) -> float:
+    """What a fit to other records leaves of a balance, rms."""
+    sizes = {name: size for name, size in fit.sizes.items() if name != LOAD}
+    torque = balance.torque_Nm - fit.sizes.get(LOAD, 0.0) * balance.loaded_Nm
+    left = torque - sum(size * balance.columns[name] for name, size in sizes.items())
+    return float(np.sqrt(np.mean(np.square(left))))
+
+
 class BalanceFits:
     """Fits of sets of laws to one balance."""
 
