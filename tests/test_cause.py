@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from estune.cli import main
-from estune.service_records.cause.judge import judge_signals
+from estune.service_records.cause.judge import judge_signals, with_margins
 from estune.service_records.cause.loop_signals import LoopSignals
 from estune.service_records.cause.valve import Valve, positions
 
@@ -90,6 +90,15 @@ def test_actuator_rests_until_the_output_is_a_band_ahead():
     assert at[300] == pytest.approx(2.5)
     assert at[300:401] == pytest.approx(2.5, abs=0.011)
     assert at[-1] == pytest.approx(0.5, abs=0.011)
+
+
+def test_tuning_is_the_cause_where_the_margins_are_known_to_be_small():
+    waved = judge_signals(flow_loop(load=1.0))
+    assert with_margins(waved, (2.5, 2.2, 2.9)).name == "tuning"
+    assert with_margins(waved, (1.9, 1.6, 2.3)) is waved
+    sticks = with_margins(judge_signals(flow_loop(band=1.5, slip=0.9)), (2.5, 2.2, 2.9))
+    assert sticks.name == "sticking"
+    assert "too tight as well" in sticks.heading()
 
 
 def said(capsys, *arguments):

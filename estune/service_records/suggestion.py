@@ -18,7 +18,7 @@ from estune.loop_model.optimum import RobustnessLimits
 from estune.loop_model.prediction import StepTrial
 from estune.recordings.loop_log import LoopLog
 from estune.service_records.advice import advise
-from estune.service_records.cause.judge import Cause, judge_cause
+from estune.service_records.cause.judge import Cause, judge_cause, with_margins
 from estune.service_records.gain_sets import cut, gain_sets
 from estune.service_records.identification import (
     ServiceLoop,
@@ -139,6 +139,7 @@ def suggest(
     margins, margin = margins_of(loop, trial, in_use)
     is_thin = decides is not None and decides.is_thin
     judgement = judge(loop, in_use, margins, margin, is_thin=is_thin)
+    cause = with_margins(cause, margins.sensitivity if judgement.can_tell else None)
     judgement = _for_machine(judgement, cause, loop)
     better = recommend(loop, trial, in_use, limits) if judgement.can_tell else None
     holds = math.isfinite(margins.sensitivity.value)

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -39,6 +39,13 @@ simulated sound loops 2.7 % are called sticking without it, 2.0 % with it; of st
 
 TIGHT = 1.8
 """Ms above which the tuning is called too tight, below it too slow: sound loops lie below."""
+
+HELD = 0.1
+"""Share of a log at a limit from which it is a warm-up or the like: it is 0.01 in the plant log
+whose historian repeats values most."""
+
+KNOWN = 0.975
+"""Probability that Ms is above the lower end of its interval."""
 
 _WORDS: dict[CauseName, str] = {
     "tuning": "TUNING",
@@ -104,13 +111,63 @@ def judge_cause(log: LoopLog) -> Cause:
     signals = LoopSignals(
         part["setpoint"], part["measurement"], part["effort"], 1.0 / log.sampling_Hz
     )
-    return judge_signals(signals, log.name)
+    return judge_signals(between_limits(signals), log.name)
+
+
+def between_limits(signals: LoopSignals) -> LoopSignals:
+    """The longest part in which the output is not held at its least or greatest value.
+
+    A warm-up at a limit is no swing of the loop: its end was taken for a load. A log that is at a
+    limit for less than `HELD` of its length is taken whole.
+    """
+    u = signals.output
+    at_limit = (u == u.min()) | (u == u.max())
+    if at_limit.mean() < HELD:
+        return signals
+    edges = np.flatnonzero(np.diff(np.concatenate([[True], at_limit, [True]]).astype(np.int8)))
+    begin, end = max(zip(edges[::2], edges[1::2], strict=True), key=lambda pair: pair[1] - pair[0])
+    rows = slice(int(begin), int(end))
+    return LoopSignals(
+        signals.setpoint[rows],
+        signals.measurement[rows],
+        signals.output[rows],
+        signals.interval_s,
+    )
+
+
+def with_margins(cause: Cause, sensitivity: tuple[float, float, float] | None) -> Cause:
+    """A cause beside the Ms of the loop with the ends of its 95 % interval, where it is known.
+
+    A loop that is known to be too tight needs no wave from outside to swing.
+    """
+    if sensitivity is None or sensitivity[1] <= TIGHT or cause.name == "tuning":
+        return cause
+    value = sensitivity[0]
+    if cause.is_machine:
+        return replace(
+            cause, words=f"{cause.words}; the tuning is too tight as well, Ms {value:.1f}"
+        )
+    numbers: dict[str, Number] = {
+        "direction": "tight",
+        "sensitivity": value,
+        "gain_factor": None,
+    }
+    return replace(
+        cause,
+        name="tuning",
+        probability=KNOWN,
+        numbers=numbers,
+        words=f"too tight, Ms {value:.1f}, by the gains that ran",
+    )
 
 
 def judge_signals(signals: LoopSignals, name: str = "") -> Cause:
     """The cause that signals show."""
     if signals.samples < SHORTEST:
-        why = f"the log has {signals.samples} samples without a gap; record {SHORTEST} or more"
+        why = (
+            f"the log has {signals.samples} samples in a row without a gap or a limit; record "
+            f"{SHORTEST} or more"
+        )
         return _unknown(why, name)
     if not np.ptp(signals.output) or not np.ptp(signals.measurement):
         still = "output" if np.ptp(signals.measurement) else "measurement"
