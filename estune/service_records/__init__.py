@@ -6,6 +6,7 @@ is needed, nor rest, nor a chosen window. The steps, one file each:
     sources           logs below a path, in any format of `estune.recordings`, or of a run
     stretches         parts without a gap, and those in which the controller's equation holds
     usable            the same of whole folders, before anything is fitted
+    cause             whether it is the tuning or the machine, by the three signals alone
     replay            the logged effort against that of the stated gains, before anything else
     controller_search its derivative and setpoint filters where others ran than stated
     gain_sets         several sets of gains within one log
