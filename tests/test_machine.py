@@ -12,12 +12,13 @@ import plants
 from estune.core import pidf
 from estune.core.cost import StepCost
 from estune.core.gains import Gains
+from estune.hardware.config import config_from
 from estune.hardware.driver import Reading
 from estune.hardware.loop_messages import Ended, Refused
 from estune.hardware.shared_memory import MotionPhase, Word
 from estune.trial import GUARD, LATE, SATURATED, Outcome
 from estune.trial.profiles import StepProfile, TriangleProfile
-from tests.support_hardware import VirtualLoop, config
+from tests.support_hardware import VirtualLoop, config, tables
 
 GOOD = Gains(1.0, 40.0, 0.015, 0.005)
 WILD = Gains(8.0, 400.0, 0.015, 0.005)
@@ -37,6 +38,16 @@ def settle(loop: VirtualLoop) -> None:
     """Runs until the reel is held, without a trial."""
     loop.ask(GOOD, STEP)
     loop.answer()
+
+
+def test_loop_of_another_machine_is_closed_at_its_first_sample_with_power():
+    given = tables(measurement="force of a web, N")
+    del given["guard"]["slack_N"], given["motion"]["take_up_A"], given["motion"]["taut_N"]
+    loop = VirtualLoop(config_from(given, "web.toml"))
+    loop.ask(GOOD, STEP)
+    loop.step()
+    assert loop.machine.phase is MotionPhase.HOLD
+    assert loop.answer().outcome is Outcome.DONE
 
 
 def test_trial_on_the_emulated_reel_equals_the_simulation():
