@@ -259,7 +259,7 @@ def test_file_with_the_byte_order_mark_of_windows_is_read(tmp_path):
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("[reel\n", "not TOML: .*line 1"),
+        ("[reel\n", "no TOML: .*line 1"),
         ("", r"one table of \[reel\].*it has none"),
         ("[reel]\n[linear_plant]\n", r"it has \[reel\] and \[linear_plant\]"),
         ("reel = 3\n", r"a value, not a table; write \[reel\]"),

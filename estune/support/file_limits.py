@@ -81,7 +81,7 @@ def check_lines(path: Path) -> None:
                 return
 
 
-def check_values(value: Any, path: Path) -> None:
+def check_values(value: Any, path: Path | str) -> None:
     """Raises `InvalidInput` if values are nested too deeply, or whole numbers are too large."""
     level, depth = [value], 0
     while level := [

@@ -33,16 +33,27 @@ def read_toml(path: Path) -> dict[str, Any]:
         InvalidInput: the file cannot be read, or is not TOML.
     """
     try:
-        # Editors on Windows write a byte-order mark, which TOML does not allow.
         check_size(path, path.stat().st_size, SETTINGS_MAX)
-        found = tomllib.loads(path.read_text(encoding="utf-8-sig"))
+        text = path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
         raise InvalidInput(f"{path}: {getattr(error, 'strerror', None) or error}") from error
+    return parse_toml(text, str(path))
+
+
+def parse_toml(text: str, source: str) -> dict[str, Any]:
+    """The tables of a text from a source.
+
+    Raises:
+        InvalidInput: it is no TOML, or has values that cannot be used.
+    """
+    try:
+        # Editors on Windows write a byte-order mark, which TOML does not allow.
+        found = tomllib.loads(text.removeprefix("\ufeff"))
     except tomllib.TOMLDecodeError as error:
-        raise InvalidInput(f"{path}: no TOML: {error}") from error
+        raise InvalidInput(f"{source}: no TOML: {error}") from error
     except RecursionError as error:
-        raise InvalidInput(f"{path}: nested too deeply; write it flatter") from error
-    check_values(found, path)
+        raise InvalidInput(f"{source}: nested too deeply; write it flatter") from error
+    check_values(found, source)
     return found
 
 

@@ -22,7 +22,6 @@ a file are reported at once, one per line.
 
 import difflib
 import re
-import tomllib
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -30,6 +29,7 @@ from typing import Any
 
 from estune.errors import EstuneError, InvalidInput
 from estune.run import targets
+from estune.support.toml_file import parse_toml
 from estune.support.whole_file import replace_file
 from plants.effects import Effect, find
 from plants.models import model_tables
@@ -157,10 +157,7 @@ def from_toml(
     Raises:
         InvalidInput: the text is invalid; the message has one line per mistake.
     """
-    try:
-        tables = tomllib.loads(text.removeprefix("\ufeff"))  # the mark of editors on Windows
-    except tomllib.TOMLDecodeError as error:
-        raise InvalidInput(f"{source}: this is not TOML: {error}") from error
+    tables = parse_toml(text, source)
     if tables.get("format", FORMAT) != FORMAT:
         raise InvalidInput(
             f"{source}: format {tables['format']!r} is unknown; this estune reads models of "
