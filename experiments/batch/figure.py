@@ -33,6 +33,9 @@ STYLES = {
 MOST = {"above_percent": 1000.0, "Ms": 5.0}
 """Right end of each panel: what is larger, or unstable, stands there."""
 
+LEAST_percent = -20.0
+"""Left end of the costs: a rule above the limits may cost less than the optimum within them."""
+
 
 def draw(rows: Sequence[Mapping[str, Any]], folder: Path) -> None:
     """Writes batch.png: a line for each plant."""
@@ -53,12 +56,12 @@ def draw(rows: Sequence[Mapping[str, Any]], folder: Path) -> None:
         axes.axvline(0.0 if key == "above_percent" else MAX_SENSITIVITY, color=BLUE, lw=0.7)
     cost, Ms = panels
     cost.set_xscale("symlog", linthresh=1.0, linscale=0.4)
-    cost.set_xlim(-1.0, MOST["above_percent"])
-    cost.set_xticks([0.0, 1.0, 10.0, 100.0, 1000.0], ["0", "1", "10", "100", "1000 or unstable"])
+    cost.set_xlim(LEAST_percent, MOST["above_percent"])
+    cost.set_xticks([-10.0, 0.0, 1.0, 10.0, 100.0, 1000.0], ["-10", "0", "1", "10", "100", "1000"])
     Ms.set_xlim(1.0, MOST["Ms"])
     cost.set_yticks(places, [row["plant"] for row in rows])
-    finish(cost, "", "cost above the optimum within the limits, %")
-    finish(Ms, "", "sensitivity Ms (5: more, or unstable)")
+    finish(cost, "", "cost above the optimum, % (1000: or unstable)")
+    finish(Ms, "", "Ms (5: more, or unstable)")
     cost.tick_params(axis="y", labelsize=7)
     handles, labels = cost.get_legend_handles_labels()
     figure.legend(

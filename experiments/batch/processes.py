@@ -126,9 +126,10 @@ PROCESSES: tuple[Process, ...] = (
     *(_lags(_N, f"1/(s+1)^{n}", (1.0,) * n) for n in (3, 8)),
     _lags(_FOUR, "1/(s+1)(.5s+1)(.25s+1)(.125s+1)", (1.0, 0.5, 0.25, 0.125)),
     *(
-        _integrating(f"e^-{L:g}s/s({1.0 - L:g}s+1)", (1.0 - L,) if L < 1.0 else (), L)
-        for L in (0.05, 0.3, 1.0)
+        _integrating(f"e^-{L:g}s/s({1.0 - L:g}s+1)", (1.0 - L,), L)
+        for L in (0.05, 0.3)
     ),
+    _integrating("e^-s/s", (), 1.0),
     _integrating("1/s(s+1)^2", (1.0, 1.0), 0.0),
     _integrating("e^-0.2s/s(0.5s+1)^3", (0.5, 0.5, 0.5), 0.2),
     *(
