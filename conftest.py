@@ -1,5 +1,6 @@
 """Settings of all tests: lanes, distribution over processes, pages whose blocks are tests."""
 
+import gc
 import os
 import sys
 from pathlib import Path
@@ -18,6 +19,10 @@ if sys.dont_write_bytecode:
     sys.dont_write_bytecode, sys.pycache_prefix = False, str(Path(sys.prefix) / "pycache")
     os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
     os.environ["PYTHONPYCACHEPREFIX"] = sys.pycache_prefix
+
+# The collector would visit the values of all modules and tests again and again as they grow: to
+# collect the tests takes 6.5 s of CPU in each process without it, and 9.5 s with it.
+gc.disable()
 
 # Equal examples on every machine, however slow it is.
 settings.register_profile("estune", derandomize=True, deadline=None, max_examples=40)
@@ -40,6 +45,13 @@ def pytest_configure(config: pytest.Config) -> None:
     if "nightly" not in lane:
         lane = f"({lane}) and not nightly" if lane else "not nightly"
     config.option.markexpr = lane
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_runtestloop() -> None:
+    """Lets the collector run from here on, and leave out all that exists for good."""
+    gc.freeze()
+    gc.enable()
 
 
 def pytest_xdist_auto_num_workers(config: pytest.Config) -> int:

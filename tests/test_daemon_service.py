@@ -90,6 +90,28 @@ def test_record_fault_names_what_is_wrong(changes, words):
     assert bool(fault) is bool(words)
 
 
+@pytest.mark.parametrize(
+    ("step_N", "error_N", "is_fault"),
+    [
+        (5.0, 0.04, False),
+        (5.0, 0.06, True),
+        (-5.0, 0.06, True),
+        (0.001, 1e-4, False),  # what single precision leaves of 20 N is no other setpoint
+        (0.001, 3e-4, True),
+    ],
+)
+def test_setpoint_is_that_asked_for_within_a_hundredth_of_its_range_and_rounding(
+    step_N, error_N, is_fault
+):
+    profile = replace(REQUEST.profile, preload_N=20.0, step_N=step_N)
+    request = replace(REQUEST, profile=profile)
+    record = response(request)
+    ran = replace(record, setpoint_N=record.setpoint_N + error_N)
+    fault = record_checks.record_fault(ran, request, description())
+    assert ("setpoint at sample 0" in fault) is is_fault
+    assert bool(fault) is is_fault
+
+
 def test_record_fault_accepts_diverged_and_short_trials():
     for record in (
         diverged(REQUEST),

@@ -19,7 +19,7 @@ from estune.loop_model.optimum import RobustnessLimits
 from estune.run.ending import RunEnding
 from estune.run.limit_verdict import LimitState, limit_verdict, measured_overshoot
 from estune.run.toml_tables import SearchTable
-from estune.trial import TrialRequest
+from estune.trial import Outcome, TrialRequest
 from estune.web.result_view import shown_result
 from tests.support_runs import ArithmeticRig
 
@@ -101,6 +101,29 @@ def test_whole_interval_decides(Ms, state):
     assert limit_verdict(plan(limits), claimed(Ms), ArithmeticRig.best, ()).state is state
 
 
+@pytest.mark.parametrize(
+    ("degrees", "state", "said"),
+    [
+        (Interval(40.0, 36.0, 44.0), LimitState.KEPT, ""),
+        (
+            Interval(36.0, 33.0, 39.0),
+            LimitState.NOT_SHOWN,
+            "the phase margin, 33° to 39°, may be below the limit of 35°",
+        ),
+        (
+            Interval(30.0, 27.0, 33.0),
+            LimitState.BROKEN,
+            "the phase margin of 30° is below the limit of 35°",
+        ),
+    ],
+)
+def test_whole_interval_of_the_phase_margin_decides(degrees, state, said):
+    limits = RobustnessLimits(None, None, min_phase_margin_deg=35.0)
+    unknown = Interval(math.nan, 0.0, math.inf)
+    claim = Claim(PredictedMargins(unknown, unknown, unknown, degrees), "", 0.0)
+    assert limit_verdict(plan(limits), claim, ArithmeticRig.best, ()) == (state, said)
+
+
 def test_overshoot_is_that_of_the_trials_with_the_very_gains():
     limits = RobustnessLimits(max_sensitivity=None, max_overshoot=0.05)
     rig, other = ArithmeticRig(), replace(ArithmeticRig.best, P=2.0)
@@ -114,8 +137,11 @@ def test_overshoot_is_that_of_the_trials_with_the_very_gains():
     made = plan(limits)
     assert measured_overshoot(made, rig.best, records).value == pytest.approx(0.04)
     unknown = Claim(None, "", math.nan)
-    states = [limit_verdict(made, unknown, g, records).state for g in (rig.best, other)]
-    assert states == [LimitState.KEPT, LimitState.BROKEN]
+    kept, broken = (limit_verdict(made, unknown, g, records) for g in (rig.best, other))
+    assert (kept.state, broken.state) == (LimitState.KEPT, LimitState.BROKEN)
+    assert broken.reason == "the overshoot of 55.0 % is above the limit of 5 %"
+    stopped = [replace(r, outcome=Outcome.GUARD) for r in records]
+    assert measured_overshoot(made, rig.best, stopped) is None
 
 
 @pytest.mark.parametrize("peaks", [(0.048, 0.048), (0.04, 0.058, 0.04, 0.058)])

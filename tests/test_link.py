@@ -210,10 +210,20 @@ def test_begin_is_accepted_once_and_never_while_stopping(moves):
             continue
         stopping = state.trial.stopping or not lives(state, now_s)
         assert (move.reply_code is ReplyCode.ACCEPTED) == (not stopping)
+        assert move.sentence == move.state.trial.stopping  # why not
         if move.reply_code is ReplyCode.ACCEPTED:
             assert move.state.mode is Mode.RUNNING
             with pytest.raises(ProtocolError, match="running cannot begin"):
                 rig.step(move.state, events.Begin(), now_s)
+
+
+def test_command_without_the_lease_is_refused_for_that_alone_while_the_rig_takes_commands(moves):
+    commands = (events.SetGainsEvent, events.SwitchOffEvent, events.FollowEvent)
+    for state, now_s, event, move in moves:
+        if not isinstance(event, commands) or state.latched or state.closed:
+            continue
+        if not (lives(state, now_s) and event.token == state.lease.token):
+            assert move.reply_code in (ReplyCode.HELD, ReplyCode.NO_LEASE)
 
 
 def test_held_reply_names_the_holder(moves):

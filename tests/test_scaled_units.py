@@ -87,6 +87,11 @@ def test_units_change_neither_trials_nor_gains_nor_claims(tuner, transfer, knows
         assert others[2] == pytest.approx(said, rel=1e-2)
 
 
+def test_effort_of_a_plant_without_rest_is_weighed_at_the_frequency_of_its_settling_time():
+    integrator = plants.linear_plant(INTEGRATOR, settling_time_s=3.0).rig().describe()
+    assert integrator.effort_scale == pytest.approx(abs(INTEGRATOR(2j * np.pi / 3.0)), rel=1e-6)
+
+
 def test_measured_scale_is_that_of_the_model_and_is_kept_when_a_run_is_loaded(tmp_path):
     rig = scaled(LAG, 50.0, 1.0).rig(seed=3)
     known, weight = rig.describe().effort_scale, MOVE_WEIGHT

@@ -13,7 +13,7 @@ from estune.loop_model.intervals import MODEL_ERROR, Interval
 from estune.loop_model.optimum import RobustnessLimits
 from estune.run.ending import RunEnding
 from estune.run.plan import Plan
-from estune.trial import Outcome, TrialRecord
+from estune.trial import TrialRecord
 from estune.trial.scoring import metrics_of
 
 PEAK_SCATTER = 0.7
@@ -91,8 +91,8 @@ def measured_overshoot(
     Its 95 % interval is by Student's t. That of fewer than `FEWEST_REPEATS` is by the noise of the
     records. Where the claim's, which rests on all records, reaches higher, so does this one.
     """
-    done = [r for r in records if r.outcome is Outcome.DONE and r.gains == gains]
-    peaks = np.array([metrics_of(record, plan.step).overshoot for record in done])
+    own = [r for r in records if r.gains == gains]
+    peaks = np.array([metrics_of(record, plan.step).overshoot for record in own])
     known = np.isfinite(peaks)
     if not known.any():
         return None
@@ -103,7 +103,7 @@ def measured_overshoot(
 
         spread, quantile = float(values.std(ddof=1)), float(stdtrit(count - 1, 0.975))
     else:
-        moves = [np.diff(r.tension_N) for r, is_known in zip(done, known, strict=True) if is_known]
+        moves = [np.diff(r.tension_N) for r, is_known in zip(own, known, strict=True) if is_known]
         # By the median: the response itself moves in less than half of the samples.
         noise = float(np.median(np.abs(np.concatenate(moves)))) / MEDIAN_OF_DIFFERENCE
         spread = PEAK_SCATTER * noise / abs(plan.step.step_N)

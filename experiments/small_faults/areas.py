@@ -37,7 +37,7 @@ AREAS: dict[str, Area] = {
             "estune/trial/record_checks.py",
             "estune/run/limit_verdict.py",
         ),
-        ("score", "profiles", "limit_verdict", "cost_presets", "daemon_service"),
+        ("score", "profiles", "limit_verdict", "cost_presets", "daemon_service", "scaled_units"),
     ),
     "lease": Area(
         (
@@ -59,7 +59,15 @@ AREAS: dict[str, Area] = {
             "estune/run/failed_trials.py",
             "estune/remote/zenoh/trial_execution.py",
         ),
-        ("machine", "tuning", "request_handler", "request_handler_stops", "prove"),
+        (
+            "machine",
+            "tuning",
+            "request_handler",
+            "request_handler_stops",
+            "extended_search",
+            "prove",
+            "model_based",
+        ),
     ),
     "guard": Area(
         ("estune/reel/guard.py", "estune/hardware/guard_watch.py"),
