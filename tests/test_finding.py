@@ -19,7 +19,7 @@ from estune.remote.zenoh.endpoints import with_port
 from estune.remote.zenoh.network import RECORDS_MAX_BYTES
 from estune.remote.zenoh.zenoh_session import open_session
 from estune.trial import Outcome
-from tests.serve_rig import served
+from tests.serve_rig import hosted, served
 from tests.support_rigs import ScriptedRig, response, same
 from tests.test_bus import SOON_S, trial
 
@@ -54,9 +54,9 @@ def forever(call) -> None:
 
 
 def test_connect_finds_the_only_rig_and_the_one_named():
-    with served("scripted", "drum") as server:
+    with hosted("scripted", "drum") as endpoint:
         for name in (None, "drum"):
-            with connect(server.endpoint, rig=name) as rig:
+            with connect(endpoint, rig=name) as rig:
                 assert rig.describe().name == rig.name == "drum"
 
 
@@ -79,9 +79,9 @@ def test_connect_selects_among_rigs_behind_a_router_by_name():
 def test_connect_to_a_name_served_twice_is_refused():
     with (
         router() as hub,
-        served("scripted", "a", "tcp/127.0.0.1:0", hub),
+        hosted("scripted", "a", hub),
         connect(hub, rig="a") as early,
-        served("scripted", "a", "tcp/127.0.0.1:0", hub),
+        hosted("scripted", "a", hub),
     ):
         with pytest.raises(RigError, match=r"2 processes at .* serve a rig named 'a'"):
             forever(lambda: connect(hub, rig="a", timeout_s=SOON_S).close())

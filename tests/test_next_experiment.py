@@ -20,7 +20,7 @@ from plants.diagnosis.experiments.next_experiment import Evidence, next_experime
 from plants.diagnosis.models.base import BaseNumbers
 from plants.diagnosis.residual.localisation import ResidualLocation, localise
 from plants.effects import CoulombFriction, EyeletFriction
-from tests.serve_rig import served
+from tests.serve_rig import hosted
 from tests.support_improve import REEL, RIGS, about, records
 
 
@@ -98,9 +98,9 @@ def trial(tmp_path):
 
 def test_trial_file_runs_on_a_rig_and_its_record_joins_the_data(trial, tmp_path, capsys):
     data = tmp_path / "data"
-    with served("simulated") as rig:
+    with hosted("simulated") as endpoint:
         for _ in range(2):  # a trial id never runs twice, the same file may
-            assert run(["run-experiment", str(trial), rig.endpoint, "--data", str(data)]) == 0
+            assert run(["run-experiment", str(trial), endpoint, "--data", str(data)]) == 0
     assert "the trial ran to its end" in capsys.readouterr().out
     read = read_measurements(data)
     assert len(read.measurements) == 2

@@ -16,15 +16,15 @@ from estune.remote.zenoh.endpoints import with_port
 from estune.remote.zenoh.network import RECORDS_MAX_BYTES
 from estune.remote.zenoh.zenoh_session import open_session
 from estune.trial import Outcome
-from tests.serve_rig import served, small_board
+from tests.serve_rig import hosted, small_board
 
 
 class TestOwnRig(RigConformance):
     @pytest.fixture(scope="class")
     @classmethod
     def endpoint(cls):
-        with served("paced simulated") as server:
-            yield server.endpoint
+        with hosted("paced simulated") as endpoint:
+            yield endpoint
 
 
 class TestSmallBoard(RigConformance):

@@ -1,4 +1,4 @@
-"""The `Rig` protocol of estune.trial.rig, in this process and over Zenoh."""
+"""The `Rig` protocol of estune.trial.rig, as it is and over Zenoh."""
 
 import threading
 from contextlib import ExitStack
@@ -18,7 +18,7 @@ from estune.trial.profiles import (
     StaircaseProfile,
     TriangleProfile,
 )
-from tests.serve_rig import make, served
+from tests.serve_rig import hosted, make
 from tests.support_rigs import same
 
 OTHER = Gains(0.7, 12.0, 0.004, 0.01)
@@ -26,13 +26,13 @@ OTHER = Gains(0.7, 12.0, 0.004, 0.01)
 
 @pytest.fixture(scope="module")
 def endpoints():
-    """Endpoint of a served rig of each kind; one process per kind, started when first needed."""
+    """Endpoint of a served rig of each kind, served when first needed."""
     with ExitStack() as stack:
         found: dict[str, str] = {}
 
         def endpoint(kind: str) -> str:
             if kind not in found:
-                found[kind] = stack.enter_context(served(kind)).endpoint
+                found[kind] = stack.enter_context(hosted(kind))
             return found[kind]
 
         yield endpoint
@@ -40,7 +40,7 @@ def endpoints():
 
 @pytest.fixture
 def make_rig_at(endpoints):
-    """Makes a rig of a kind, in this process ("here") or in another ("zenoh")."""
+    """Makes a rig of a kind, as it is ("here") or over the link ("zenoh")."""
     with ExitStack() as stack:
 
         def make_rig_at(where: str, kind: str):

@@ -26,7 +26,7 @@ from estune.web.run_folder import RunFolder
 from estune.web.run_reader import RunReader
 from estune.web.server import FOLDERS, PageServer
 from estune.web.views import View, folder_views, run_view
-from tests.serve_rig import served
+from tests.serve_rig import hosted
 from tests.support_runs import ArithmeticRig
 
 KEY = re.compile(r"#key=(.+)")
@@ -224,19 +224,19 @@ def test_finished_run_shows_its_trials_result_and_expectation(run):
 
 def test_page_of_a_finished_run_shows_nothing_of_the_next_one_on_its_rig(tmp_path):
     few = {"trials": 1, "repeats": 2, "watch": None}
-    with served("paced simulated") as rig:
-        tune(rig.endpoint, run="first", folder=tmp_path, **few)
+    with hosted("paced simulated") as endpoint:
+        tune(endpoint, run="first", folder=tmp_path, **few)
         view = run_view(tmp_path / "first")
         run_reader, rig_reader = view._readers
         run_reader.read()
         rig_reader.read()
         assert view.board.get("state")["status"] == "finished"
         assert view.board.get("rig") is None
-        connecting = partial(connect, rig.endpoint, "reel")
+        connecting = partial(connect, endpoint, "reel")
         own, every = (RigReader(Board(), connecting, run=name) for name in ("first", ""))
         for reader in (own, every):
             reader.read()
-        tune(rig.endpoint, run="second", folder=tmp_path, **few)
+        tune(endpoint, run="second", folder=tmp_path, **few)
         assert every.board.get("live")["trial_id"].startswith("second-")
         assert own.board.get("live") is None
         for reader in (run_reader, own, every):

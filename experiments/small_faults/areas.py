@@ -99,6 +99,18 @@ AREAS: dict[str, Area] = {
 
 UNCHANGED: dict[tuple[str, str], str] = {
     (
+        "if load is not None and self.rejection > 0.0:",
+        "part of a condition dropped",
+    ): "a weight of the rejection without a load is refused before",
+    (
+        "return LoopResponse(grid.theta[0], controller[0], loop[0], stable)",
+        "first and last exchanged",
+    ): "each has one row, that of the one loop",
+    (
+        "if isinstance(event, events.Expire):",
+        "guard dropped",
+    ): "a lease that has expired does so once",
+    (
         "low = float(np.clip(1e-3 * slow, 1e-12, low))",
         "constant scaled",
     ): "nothing crosses or turns there: the loop is above 500 and its integrator leads",
