@@ -24,6 +24,10 @@ if sys.dont_write_bytecode:
 # collect the tests takes 6.5 s of CPU in each process without it, and 9.5 s with it.
 gc.disable()
 
+# As in runs of the product: a second thread of BLAS waits for the first in a loop, which takes a
+# fifth of the CPU of tests of fits. Processes of tests inherit it.
+os.environ["OPENBLAS_NUM_THREADS"] = "1"
+
 # Equal examples on every machine, however slow it is.
 settings.register_profile("estune", derandomize=True, deadline=None, max_examples=40)
 settings.load_profile("estune")

@@ -7,7 +7,13 @@ import numpy as np
 import pytest
 
 from plants.diagnosis.result import ModelSummary, SearchStep
-from plants.diagnosis.search.conclusion import Conclusion, apart_of, candidates, verdict_sentence
+from plants.diagnosis.search.conclusion import (
+    Conclusion,
+    apart_of,
+    candidates,
+    conclude,
+    verdict_sentence,
+)
 from plants.diagnosis.search.decide import decide, probabilities, summed
 from plants.effects import EFFECTS
 
@@ -100,6 +106,36 @@ def test_second_effect_beside_a_far_greater_one_is_named_where_it_explains_the_r
         assert decide(base(8450.0), [*singles, pair, rival]).best == best
     useless = [model("gravity", 34.0, 2, eligible=False), model("friction", 8300.0)]
     assert not decide(base(8450.0), [*useless, model("gravity+bend", 1.4, 30)]).best
+
+
+@pytest.mark.parametrize(("left", "best"), [(6.0, {"gravity"}), (12.0, {"gravity", "friction"})])
+def test_second_effect_that_is_improbable_is_named_only_where_the_first_is_incomplete(left, best):
+    """It leaves more than three times the noise."""
+    singles = [model("gravity", left, 2), model("friction", 8300.0)]
+    decision = decide(base(8450.0), [*singles, model("gravity+friction", 1.1, 3)])
+    assert (decision.verdict, decision.best) == ("named", best)
+
+
+def test_pair_is_not_given_up_for_one_of_its_own_effects():
+    """The simpler of two pairs of the same families, which the fuller one hardly betters."""
+    pairs = [
+        model("a+b", 5.5, 2)._replace(families=frozenset({"a", "f"})),
+        model("a+c", 4.0, 4)._replace(families=frozenset({"a", "f"})),
+    ]
+    models = [model("a", 10.0, 1), *pairs]
+    assert decide(base(200.0), models).best == {"a", "b"}
+
+
+def test_where_no_name_is_believed_the_reason_tells_the_share_of_the_best_one():
+    others = [model("load_friction", 15.0), model("coulomb_friction", 10.5)]
+    fits = {m.names: SimpleNamespace(effects=[EFFECTS[n] for n in m.names]) for m in others}
+    models = SimpleNamespace(
+        judged=lambda _: [base(20.0), *others], base=None, singles=[], with_effects=fits
+    )
+    conclusion = conclude(None, models)
+    assert conclusion.verdict == "unknown"
+    title = EFFECTS["coulomb_friction"].title
+    assert conclusion.reason == f"The best of them, {title}, explains 50 % of it."
 
 
 def test_no_pair_is_named_for_another_that_is_rather_not_there():

@@ -99,6 +99,10 @@ AREAS: dict[str, Area] = {
 
 UNCHANGED: dict[tuple[str, str], str] = {
     (
+        "fitted = {fit.effects[0].name: fit for fit in models.singles if is_named(fit)}",
+        "first and last exchanged",
+    ): "a single fit has one effect",
+    (
         "if load is not None and self.rejection > 0.0:",
         "part of a condition dropped",
     ): "a weight of the rejection without a load is refused before",
