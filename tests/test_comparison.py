@@ -115,6 +115,7 @@ def test_unsafe_gains_are_not_repeated():
     assert repeats.next_index is None
     assert repeats.best == 0
     assert repeats.safe == (0,)
+    assert repeats.until(lambda _: True, 1, 9) == repeats  # there is no change of the cost
     assert InterleavedRepeats.new((A, B), 3).with_cost(math.inf).best == 1
     both = InterleavedRepeats.new((A, B), 3)._replace(costs=((math.inf,), (math.inf,)))
     assert both.best is None

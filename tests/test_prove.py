@@ -6,6 +6,7 @@ import re
 import tomllib
 from contextlib import closing
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -138,6 +139,34 @@ def test_remedy_is_switched_off_where_the_rest_without_it_grows_by_half(times, s
         proof = prove(rig, PATCH)
     assert bool(proof.stopped) is stops
     assert not stops or "deviates by 0.1" in proof.stopped
+
+
+def test_turn_with_the_remedy_is_judged_by_the_rest_of_the_turn_without_it(monkeypatch):
+    off, taken = dict(zip(trials.MEASURES, np.arange(4.0), strict=True)), []
+    monkeypatch.setattr(
+        trials, "measured", lambda *given: taken.append(given) or np.array(list(off.values()))
+    )
+    trials.measured_pair("rig", "about", ("run", 6), "patch")
+    assert taken == [
+        ("rig", "about", ("run", 6), "patch"),
+        ("rig", "about", ("run", 8), "patch", off["rest"]),
+    ]
+
+
+@pytest.mark.parametrize(("table", "is_wide"), [("angle_map", True), ("friction", False)])
+def test_triangle_for_what_acts_over_the_drums_angle_turns_the_drum(monkeypatch, table, is_wide):
+    limits = []
+
+    def asked(_step, _settling_s, wide):
+        limits.append(wide)
+        raise InvalidInput("enough")
+
+    monkeypatch.setattr(trials, "tracking_profile", asked)
+    patch = SimpleNamespace(tables={table: {}}, compensation=lambda *_, **__: "")
+    about = REEL.describe("reel", None)
+    with pytest.raises(InvalidInput, match="enough"):
+        trials.measured(None, about, ("run", 0), patch)
+    assert limits == [about.limits if is_wide else None]
 
 
 def test_interval_of_a_ratio_is_that_of_students_test_of_the_logarithms(monkeypatch):

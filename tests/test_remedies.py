@@ -19,6 +19,7 @@ from plants.effects.plant_scale import PlantScale
 from plants.effects.remedy import Place, Remedy
 from plants.remedies import offers_for, text
 from plants.remedies.behaviour import behaviour
+from plants.remedies.offers import REVERSAL_MARGIN
 from plants.simulation.compensation import compensation_of
 from tests.support_diagnosis import deciding, diagnosis, interval
 from tests.support_lanes import first_by_day
@@ -146,6 +147,21 @@ def test_interval_of_a_prediction_is_that_of_machines_over_the_interval_of_the_d
         ends.append(with_it[1] / without[1])
     predicted = offer.ratios["tracking"]
     assert predicted.high - predicted.low == pytest.approx(abs(ends[1] - ends[0]), rel=0.3)
+
+
+def test_prediction_of_a_friction_that_is_known_exactly_is_uncertain_at_reversals_alone():
+    (offer,) = offers_for(found(CoulombFriction(torque_Nm=0.05), spread=0.0), GAINS)
+    for measure, ratio in offer.ratios.items():
+        most = ratio.value + (REVERSAL_MARGIN if measure == "reversal" else 0.0)
+        assert (ratio.low, ratio.high) == pytest.approx((ratio.value, most)), measure
+
+
+def test_sensitivity_with_a_notch_has_the_interval_of_the_modes_frequency():
+    d = found(EFFECTS["structural_mode"](), spread=0.05)
+    (notch,) = (offer for offer in offers_for(d, GAINS) if "mode" in offer.tables)
+    ratio = notch.ratios["sensitivity"]
+    assert ratio.low <= ratio.value <= ratio.high
+    assert ratio.low < ratio.high
 
 
 def test_small_friction_is_listed_as_not_worth_it():

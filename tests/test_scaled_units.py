@@ -10,6 +10,7 @@ import estune
 import plants
 from estune.core.cost import MOVE_WEIGHT
 from estune.core.gains import Gains
+from estune.run.loop import Stopped
 from estune.trial.profiles import StepProfile
 
 UNITS = {True: (50.0, 0.05), False: (0.02, 20.0)}
@@ -92,10 +93,19 @@ def test_effort_of_a_plant_without_rest_is_weighed_at_the_frequency_of_its_settl
     assert integrator.effort_scale == pytest.approx(abs(INTEGRATOR(2j * np.pi / 3.0)), rel=1e-6)
 
 
-def test_measured_scale_is_that_of_the_model_and_is_kept_when_a_run_is_loaded(tmp_path):
+def test_measured_scale_is_that_of_the_model_and_is_kept_when_a_run_is_resumed_and_loaded(
+    tmp_path,
+):
     rig = scaled(LAG, 50.0, 1.0).rig(seed=3)
     known, weight = rig.describe().effort_scale, MOVE_WEIGHT
     options = {"folder": tmp_path, "run": "run", "trials": 2, "watch": None}
-    result = estune.tune(WithoutModel(rig), **options)
+
+    def stop(progress):
+        if progress.session.number == 2:
+            raise KeyboardInterrupt
+
+    with pytest.raises(Stopped):
+        estune.tune(WithoutModel(rig), **options | {"watch": stop})
+    result = estune.resume(tmp_path / "run", WithoutModel(rig), watch=None)
     assert result.plan.cost.move_weight == pytest.approx(weight * known**2, rel=0.02)
     assert estune.load(tmp_path / "run").plan.cost == result.plan.cost
