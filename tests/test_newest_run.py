@@ -12,7 +12,7 @@ from estune.remote.ledger import FileLedger, MemoryLedger
 from estune.remote.state_machine.trials import TrialEvent
 from estune.run.journal import Journal
 from estune.run.phase import Phase
-from estune.run.session import Tally
+from estune.run.tally import Tally
 from estune.trial import Outcome
 from estune.web.banner import banner
 from estune.web.board import Board

@@ -18,12 +18,12 @@ from estune.run.planning import make_plan, plan_from_json, plan_to_json
 from estune.run.results.summary import summarise
 from estune.run.session import (
     CONSECUTIVE_CENSORED_MAX,
-    UNSAFE_RATIO,
     after_trial,
     new_session,
     next_request,
     predict_next,
 )
+from estune.run.tally import UNSAFE_RATIO
 from estune.trial import Outcome
 from estune.trial.profiles import StepProfile
 from estune.tuners.search_space import SearchSpace

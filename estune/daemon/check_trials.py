@@ -10,7 +10,7 @@ from estune.daemon.config import RigTable
 from estune.daemon.store import DaemonStore, age_s
 from estune.daemon.supervisor_state import GainSet
 from estune.errors import Interrupted
-from estune.run.session import UNSAFE_RATIO
+from estune.run.tally import UNSAFE_RATIO
 from estune.trial import Outcome, Rig, RigDescription, TrialRecord, TrialRequest
 from estune.trial.scoring import cost_of
 

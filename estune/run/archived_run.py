@@ -20,7 +20,8 @@ from estune.run.phase import Phase
 from estune.run.plan import Plan
 from estune.run.planning import description_from_json, plan_from_json
 from estune.run.results.summary import summarise
-from estune.run.session import Session, is_safe, new_session
+from estune.run.session import Session, new_session
+from estune.run.tally import is_safe
 from estune.support.garbage import collection_paused
 from estune.trial import Outcome
 from estune.tuners import Observation, Point, SearchSpace, tuner_name, tuner_space

@@ -22,12 +22,12 @@ from estune.run.session import (
     Session,
     after_trial,
     extended_search,
-    is_unsafe,
     new_session,
     next_request,
     with_excitation,
 )
 from estune.run.start import first_record_fault
+from estune.run.tally import is_unsafe
 from estune.run.trial_quality import check_noise
 from estune.support.blas import one_blas_thread
 from estune.trial import Outcome, Rig, RigDescription, TrialRecord, TrialRequest

@@ -9,7 +9,7 @@ import numpy as np
 from estune.core.quantities import FloatArray
 from estune.run.journal import JournalEntry
 from estune.run.phase import Phase
-from estune.run.session import is_safe
+from estune.run.tally import is_safe
 from estune.support.quantity_text import axis_label
 from estune.trial import Outcome, RigDescription, TrialRecord
 

@@ -17,7 +17,8 @@ from estune.errors import EstuneError
 from estune.run import loop, snapshot
 from estune.run.journal import Journal, JournalEntry, being_written
 from estune.run.planning import description_from_json, plan_from_json
-from estune.run.session import Session, Tally, predict_next
+from estune.run.session import Session, predict_next
+from estune.run.tally import Tally
 from estune.trial import RigDescription
 from estune.tuners import tuner_space
 from estune.web import history

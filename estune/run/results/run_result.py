@@ -55,7 +55,8 @@ from estune.run.robustness import (
     limit_price,
     robustness_cells,
 )
-from estune.run.session import Session, is_safe, is_unsafe
+from estune.run.session import Session
+from estune.run.tally import is_safe, is_unsafe
 from estune.run.trial_quality import quality_remarks
 from estune.trial import Rig, RigDescription, TrialRecord
 from estune.trial.scoring import constraint_margin

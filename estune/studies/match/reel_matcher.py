@@ -20,7 +20,7 @@ from estune.run.journal import FILE_NAME
 from estune.run.loop import ProgressListener
 from estune.run.plan import TRIALS
 from estune.run.results.result import TuneResult
-from estune.run.session import UNSAFE_RATIO
+from estune.run.tally import UNSAFE_RATIO
 from estune.run.targets import open_target
 from estune.studies.match.outcome import (
     CostEstimate,

@@ -14,7 +14,7 @@ from estune.core.quantities import FloatArray
 from estune.errors import InvalidInput
 from estune.run.ending import RunEnding
 from estune.run.phase import Phase
-from estune.run.session import is_unsafe
+from estune.run.tally import is_unsafe
 from estune.studies.law.tuned import TunedGains
 from estune.studies.sweep.cells import Cell
 from estune.support.sqlite import FileKind, SqliteFile
