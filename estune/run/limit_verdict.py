@@ -13,7 +13,7 @@ from estune.loop_model.intervals import MODEL_ERROR, Interval
 from estune.loop_model.optimum import RobustnessLimits
 from estune.run.ending import RunEnding
 from estune.run.plan import Plan
-from estune.trial import TrialRecord
+from estune.trial import Outcome, TrialRecord
 from estune.trial.scoring import metrics_of
 
 PEAK_SCATTER = 0.7
