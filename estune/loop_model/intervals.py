@@ -122,15 +122,11 @@ def setpoint_deviation(
         return math.inf
     model, settling = fit.model, fit.settling_samples
     signals = signals_of(answers, settling, model.dead_samples)
-    at = Solution.at(
-        signals,
-        np.array(model.coordinates),
-        model.dead_samples,
-        fit.noise,
-        np.array(model.numerator),
-    )
-    count = model.order + len(model.numerator)
-    columns = _deviations(at.slopes(signals)[:, :count], fit.residual_std)
+    x, numerator = np.array(model.coordinates), np.array(model.numerator)
+    count = model.order + numerator.size
+    with np.errstate(over="ignore", invalid="ignore"):  # of an answer that hardly dies out
+        at = Solution.at(signals, x, model.dead_samples, fit.noise, numerator)
+        columns = _deviations(at.slopes(signals)[:, :count], fit.residual_std)
     if columns is None:
         return math.inf
     theta, slopes = model.parameters, []

@@ -18,6 +18,9 @@ from estune.loop_model.model import (
 )
 from estune.loop_model.records import LoopRecord
 
+DIVERGED = 1e100
+"""Size of an answer that is none: squares of such overflow."""
+
 
 def setpoint_response(
     model: LoopModel, record: LoopRecord, gains: Gains, settings: ControllerSettings
@@ -35,12 +38,19 @@ def setpoint_response(
     moves = record.setpoint - record.setpoint[0]
     low, high = (limit - record.effort[0] for limit in record.limits)
     with np.errstate(over="ignore", invalid="ignore"):
-        output, effort = close_loop(model, gains, settings).setpoint_response(moves)
+        output, effort = _bounded(close_loop(model, gains, settings).setpoint_response(moves))
     if low <= effort.min() and effort.max() <= high:
         return output, effort
     if not (math.isfinite(low) or math.isfinite(high)):
         return output, effort
-    return _by_samples(model, moves, gains, settings, (min(low, 0.0), max(high, 0.0)))
+    limits = min(low, 0.0), max(high, 0.0)
+    return _bounded(_by_samples(model, moves, gains, settings, limits))
+
+
+def _bounded(answer: tuple[FloatArray, FloatArray]) -> tuple[FloatArray, FloatArray]:
+    """Output and effort, infinite where they have diverged."""
+    output, effort = np.where(np.abs(answer) < DIVERGED, answer, math.inf)
+    return output, effort
 
 
 def _by_samples(
