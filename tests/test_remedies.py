@@ -149,11 +149,11 @@ def test_interval_of_a_prediction_is_that_of_machines_over_the_interval_of_the_d
     assert predicted.high - predicted.low == pytest.approx(abs(ends[1] - ends[0]), rel=0.3)
 
 
-def test_prediction_of_a_friction_that_is_known_exactly_is_uncertain_at_reversals_alone():
+def test_prediction_of_a_friction_that_is_known_exactly_is_less_certain_at_reversals():
     (offer,) = offers_for(found(CoulombFriction(torque_Nm=0.05), spread=0.0), GAINS)
-    for measure, ratio in offer.ratios.items():
-        most = ratio.value + (REVERSAL_MARGIN if measure == "reversal" else 0.0)
-        assert (ratio.low, ratio.high) == pytest.approx((ratio.value, most)), measure
+    above = {measure: ratio.high - ratio.value for measure, ratio in offer.ratios.items()}
+    assert above.pop("reversal") >= REVERSAL_MARGIN
+    assert max(above.values()) < 0.5 * REVERSAL_MARGIN
 
 
 def test_sensitivity_with_a_notch_has_the_interval_of_the_modes_frequency():
