@@ -15,6 +15,7 @@ from estune.loop_model.fitting import fit_loop
 from estune.loop_model.intervals import predict_with_intervals
 from estune.loop_model.least_squares import Solution, signals_of
 from estune.loop_model.margins import robustness
+from estune.loop_model.optimum import RobustnessLimits
 from estune.loop_model.poles import (
     OUTSIDE,
     coordinates_of,
@@ -27,6 +28,10 @@ from estune.loop_model.records import LoopRecord
 from estune.run.ending import RunEnding
 from estune.trial import RigLimits
 from estune.trial.profiles import StepProfile
+from estune.tuners import identified_loop
+from estune.tuners.identified_loop import IdentifiedLoopTuner
+from estune.tuners.observation import Observation
+from estune.tuners.search_space import SearchSpace
 from experiments.loop_claims import true_sensitivity
 from plants.simulation.noise import NoiseSource
 
@@ -129,3 +134,19 @@ def test_unstable_plant_is_tuned_in_few_trials_and_its_claim_is_true(name):
 def test_a_step_far_beyond_any_coordinate_makes_no_pole_grow(coordinates):
     # Along a pole that records do not know covariances allow such steps.
     assert not any(section.grows for section in sections_of(coordinates))
+
+
+def test_start_that_is_only_just_stable_is_not_pushed_towards_instability(monkeypatch):
+    monkeypatch.setattr(identified_loop, "MISFIT_MAX", -1.0)  # so that the fallback proposes
+    plant, gains = plant_of("levitation"), Gains(1.4, 8e-4, 0.5, 0.5)
+    step, rate, cost = plant.profile, plant.controller.sampling_Hz, StepCost(2.0)
+    trial = StepTrial(plant.controller, cost, 0.0, step.shape(rate), step.samples(rate))
+    tuner = IdentifiedLoopTuner(SearchSpace.around(gains)).for_trial(trial, RobustnessLimits())
+    here = true_sensitivity(plant, gains)
+    assert 2.5 < here < 10.0
+    state = tuner.tell_start(tuner.start(), Observation(1.0, record=record_of(plant, gains)))
+    for _ in range(4):
+        proposed = tuner.space.gains(tuner.ask(state))
+        assert true_sensitivity(plant, proposed) <= 1.02 * here
+        record = record_of(plant, proposed)
+        state = tuner.tell(state, Observation(1.1, record=record))

@@ -17,7 +17,7 @@ from estune.loop_model.fitting import better_fit, fit_loop, fit_with_excitations
 from estune.loop_model.intervals import predict_with_intervals
 from estune.loop_model.margins import robustness
 from estune.loop_model.model import LoopModel, close_loop, exchanged
-from estune.loop_model.optimum import DERIVATIVES, RegionSearch, RobustnessLimits
+from estune.loop_model.optimum import DERIVATIVE, RegionSearch, RobustnessLimits
 from estune.loop_model.poles import pair_coordinates, polynomial
 from estune.loop_model.prediction import StepTrial, predict, predictions
 from estune.loop_model.records import LoopRecord
@@ -232,7 +232,7 @@ def test_fit_of_two_that_knows_less_of_the_loop_is_not_preferred():
     assert better_fit((fewer, ()), (worse, ()), records)[0] is worse
 
 
-def test_wide_search_finds_the_derivative_that_a_lag_of_many_orders_wants():
+def test_search_finds_the_derivative_that_a_lag_of_many_orders_wants():
     rate, settling_s = 200.0 / 12.0, 12.0
     step = StepProfile(0.0, 1.0, 3.0, 33.0)
     lag = LoopModel((-3.724, -0.066), (0.0, 0.0, 0.0), 63)  # as eight lags of 1 s are fitted
@@ -251,7 +251,7 @@ def test_wide_search_finds_the_derivative_that_a_lag_of_many_orders_wants():
     def start(derivative):
         return np.log([0.3, 0.05, 0.3 * settling_s * derivative, 0.1])
 
-    found = search.minimise([start(d) for d in (1e-5, *DERIVATIVES)], wide=True)
+    found = search.minimise([start(1e-5)], apart=[start(DERIVATIVE)])
     everywhere = [search.minimise([start(d)]) for d in np.geomspace(1e-4, 0.3, 8)]
     assert found.feasible
     least = min(one.prediction.cost for one in everywhere if one.feasible)

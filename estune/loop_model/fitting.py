@@ -30,6 +30,7 @@ from estune.loop_model.order import (
     without_slowest_pole,
     without_spare_pole,
 )
+from estune.loop_model.poles import mirrored
 from estune.loop_model.records import LoopRecord
 from estune.loop_model.whiteness import is_white
 
@@ -45,6 +46,9 @@ GROWTH_GAIN, GROWTH_SHARE = 10.0, 0.5
 """Decrease of the criterion, very strong evidence, from which on a plant is taken to grow, and the
 share of the squared errors that such a fit may leave where it is not white. Of a plant that is not
 linear, or that changes, a growing pole explains a little more."""
+
+GROWN = 0.1
+"""Logarithm of the growth over the longest record below which a pole is an integrator to it."""
 
 FRICTION_DONE = 0.002
 """Misfit with friction up to which no further poles are tried. One timid trial of the reference
@@ -325,6 +329,10 @@ def _begun(signals: FitSignals, first: PoleFit) -> list[PoleFit]:
     growing = growing_fit(signals)
     if growing is None:
         return [first]
+    if not is_resolved(signals, growing.coordinates, GROWN):
+        integrator = growing._replace(coordinates=mirrored(growing.coordinates))
+        found = searched_dead_time(signals, [integrator])
+        return [min(first, found, key=lambda one: criterion_of(signals, one))]
     at, before = solution_of(signals, growing), solution_of(signals, first)
     if is_white(signals, at.residual):
         gained = criterion_of(signals, first) - criterion_of(signals, growing)

@@ -31,13 +31,14 @@ from estune.loop_model.least_squares import (
     without,
 )
 from estune.loop_model.noise_model import WHITE
-from estune.loop_model.order import criterion_of
+from estune.loop_model.order import criterion_of, solution_of
 from estune.loop_model.poles import (
     coordinates_of,
     difference_polynomial,
     mirrored,
     sections_of,
 )
+from estune.loop_model.whiteness import is_white
 
 ORDERS = (1, 2, 3)
 """Orders that are begun from; further poles are added where errors are not white."""
@@ -72,6 +73,8 @@ def growing_fit(signals: FitSignals) -> PoleFit | None:
         starts = [start for start in begun if start is not None and _grows(start.coordinates)]
         if starts:
             found.append(searched_dead_time(signals, [min(starts, key=by_cost)]))
+            if is_white(signals, solution_of(signals, found[-1]).residual):
+                break
     return min(found, key=lambda fit: criterion_of(signals, fit), default=None)
 
 

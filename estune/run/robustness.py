@@ -119,8 +119,8 @@ def identify(
         excitations: Those of excitations.
         plan: The plan of the run.
         rig: The rig.
-        own: The fit of the tuner, from which one more search begins: one that knows less of the
-            loop must not contradict it.
+        own: The fit of the tuner, from which the search begins. Where that does not explain the
+            records, one begins anew, too, which must not contradict it with a worse fit.
     """
     records = records[-RECORDS_MAX:]
     steps, reasons = list[StepRecord](), Counter[str]()
@@ -142,10 +142,10 @@ def identify(
     excited = tuple(record for record in made_of if record is not None)
     signals = [step.signals for step in steps]
     rate, asked_s = rig.controller.sampling_Hz, plan.cost.settling_time_s
-    found = fit_with_excitations(signals, excited, rate, asked_s)
-    if own is not None:
-        again = fit_with_excitations(signals, excited, rate, asked_s, own)
-        found = better_fit(found, again, signals)
+    found = fit_with_excitations(signals, excited, rate, asked_s, own)
+    if own is not None and not found[0].is_white:
+        anew = fit_with_excitations(signals, excited, rate, asked_s)
+        found = better_fit(found, anew, signals)
     return IdentifiedLoop(found[0], "", tuple(steps), found[1], remarks)
 
 

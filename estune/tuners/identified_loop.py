@@ -13,6 +13,7 @@ costs decide what is kept.
 """
 
 import math
+import sys
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal
@@ -28,8 +29,9 @@ from estune.loop_model.margins import robustness
 from estune.loop_model.model import LoopModel
 from estune.loop_model.optimum import (
     CONFIRMED,
-    DERIVATIVES,
+    DERIVATIVE,
     SENSITIVITY_MARGIN,
+    SLOW_FILTER,
     TOLERANCE,
     Optimum,
     RegionSearch,
@@ -192,6 +194,10 @@ class IdentifiedLoopTuner:
         failed = len(recent) == 3 and float(np.median(recent)) > PREDICTION_FAILED  # not with NaN
         if state.fit is None or state.best_cost is None or failed or state.fit.misfit > MISFIT_MAX:
             return self._fall_back(state)
+        # From a tried point that a model calls unstable the search would go to far smaller gains.
+        held = math.isfinite(self._at(state, state.fit, state.base).cost)
+        if not (held or state.fit.is_white):
+            return self._fall_back(state)
         return self._propose(state, state.fit)
 
     def _overshoot_margin(self, observation: Observation) -> float:
@@ -248,8 +254,9 @@ class IdentifiedLoopTuner:
     def _stable(self, state: IdentifiedLoopState, proposal: Point) -> Point:
         """The furthest point on the way to a proposal at which the identified loop is stable.
 
-        An oscillation that grows slowly may cost little within a trial. The proposal itself where
-        no model is known, or where that is wrong of the best trial.
+        An oscillation that grows slowly may cost little within a trial. From gains beyond the
+        limit of Ms, which are only just stable, no point of a larger Ms. The proposal itself
+        where no model is known, or where that is wrong of the best trial.
         """
         fit, base = state.fit, np.array(state.base)
         if fit is None or not fit.responds:
@@ -257,15 +264,17 @@ class IdentifiedLoopTuner:
         wanted = np.array(self.space.coordinates(proposal))
         settings = self._trial(state).controller
 
-        def is_stable(point: Point) -> bool:
-            found = robustness(fit.model, self.space.gains(point), settings)
-            return math.isfinite(found.sensitivity)
+        def sensitivity(point: Point) -> float:
+            return robustness(fit.model, self.space.gains(point), settings).sensitivity
 
-        if not is_stable(self.space.point(tuple(base.tolist()))):
+        here = sensitivity(self.space.point(tuple(base.tolist())))
+        if not math.isfinite(here):
             return proposal
-        on_the_way = [base + share * (wanted - base) for share in (0.7, 0.45, 0.25, 0.1)]
+        limit = self.limits.max_sensitivity
+        most = sys.float_info.max if limit is None or here <= limit else here
+        on_the_way = [base + share * (wanted - base) for share in (0.7, 0.45, 0.25, 0.1, 0.0)]
         points = [proposal, *(self.space.point(tuple(x.tolist())) for x in on_the_way)]
-        return next(filter(is_stable, points), points[-1])
+        return next((point for point in points if sensitivity(point) <= most), points[-1])
 
     def _learn(
         self,
@@ -337,12 +346,11 @@ class IdentifiedLoopTuner:
         best = np.array(state.base)
         search = self._search(state, fit.model)
         foreseen = abs(state.errors[-1]) < FORESEEN  # not with NaN
-        starts = [np.array(state.centre), best, *search.ends(best)]
         optimum = search.minimise(
-            starts if foreseen else [*starts, *self._with_derivative(state)],
+            [np.array(state.centre), best, *search.ends(best)],
             iterations=FIRST_ITERATIONS if len(state.costs) < CLOSE_FROM else ITERATIONS,
             scattered=0 if foreseen else SCATTERED,
-            wide=not foreseen,
+            apart=() if foreseen else self._apart(state),
         )
         if not math.isfinite(optimum.prediction.cost):
             return self._fall_back(state)
@@ -357,14 +365,18 @@ class IdentifiedLoopTuner:
             fallen_back=False,
         )
 
-    def _with_derivative(self, state: IdentifiedLoopState) -> list[FloatArray]:
-        """The centre with other derivatives; none where that is not tuned."""
-        if "D" not in self.space.names:
-            return []
+    def _apart(self, state: IdentifiedLoopState) -> list[FloatArray]:
+        """The centre with a derivative that matters, and that with a slow filter of the setpoint.
+
+        None where the derivative is not tuned.
+        """
+        settling_s = self._scales[1]
         gains = self.space.gains(self.space.point(state.centre))
-        of_P = gains.P * self._scales[1]
-        others = (replace(gains, D=share * of_P) for share in DERIVATIVES)
-        points = (self.space.point_of(other) for other in others)
+        if not gains.D:
+            return []
+        one = replace(gains, D=DERIVATIVE * gains.P * settling_s)
+        slow = replace(one, setpoint_filter_s=SLOW_FILTER * settling_s)
+        points = map(self.space.point_of, (one, slow) if gains.setpoint_filter_s else (one,))
         return [np.array(self.space.coordinates(point)) for point in points]
 
     def _width(self, state: IdentifiedLoopState, fit: LoopFit, optimum: Optimum) -> float:
