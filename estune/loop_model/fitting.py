@@ -306,7 +306,7 @@ def _fit(
     first = without_slowest_pole(signals, first)
     begun = _begun(signals, first) if again else [first]
     fits = [_explaining(records, signals, one, last, again=again) for one in begun]
-    fit = min(fits, key=lambda one: _criterion(one, signals))
+    fit = min(fits, key=lambda one: _criterion(one, signals) + GROWTH_GAIN * one.model.grows)
     # In records of service a load may take the place of a pole.
     in_motion = any(group.history for group in signals.groups)
     if fit.order != 2 or fit.model.friction or in_motion:
@@ -322,9 +322,8 @@ def _begun(signals: FitSignals, first: PoleFit) -> list[PoleFit]:
     that they do not resolve.
     """
     white = is_white(signals, solution_of(signals, first).residual)
-    if any(group.history for group in signals.groups):
-        return [first]
-    if white and is_resolved(signals, first.coordinates):
+    in_motion = any(group.history for group in signals.groups)
+    if in_motion or (white and is_resolved(signals, first.coordinates)):
         return [first]
     growing = growing_fit(signals)
     if growing is None:
@@ -336,7 +335,12 @@ def _begun(signals: FitSignals, first: PoleFit) -> list[PoleFit]:
     at, before = solution_of(signals, growing), solution_of(signals, first)
     if is_white(signals, at.residual):
         gained = criterion_of(signals, first) - criterion_of(signals, growing)
-        return [growing] if gained > GROWTH_GAIN else [first]
+        if gained <= GROWTH_GAIN:
+            return [first]
+        # With as many poles, or fewer, growth explains them; with more, further poles may do so.
+        return (
+            [growing] if growing.coordinates.size <= first.coordinates.size else [first, growing]
+        )
     return [growing, first] if at.squares < GROWTH_SHARE * before.squares else [first]
 
 
