@@ -7,7 +7,7 @@ import pytest
 
 from estune.cli import main
 from estune.service_records.cause.judge import judge_signals, with_margins
-from estune.service_records.cause.loop_signals import LoopSignals
+from estune.service_records.cause.loop_signals import JudgedSignals
 from estune.service_records.cause.valve import Valve, positions
 
 SAMPLES = 1200
@@ -29,7 +29,7 @@ def flow_loop(band=0.0, slip=0.0, load=0.0, sensor=lambda _k, y: y):
             at = output - np.sign(output - at) * 0.5 * (band - slip)
         y.append(measured)
         u.append(output)
-    return LoopSignals(setpoint, np.array(y), np.array(u), 10.0)
+    return JudgedSignals(setpoint, np.array(y), np.array(u), 10.0)
 
 
 def test_sticking_actuator_is_told_with_its_band_inside_the_interval():
@@ -69,7 +69,7 @@ def test_fault_of_the_sensor_is_named(fault, sensor):
 
 
 def test_log_too_short_to_judge_says_what_to_record():
-    few = LoopSignals(*(x[:60] for x in flow_loop()[:3]), 10.0)
+    few = JudgedSignals(*(x[:60] for x in flow_loop()[:3]), 10.0)
     found = judge_signals(few)
     assert found.name == "unknown"
     assert "record 100 or more" in found.heading()
@@ -78,7 +78,7 @@ def test_log_too_short_to_judge_says_what_to_record():
 @pytest.mark.parametrize("scale", [1e-3, 1e3])
 def test_cause_does_not_depend_on_units(scale):
     plain = flow_loop(band=1.5, slip=0.9)
-    scaled = LoopSignals(scale * plain.setpoint, scale * plain.measurement, plain.output, 10.0)
+    scaled = JudgedSignals(scale * plain.setpoint, scale * plain.measurement, plain.output, 10.0)
     a, b = judge_signals(plain), judge_signals(scaled)
     assert b.probability == pytest.approx(a.probability, rel=1e-6)
     assert b.numbers["band"] == pytest.approx(a.numbers["band"])

@@ -21,7 +21,7 @@ from estune.loop_model.prediction import StepTrial
 from estune.loop_model.records import LoopRecord
 from estune.service_records.advice import multisine
 from estune.service_records.cause.judge import Cause, judge_signals
-from estune.service_records.cause.loop_signals import LoopSignals
+from estune.service_records.cause.loop_signals import JudgedSignals
 from estune.service_records.recommendation import recommend
 from estune.service_records.watched_loop import (
     WatchedLoop,
@@ -192,7 +192,7 @@ class MarginWatch:
         """The cause that the newest record shows."""
         newest = self._known.records[-1]
         return judge_signals(
-            LoopSignals(newest.setpoint, newest.measurement, newest.effort, 1.0 / sampling_Hz)
+            JudgedSignals(newest.setpoint, newest.measurement, newest.effort, 1.0 / sampling_Hz)
         )
 
     def _stop(self, why: str) -> MarginReport:

@@ -232,9 +232,11 @@ def _usable(
         for stretch, number in (pair for one in whole for pair in cut(one, sets, log.sampling_Hz)):
             gains = ran[number]
             if gains is None:
+                logged = any(stretch.effort is not None for stretch in whole)
+                also = "no P, I and D explain the output" if logged else "log the effort beside"
                 raise GainsUnknown(
                     f"the gains that ran in {log.name} are not known; give them, as in "
-                    '--gains "P=2,I=0.5,D=0", or log the effort of the controller beside',
+                    f'--gains "P=2,I=0.5,D=0"; {also}',
                     cause,
                 )
             if stretch.samples < SHORTEST:

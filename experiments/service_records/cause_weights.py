@@ -12,8 +12,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from estune.core.quantities import FloatArray
-from estune.service_records.cause.evidence import Evidence, evidence
-from estune.service_records.cause.loop_signals import LoopSignals
+from estune.service_records.cause.evidence import CauseEvidence, evidence
+from estune.service_records.cause.loop_signals import JudgedSignals
 from estune.service_records.cause.probability import FARTHEST, other_terms, sticking_terms
 from experiments.results import command_line
 from experiments.service_records.loops import CAUSES, draw
@@ -24,10 +24,10 @@ RIDGE = 3.0
 OTHERS = ("tuning", "outside", "none")
 
 
-def shown(seed: int, cause: str) -> Evidence:
+def shown(seed: int, cause: str) -> CauseEvidence:
     """The evidence of a simulated log."""
     log = draw(seed, cause)
-    return evidence(LoopSignals(log.setpoint, log.measurement, log.output, 1.0))
+    return evidence(JudgedSignals(log.setpoint, log.measurement, log.output, 1.0))
 
 
 def logistic(terms: FloatArray, classes: FloatArray, count: int) -> tuple[FloatArray, ...]:

@@ -14,7 +14,7 @@ import time
 from typing import Any
 
 from estune.service_records.cause.judge import judge_signals
-from estune.service_records.cause.loop_signals import LoopSignals
+from estune.service_records.cause.loop_signals import JudgedSignals
 from experiments.results import at_least, at_most, command_line, print_results
 from experiments.service_records.loops import CAUSES, draw
 
@@ -23,7 +23,7 @@ def judged(seed: int, cause: str) -> tuple[str, float]:
     """What a loop of known cause is judged to have, and the CPU time."""
     log = draw(seed, cause)
     begun = time.process_time()
-    found = judge_signals(LoopSignals(log.setpoint, log.measurement, log.output, 1.0))
+    found = judge_signals(JudgedSignals(log.setpoint, log.measurement, log.output, 1.0))
     print(seed, cause, log.detail, found.name, f"{found.probability:.2f}", file=sys.stderr)
     return found.name, time.process_time() - begun
 

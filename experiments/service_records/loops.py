@@ -21,7 +21,7 @@ MATERIAL = 1.5
 SUBSTEPS = 4
 
 
-class Plant(NamedTuple):
+class Lags(NamedTuple):
     """Lags and a dead time in samples, behind an integrator or not."""
 
     lags: tuple[float, ...]
@@ -52,7 +52,7 @@ class Pid(NamedTuple):
         return Pid(self.P * factor, self.I * factor * integral, self.D * factor)
 
 
-class Log(NamedTuple):
+class DrawnLog(NamedTuple):
     """A simulated log.
 
     Attributes:
@@ -72,7 +72,7 @@ class Log(NamedTuple):
     facts: dict[str, Any]
 
 
-def sensitivity(plant: Plant, pid: Pid) -> float:
+def sensitivity(plant: Lags, pid: Pid) -> float:
     """Ms by the frequency response of the sampled loop."""
     w = np.geomspace(1e-4, math.pi, 3000)
     back = np.exp(-1j * w)
@@ -87,7 +87,7 @@ def sensitivity(plant: Plant, pid: Pid) -> float:
     return float(np.max(1.0 / np.abs(1.0 + L)))
 
 
-def plant_of(random: Random) -> Plant:
+def plant_of(random: Random) -> Lags:
     """First to third order, a third of them integrating, 1.5 to 20 samples a response."""
     integrating = bool(random.random() < 0.35)
     count = int(random.integers(0, 3) if integrating else random.integers(1, 4))
@@ -96,10 +96,10 @@ def plant_of(random: Random) -> Plant:
     scale = math.exp(random.uniform(math.log(1.5), math.log(20.0))) / (dead_time + sum(lags))
     gain = random.choice([-1.0, 1.0]) * 10.0 ** random.uniform(-1.0, 1.0)
     scaled = tuple(sorted((lag * scale for lag in lags), reverse=True))
-    return Plant(scaled, integrating, max(dead_time * scale, 0.3), gain)
+    return Lags(scaled, integrating, max(dead_time * scale, 0.3), gain)
 
 
-def sound(random: Random, plant: Plant) -> Pid:
+def sound(random: Random, plant: Lags) -> Pid:
     """P, PI or PID by the SIMC rules (Skogestad 2003), one to four times their slowest pole."""
     kinds = ("P", "PI", "PI", "PID") if plant.integrating else ("PI", "PI", "PID")
     kind = random.choice(kinds)
@@ -153,7 +153,7 @@ class _Run(NamedTuple):
     sensor: Callable[[int, float], float] | None = None
 
 
-def _run(random: Random, plant: Plant, pid: Pid, what: _Run) -> tuple[FloatArray, FloatArray]:
+def _run(random: Random, plant: Lags, pid: Pid, what: _Run) -> tuple[FloatArray, FloatArray]:
     """Measurement and output of a loop with a valve of static and sliding friction, and spread."""
     count, step = what.setpoint.size, 1.0 / SUBSTEPS
     y, u = np.zeros(count), np.zeros(count)
@@ -186,7 +186,7 @@ def _run(random: Random, plant: Plant, pid: Pid, what: _Run) -> tuple[FloatArray
     return y, u
 
 
-def _tight(random: Random, plant: Plant, pid: Pid) -> Pid:
+def _tight(random: Random, plant: Lags, pid: Pid) -> Pid:
     """More gain, or more integral, up to an Ms of 3 to 9 on the stable side."""
     wanted, factor = random.uniform(3.0, 9.0), 1.0
     integral = random.choice([1.0, 1.0, 3.0]) if pid.I else 1.0
@@ -217,7 +217,7 @@ def _sensor(random: Random, kind: str, count: int, pace: float) -> Callable[[int
 def _with_fault(
     random: Random,
     what: tuple[str, str],
-    loop: tuple[Plant, Pid],
+    loop: tuple[Lags, Pid],
     usual: _Run,
     facts: dict[str, Any],
 ) -> tuple[_Run, Pid]:
@@ -253,7 +253,7 @@ def _with_fault(
     return usual, pid
 
 
-def draw(seed: int, cause: str, noise_most: float = 0.02) -> Log:
+def draw(seed: int, cause: str, noise_most: float = 0.02) -> DrawnLog:
     """A log of a loop whose cause is known, from a seed of its own."""
     for attempt in range(100):
         random = np.random.default_rng([seed, CAUSES.index(cause), attempt])
@@ -263,7 +263,7 @@ def draw(seed: int, cause: str, noise_most: float = 0.02) -> Log:
     raise RuntimeError(f"no loop of seed {seed} shows {cause}")
 
 
-def _drawn(random: Random, cause: str, noise_most: float) -> Log | None:
+def _drawn(random: Random, cause: str, noise_most: float) -> DrawnLog | None:
     """A log, or None where the fault makes too little of a difference."""
     plant = plant_of(random)
     pid = sound(random, plant)
@@ -301,6 +301,6 @@ def _drawn(random: Random, cause: str, noise_most: float) -> Log | None:
             return None
     facts |= {"Ms": sensitivity(plant, gains), "P": gains.P, "I": gains.I, "D": gains.D}
     size, offset = 10.0 ** random.uniform(-1.0, 2.0), random.uniform(20.0, 80.0)
-    return Log(
+    return DrawnLog(
         cause, detail, size * r + offset, size * y + offset, u + random.uniform(30.0, 60.0), facts
     )

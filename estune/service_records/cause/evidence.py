@@ -9,17 +9,17 @@ from estune.core.quantities import FloatArray
 from estune.service_records.cause import margins, sensor
 from estune.service_records.cause.loop_signals import (
     Controller,
-    LoopSignals,
+    JudgedSignals,
     shown_controller,
     span,
     swing_length,
 )
-from estune.service_records.cause.outside import Jump, Line, jump, line
-from estune.service_records.cause.predictors import Comparison, compare
+from estune.service_records.cause.outside import Jump, SpectralLine, jump, line
+from estune.service_records.cause.predictors import ModelComparison, compare
 from estune.service_records.cause.shapes import Shapes, shapes
 
 
-class Evidence(NamedTuple):
+class CauseEvidence(NamedTuple):
     """What a log shows.
 
     Attributes:
@@ -35,11 +35,11 @@ class Evidence(NamedTuple):
         numbers: Evidence in the order of `NAMES`.
     """
 
-    signals: LoopSignals
+    signals: JudgedSignals
     controller: Controller
-    predicted: Comparison
+    predicted: ModelComparison
     shapes: Shapes
-    line: Line
+    line: SpectralLine
     jump: Jump
     sensitivity: float
     room: float
@@ -58,7 +58,7 @@ CLIP = (-6.0, 12.0)
 model is a sample late would else outvote the rest of the log."""
 
 
-def evidence(log: LoopSignals) -> Evidence:
+def evidence(log: JudgedSignals) -> CauseEvidence:
     """The evidence of a log of at least 40 samples in which the output moves."""
     laws = (sensor.frozen(log), sensor.steps(log), sensor.spikes(log), sensor.noise(log))
     signals = log.thinned()
@@ -97,7 +97,7 @@ def evidence(log: LoopSignals) -> Evidence:
         float(predicted.linear.pole == 1.0),
         math.log(band + 1e-3),
     )
-    return Evidence(
+    return CauseEvidence(
         signals,
         controller,
         predicted,

@@ -10,8 +10,8 @@ import numpy as np
 from estune.core.quantities import FloatArray
 from estune.recordings.loop_log import LoopLog
 from estune.service_records.cause import margins
-from estune.service_records.cause.evidence import CLIP, Evidence, evidence
-from estune.service_records.cause.loop_signals import LoopSignals
+from estune.service_records.cause.evidence import CLIP, CauseEvidence, evidence
+from estune.service_records.cause.loop_signals import JudgedSignals
 from estune.service_records.cause.predictors import around
 from estune.service_records.cause.probability import CauseName, probabilities
 from estune.support.quantity_text import time_text
@@ -77,7 +77,7 @@ class Cause:
     numbers: Mapping[str, Number]
     words: str
     probabilities: Mapping[CauseName, float]
-    signals: LoopSignals | None = field(default=None, repr=False)
+    signals: JudgedSignals | None = field(default=None, repr=False)
     disturbance: FloatArray | None = field(default=None, repr=False)
     log: str = ""
 
@@ -108,13 +108,13 @@ def judge_cause(log: LoopLog) -> Cause:
     part = max(log.parts, key=lambda one: one["time"].size)
     if "effort" not in part:
         return _unknown("the output of the controller is not logged; log it beside", log.name)
-    signals = LoopSignals(
+    signals = JudgedSignals(
         part["setpoint"], part["measurement"], part["effort"], 1.0 / log.sampling_Hz
     )
     return judge_signals(between_limits(signals), log.name)
 
 
-def between_limits(signals: LoopSignals) -> LoopSignals:
+def between_limits(signals: JudgedSignals) -> JudgedSignals:
     """The longest part in which the output is not held at its least or greatest value.
 
     A warm-up at a limit is no swing of the loop: its end was taken for a load. A log that is at a
@@ -127,7 +127,7 @@ def between_limits(signals: LoopSignals) -> LoopSignals:
     edges = np.flatnonzero(np.diff(np.concatenate([[True], at_limit, [True]]).astype(np.int8)))
     begin, end = max(zip(edges[::2], edges[1::2], strict=True), key=lambda pair: pair[1] - pair[0])
     rows = slice(int(begin), int(end))
-    return LoopSignals(
+    return JudgedSignals(
         signals.setpoint[rows],
         signals.measurement[rows],
         signals.output[rows],
@@ -161,7 +161,7 @@ def with_margins(cause: Cause, sensitivity: tuple[float, float, float] | None) -
     )
 
 
-def judge_signals(signals: LoopSignals, name: str = "") -> Cause:
+def judge_signals(signals: JudgedSignals, name: str = "") -> Cause:
     """The cause that signals show."""
     if signals.samples < SHORTEST:
         why = (
@@ -191,7 +191,9 @@ def _unknown(words: str, log: str) -> Cause:
     return Cause("unknown", 0.0, {}, words, {}, log=log)
 
 
-def _of(shown: Evidence, name: CauseName, weighed: Mapping[CauseName, float], log: str) -> Cause:
+def _of(
+    shown: CauseEvidence, name: CauseName, weighed: Mapping[CauseName, float], log: str
+) -> Cause:
     numbers, words = {
         "tuning": _tuning,
         "sticking": _sticking,
@@ -215,7 +217,7 @@ def _of(shown: Evidence, name: CauseName, weighed: Mapping[CauseName, float], lo
 _Told = tuple[dict[str, Number], str]
 
 
-def _tuning(shown: Evidence, _weighed: Mapping[CauseName, float]) -> _Told:
+def _tuning(shown: CauseEvidence, _weighed: Mapping[CauseName, float]) -> _Told:
     tight = shown.room < 1.0 or shown.sensitivity > TIGHT or shown.shapes.returns > 0.5
     numbers: dict[str, Number] = {
         "direction": "tight" if tight else "slow",
@@ -230,7 +232,7 @@ def _tuning(shown: Evidence, _weighed: Mapping[CauseName, float]) -> _Told:
     return numbers, f"too tight, {Ms}; {less}"
 
 
-def _sticking(shown: Evidence, _weighed: Mapping[CauseName, float]) -> _Told:
+def _sticking(shown: CauseEvidence, _weighed: Mapping[CauseName, float]) -> _Told:
     near = shown.predicted.near
     valve = shown.predicted.sticking.valve
     assert valve is not None  # noqa: S101  it is of the kind that sticks
@@ -258,7 +260,7 @@ def _sticking(shown: Evidence, _weighed: Mapping[CauseName, float]) -> _Told:
     )
 
 
-def _outside(shown: Evidence, _weighed: Mapping[CauseName, float]) -> _Told:
+def _outside(shown: CauseEvidence, _weighed: Mapping[CauseName, float]) -> _Told:
     interval_s = shown.signals.interval_s
     wave = shown.line
     if wave.share < LINE and shown.jump.score > 0.0:
@@ -294,7 +296,7 @@ LINE = 0.25
 """Share of the disturbance's variance from which a line is its cause, and not a step."""
 
 
-def _sensor(shown: Evidence, _weighed: Mapping[CauseName, float]) -> _Told:
+def _sensor(shown: CauseEvidence, _weighed: Mapping[CauseName, float]) -> _Told:
     fault = shown.faults[0]
     numbers: dict[str, Number] = {
         "fault": fault.fault,
@@ -310,11 +312,11 @@ def _sensor(shown: Evidence, _weighed: Mapping[CauseName, float]) -> _Told:
     }[fault.fault]
 
 
-def _none(shown: Evidence, _weighed: Mapping[CauseName, float]) -> _Told:
+def _none(shown: CauseEvidence, _weighed: Mapping[CauseName, float]) -> _Told:
     return {"sensitivity": shown.sensitivity}, "the loop does what its gains and loads explain"
 
 
-def _record(_shown: Evidence, weighed: Mapping[CauseName, float]) -> _Told:
+def _record(_shown: CauseEvidence, weighed: Mapping[CauseName, float]) -> _Told:
     first, second = sorted(weighed, key=lambda cause: -weighed[cause])[:2]
     words = (
         f"{_WORDS[first].lower()} or {_WORDS[second].lower()}; record steps of the setpoint, up "

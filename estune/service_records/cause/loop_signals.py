@@ -14,7 +14,7 @@ SWING = 0.25
 """Least size of a swing of the output, over its range from the 2nd to the 98th percent."""
 
 
-class LoopSignals(NamedTuple):
+class JudgedSignals(NamedTuple):
     """Signals of a loop in automatic, shape (samples,) each.
 
     Attributes:
@@ -39,7 +39,7 @@ class LoopSignals(NamedTuple):
         """Setpoint less measurement."""
         return self.setpoint - self.measurement
 
-    def thinned(self) -> "LoopSignals":
+    def thinned(self) -> "JudgedSignals":
         """At most `LONGEST` samples: means, and of the output its value at their end."""
         by = -(-self.samples // LONGEST)
         if by == 1:
@@ -48,7 +48,7 @@ class LoopSignals(NamedTuple):
         setpoint, measurement = (
             x[:rows].reshape(-1, by).mean(axis=1) for x in (self.setpoint, self.measurement)
         )
-        return LoopSignals(
+        return JudgedSignals(
             setpoint, measurement, self.output[by - 1 : rows : by], by * self.interval_s
         )
 
@@ -102,7 +102,7 @@ class Controller(NamedTuple):
         return float(np.sign(by_size) or 1.0)
 
 
-def shown_controller(signals: LoopSignals) -> Controller:
+def shown_controller(signals: JudgedSignals) -> Controller:
     """The controller by least squares of the output's moves."""
     y, r, moves = signals.measurement, signals.setpoint, np.diff(signals.output)[1:]
     columns = np.column_stack(

@@ -4,7 +4,7 @@ import numpy as np
 
 from estune.core.quantities import FloatArray
 from estune.service_records.cause.loop_signals import Controller
-from estune.service_records.cause.predictors import Predictor
+from estune.service_records.cause.predictors import FittedPredictor
 
 SENSITIVITY = 1.7
 """Ms that the stated factor of the gains leads to: between the 1.4 and 2 of textbooks."""
@@ -14,7 +14,7 @@ UNSTABLE = 50.0
 """Ms that stands for an unstable loop."""
 
 
-def sensitivity(plant: Predictor, controller: Controller, factor: float = 1.0) -> float:
+def sensitivity(plant: FittedPredictor, controller: Controller, factor: float = 1.0) -> float:
     """Ms of the loop with all gains times a factor; `UNSTABLE` for an unstable one."""
     loop = factor * _loop(plant, controller)
     if _encircles(loop):
@@ -22,7 +22,7 @@ def sensitivity(plant: Predictor, controller: Controller, factor: float = 1.0) -
     return min(float(np.max(1.0 / np.abs(1.0 + loop))), UNSTABLE)
 
 
-def room(plant: Predictor, controller: Controller) -> float:
+def room(plant: FittedPredictor, controller: Controller) -> float:
     """Factor of all gains at which the loop has `SENSITIVITY`, between 1/30 and 30."""
     low, high = -np.log(30.0), np.log(30.0)
     for _ in range(20):
@@ -32,18 +32,18 @@ def room(plant: Predictor, controller: Controller) -> float:
     return float(np.exp(low))
 
 
-def passed(plant: Predictor, controller: Controller, factor: float, angle: float) -> float:
+def passed(plant: FittedPredictor, controller: Controller, factor: float, angle: float) -> float:
     """Share of a disturbance at an angle per sample that reaches the measurement."""
     at = int(np.argmin(np.abs(_ANGLES - angle)))
     return float(1.0 / abs(1.0 + factor * _loop(plant, controller)[at]))
 
 
-def peak(plant: Predictor, controller: Controller) -> float:
+def peak(plant: FittedPredictor, controller: Controller) -> float:
     """Angle per sample at which the loop is most sensitive."""
     return float(_ANGLES[np.argmax(1.0 / np.abs(1.0 + _loop(plant, controller)))])
 
 
-def _loop(plant: Predictor, controller: Controller) -> FloatArray:
+def _loop(plant: FittedPredictor, controller: Controller) -> FloatArray:
     back = np.exp(-1j * _ANGLES)
     lag = (1.0 - plant.pole or 1.0) / (1.0 - plant.pole * back)
     late = plant.delay + 0.5 * (plant.order == 3)

@@ -7,7 +7,7 @@ import numpy as np
 from estune.core.quantities import FloatArray
 
 
-class Line(NamedTuple):
+class SpectralLine(NamedTuple):
     """A sinusoid in a signal.
 
     Attributes:
@@ -24,7 +24,7 @@ class Line(NamedTuple):
     sharpness: float
 
 
-def line(x: FloatArray) -> Line:
+def line(x: FloatArray) -> SpectralLine:
     """The strongest line of a signal with at least four periods in it."""
     count = x.size
     level = x - np.polynomial.Polynomial.fit(np.arange(count), x, 1)(np.arange(count))
@@ -40,7 +40,7 @@ def line(x: FloatArray) -> Line:
     sharpness = float(power[near].sum() / (power[wide].sum() + 1e-300))
     angle = 2.0 * np.pi * at / count
     amplitude = float(np.sqrt(2.0 * min(share, 1.0) * np.mean(level**2)))
-    return Line(angle, amplitude, min(share, 1.0), sharpness)
+    return SpectralLine(angle, amplitude, min(share, 1.0), sharpness)
 
 
 class Jump(NamedTuple):

@@ -6,7 +6,7 @@ import numpy as np
 
 from estune.core.quantities import FloatArray
 from estune.service_records.cause.judge import Cause
-from estune.service_records.cause.loop_signals import LoopSignals
+from estune.service_records.cause.loop_signals import JudgedSignals
 from estune.support.html_page import Block, Drawing, Page, Section, Status
 from estune.support.plot_style import BLUE, GREY, ORANGE, finish, legend, new_figure, stacked
 
@@ -34,7 +34,7 @@ def sections(cause: Cause | None) -> tuple[Section, ...]:
     return (Section("Tuning or machine", tuple(_pictures(cause, cause.signals))),)
 
 
-def _pictures(cause: Cause, signals: LoopSignals) -> Iterator[Block]:
+def _pictures(cause: Cause, signals: JudgedSignals) -> Iterator[Block]:
     time_s = np.arange(signals.samples) * signals.interval_s
     figure, (above, below) = stacked(2, 4.4)
     above.plot(time_s, signals.setpoint, color=GREY, lw=1.0, label="setpoint")

@@ -8,7 +8,7 @@ import numpy as np
 
 from estune.core.filtering import lfilter
 from estune.core.quantities import BoolArray, FloatArray
-from estune.service_records.cause.loop_signals import LoopSignals, swing_length
+from estune.service_records.cause.loop_signals import JudgedSignals, swing_length
 from estune.service_records.cause.valve import Valve, positions
 
 BANDS = (0.06, 0.12, 0.18, 0.25, 0.35, 0.45, 0.52, 0.6, 0.66, 0.72, 0.77, 0.82, 0.88, 0.93, 0.97)
@@ -60,7 +60,7 @@ BEST = 24
 measurement itself."""
 
 
-class Predictor(NamedTuple):
+class FittedPredictor(NamedTuple):
     """A plant with one pole, behind an actuator.
 
     Attributes:
@@ -80,7 +80,7 @@ class Predictor(NamedTuple):
     errors: FloatArray
 
 
-class Comparison(NamedTuple):
+class ModelComparison(NamedTuple):
     """What the two kinds predict.
 
     Attributes:
@@ -94,8 +94,8 @@ class Comparison(NamedTuple):
             the sticking loop leave when they run on from the output alone.
     """
 
-    linear: Predictor
-    sticking: Predictor
+    linear: FittedPredictor
+    sticking: FittedPredictor
     blocks: FloatArray
     informed: float
     left: FloatArray
@@ -112,7 +112,7 @@ class _Plant(NamedTuple):
     order: int
 
 
-def compare(signals: LoopSignals, sign: float) -> Comparison:
+def compare(signals: JudgedSignals, sign: float) -> ModelComparison:
     """Both kinds of loop, for a plant whose gain has some sign."""
     y, u = signals.measurement, signals.output
     size_y, size_u = float(np.ptp(y)) or 1.0, float(np.ptp(u)) or 1.0
@@ -154,7 +154,7 @@ def compare(signals: LoopSignals, sign: float) -> Comparison:
         valve = _scaled(valves[plant.valve], size_u) if plant.valve else None
         e = np.concatenate([np.zeros(first), errors[:, i]])
         gain = float(gains[i]) * size_y / size_u
-        found.append(Predictor(valve, plant.pole, plant.delay, plant.order, gain, e))
+        found.append(FittedPredictor(valve, plant.pole, plant.delay, plant.order, gain, e))
     totals = (errors**2).sum(axis=0)
     chance = 0.5 * errors.shape[0] * np.log(totals / totals[at[1]])
     near = tuple(
@@ -165,7 +165,9 @@ def compare(signals: LoopSignals, sign: float) -> Comparison:
     ratio = (float((alone**2).sum()) + 1e-300) / (float(totals[at[0]]) + 1e-300)
     informed = 0.5 * errors.shape[0] * math.log(ratio)
     slow = _slow(scaled_y, paths, linear, swing_length(u), sign)
-    return Comparison(found[0], found[1], blocks, informed, left[:, at[0]] * size_y, near, slow)
+    return ModelComparison(
+        found[0], found[1], blocks, informed, left[:, at[0]] * size_y, near, slow
+    )
 
 
 def _plants(valves: int) -> list[_Plant]:

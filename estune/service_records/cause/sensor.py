@@ -5,7 +5,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from estune.core.quantities import FloatArray
-from estune.service_records.cause.loop_signals import LoopSignals
+from estune.service_records.cause.loop_signals import JudgedSignals
 
 SensorFault = Literal["frozen", "steps", "spikes", "noise"]
 
@@ -40,7 +40,7 @@ class SensorLaw(NamedTuple):
     share: float
 
 
-def frozen(signals: LoopSignals) -> SensorLaw | None:
+def frozen(signals: JudgedSignals) -> SensorLaw | None:
     """The longest run of equal readings while the output moves, if no other is nearly as long."""
     y, u = signals.measurement, signals.output
     equal = np.concatenate([[False], np.diff(y) == 0.0, [False]])
@@ -57,7 +57,7 @@ def frozen(signals: LoopSignals) -> SensorLaw | None:
     return SensorLaw("frozen", 0.0, moved[0], moved[0] / y.size)
 
 
-def steps(signals: LoopSignals) -> SensorLaw | None:
+def steps(signals: JudgedSignals) -> SensorLaw | None:
     """A step of the readings so large that the measurement has few levels."""
     y = signals.measurement
     jumps = np.abs(np.diff(y))
@@ -71,7 +71,7 @@ def steps(signals: LoopSignals) -> SensorLaw | None:
     return SensorLaw("steps", size, round(levels) + 1, 1.0)
 
 
-def spikes(signals: LoopSignals) -> SensorLaw | None:
+def spikes(signals: JudgedSignals) -> SensorLaw | None:
     """Single readings far from both neighbours, which agree with those beside them."""
     y = signals.measurement
     # A cubic through four neighbours: a line through two takes a fast swing for spikes.
@@ -87,7 +87,7 @@ def spikes(signals: LoopSignals) -> SensorLaw | None:
     )
 
 
-def noise(signals: LoopSignals) -> SensorLaw | None:
+def noise(signals: JudgedSignals) -> SensorLaw | None:
     """White noise so large that the loop cannot see its setpoint move."""
     moved = float(np.ptp(signals.setpoint))
     deviation = noise_deviation(signals.measurement)

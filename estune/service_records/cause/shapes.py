@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from estune.core.quantities import FloatArray
-from estune.service_records.cause.loop_signals import LoopSignals, swings
+from estune.service_records.cause.loop_signals import JudgedSignals, swings
 
 SHORTEST = 8
 """Samples of a swing whose shape is told."""
@@ -33,7 +33,7 @@ class Shapes(NamedTuple):
     later: float
 
 
-def shapes(signals: LoopSignals, sign: float, noise: float) -> Shapes:
+def shapes(signals: JudgedSignals, sign: float, noise: float) -> Shapes:
     """Shapes of a log; noise is the deviation of the white part of the measurement."""
     y, u, error = signals.measurement, signals.output, signals.error
     found, weights = list[tuple[float, float, float]](), list[float]()
