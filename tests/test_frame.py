@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from estune.core.gains import Gains
+from estune.core.quantities import SMALLEST
 from estune.errors import ProtocolError
 from estune.remote.ledger import MemoryLedger
 from estune.remote.zenoh.trial_execution import SharedRigState, TrialExecutor
@@ -22,7 +23,7 @@ from tests.support_rigs import description, response, same
 from tests.support_runs import ArithmeticRig
 
 finite = st.floats(allow_nan=False, allow_infinity=False)
-positive = st.floats(min_value=0.0, exclude_min=True, allow_infinity=False)
+positive = st.floats(min_value=SMALLEST, allow_infinity=False)
 # What is not printable is replaced when a frame is decoded.
 text = st.text(st.characters(codec="utf-8"), max_size=20).map(printable)
 

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from estune import errors
 from estune.core.gains import Gains
+from estune.core.quantities import SMALLEST
 from estune.errors import InvalidInput, ProtocolError, RigError
 from estune.remote import messages
 from estune.remote.messages import (
@@ -36,7 +37,7 @@ from tests.protocol_examples import EXAMPLES
 from tests.support_rigs import description, response
 
 finite = st.floats(allow_nan=False, allow_infinity=False)
-positive = st.floats(min_value=0.0, exclude_min=True, allow_infinity=False)
+positive = st.floats(min_value=SMALLEST, allow_infinity=False)
 gains = st.builds(Gains, positive, *[finite.map(abs)] * 3)
 steps = st.builds(
     lambda preload, size, at, rest: StepProfile(preload, size, at, at + rest),

@@ -8,7 +8,7 @@ reel, end 3 the far end.
 import numpy as np
 from numpy.typing import ArrayLike
 
-from estune.core.quantities import Numbers, checked_array, scalar_or_array
+from estune.core.quantities import SMALLEST, Numbers, checked_array, scalar_or_array
 
 
 def gravity_force_N(
@@ -69,6 +69,7 @@ def gravity_force_by_position_N(
     z = checked_array("rise_m", rise_m, "m")
     T_1 = checked_array("tension_1_N", tension_1_N, "N")
     # Multiplied by |T_1|/(mu g ds), to avoid dividing by a tension of zero.
-    share = np.divide(z, s, out=np.zeros(np.broadcast(z, s).shape), where=s > 0.0)
+    # A length whose reciprocal is no number would make the share infinite.
+    share = np.divide(z, s, out=np.zeros(np.broadcast(z, s).shape), where=s >= SMALLEST)
     V_1 = share * (T_1 + 0.5 * w * z) - 0.5 * w * s
     return gravity_force_N(w, s, tension_1z_N=V_1, tension_1_N=T_1)

@@ -28,6 +28,7 @@ _MODULES = (
     "estune.run.phase",
     "estune.run.plan",
     "estune.run.session",
+    "estune.run.tally",
 )
 """Modules on which proposals depend; their values make up a session."""
 

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from plants.diagnosis.constants import CONSTANTS
 from plants.diagnosis.data.measured_record import MeasuredRecord
 from plants.diagnosis.models.base import BaseNumbers
 from plants.diagnosis.models.free_parameters import BASE
@@ -17,9 +18,6 @@ from plants.effects import EFFECTS, Effect, Port, RateLimit, Role
 from plants.effects.plant_scale import PlantScale
 
 ZERO = "encoder_zero_rad["
-NARROWER = 0.25
-"""Kernel with which values are compared, relative to the widest. Mass and Coulomb friction of a
-measured stage move by 2 % with it, and inverse dynamics with a filter of 100 Hz by as much."""
 
 
 def judgement(fitted: BaseFit, held_out: Sequence[MeasuredRecord] = ()) -> TorqueJudgement | None:
@@ -37,7 +35,7 @@ def judgement(fitted: BaseFit, held_out: Sequence[MeasuredRecord] = ()) -> Torqu
         return None
     noise_rad = fitted.noise.angle_rad
     balance = torque_balance(plant.measurements, free, noise_rad)
-    narrower = torque_balance(plant.measurements, free, noise_rad, NARROWER)
+    narrower = torque_balance(plant.measurements, free, noise_rad, CONSTANTS.kernel_narrower)
     if balance is None:
         return None
     others = [b for m in held_out if (b := BaseNumbers.of(plant.model, m)) is not None]

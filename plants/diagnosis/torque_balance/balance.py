@@ -27,15 +27,6 @@ INERTIA, VISCOUS, OFFSET = "inertia", "viscous", "offset"
 COULOMB, DRAG, SPEED, SINE, COSINE = "coulomb", "drag", "speed", "sine", "cosine"
 BASE = (INERTIA, VISCOUS, OFFSET)
 VELOCITY_KNOTS, ANGLE_KNOTS, FADINGS = 6, 8, 7
-QUIET = 0.05
-"""Noise of acceleration and velocity, as a share of the torque and the velocity, that is accepted:
-with 0.02 to 0.05 the laws of the joints that were simulated come out the same to 2 %."""
-MOTION_KEPT = 0.9
-"""Share of the velocity's rms that the kernel keeps. What is slow is the same in all records, what
-is fast is where drives are unlike their models: of a geared servo load friction takes off 0.37 of
-the power left with a kernel that keeps 0.97, and 0.61 with this one."""
-WIDEST = 0.01
-"""Widest kernel as a share of a record: its reach of ten widths at either end is lost."""
 PARTS, FEWEST_PARTS, LEAST_SAMPLES = 4, 8, 16
 
 
@@ -206,18 +197,25 @@ def _widths_s(
         of_acceleration = inertia * float(np.nanstd(smoother.sampled(noise, 0.0, 0.0, 1.0)))
         of_velocity = float(np.nanstd(smoother.sampled(noise, 0.0, 1.0)))
         moved = float(np.nanstd(velocity(width_s)))
-        return of_acceleration <= QUIET * torque and of_velocity <= QUIET * moved
+        return (
+            of_acceleration <= CONSTANTS.kernel_quiet * torque
+            and of_velocity <= CONSTANTS.kernel_quiet * moved
+        )
 
     shortest = 1.0 / min(m.sampling_Hz for m, _ in pairs)
-    least = least_width(quiet, shortest, max(shortest, 2.0 * WIDEST * min(durations)))
+    least = least_width(
+        quiet, shortest, max(shortest, 2.0 * CONSTANTS.kernel_widest * min(durations))
+    )
     sharp = velocity(least)
 
     def loses(width_s: float) -> bool:
         smooth = velocity(width_s)
         both = np.isfinite(sharp) & np.isfinite(smooth)
-        return bool(not both.any() or smooth[both].std() < MOTION_KEPT * sharp[both].std())
+        return bool(
+            not both.any() or smooth[both].std() < CONSTANTS.kernel_kept * sharp[both].std()
+        )
 
-    widest = WIDEST * float(np.median(durations))
+    widest = CONSTANTS.kernel_widest * float(np.median(durations))
     return least, least if widest <= least else least_width(loses, least, widest)
 
 

@@ -14,13 +14,6 @@ from plants.diagnosis.torque_balance.laws import TorqueLaw, curves, laws
 from plants.diagnosis.torque_balance.left_out import BalanceFits, LeftOut, rest_Nm
 from plants.effects import Effect
 
-LEFT = 0.5
-"""Share of the power that a law may leave at the most. On simulated joints without a missing law
-the best one leaves 0.7 to 1.0, a missing friction 0.02 to 0.2."""
-MOST_LAWS = 3
-SURE = 2.0
-"""Standard errors, over the stretches of time left out, by which one set of laws is better."""
-
 
 class TorqueJudgement(NamedTuple):
     """What the balance of torques says.
@@ -67,7 +60,7 @@ class TorqueJudgement(NamedTuple):
     def disputes(self, balance: TorqueBalance) -> bool:
         """Whether a balance of torques that another effect has changed leaves twice as much."""
         left = BalanceFits(balance).left_out((*self.declared, *self.laws))
-        return LEFT * left.total > balance.torque_Nm.size * self.after_Nm**2
+        return CONSTANTS.law_left * left.total > balance.torque_Nm.size * self.after_Nm**2
 
     @property
     def families(self) -> frozenset[str]:
@@ -99,10 +92,14 @@ def judge(
     base = kept = fits.left_out(own)
     sets = _possible_sets(fits, own, listed)
     floor = balance.torque_Nm.size * balance.noise_Nm**2
-    for n in range(1, MOST_LAWS + 1):
+    for n in range(1, int(CONSTANTS.laws_most) + 1):
         best = min((f for f in sets if _added(f, own) == n), key=_total, default=None)
         more = n - _added(kept, own)
-        if best is not None and kept.total > floor and best.total <= LEFT**more * kept.total:
+        if (
+            best is not None
+            and kept.total > floor
+            and best.total <= CONSTANTS.law_left**more * kept.total
+        ):
             kept = _simplest(best, sets)
     like, vetoed = _like(fits, kept)
     rivals = () if vetoed or kept is base else _rivals(kept, sets)
@@ -150,7 +147,7 @@ def _possible_sets(
 ) -> list[LeftOut]:
     """Fits of all sets of a few laws of different families, of sizes that a drive can have."""
     sets = []
-    for n in range(1, MOST_LAWS + 1):
+    for n in range(1, int(CONSTANTS.laws_most) + 1):
         for chosen in itertools.combinations(listed, n):
             if len({law.family for law in chosen}) == n:
                 fit = fits.left_out((*own, *chosen))
@@ -163,7 +160,7 @@ def _possible(fit: LeftOut) -> bool:
     """Whether frictions are above zero, and an inertia is not surely below."""
     if any(fit.sizes[name] <= 0.0 for law in fit.laws for name in law.positive):
         return False
-    return fit.sizes[INERTIA] + SURE * fit.deviations[INERTIA] > 0.0
+    return fit.sizes[INERTIA] + CONSTANTS.law_sure * fit.deviations[INERTIA] > 0.0
 
 
 def _simplest(best: LeftOut, sets: Sequence[LeftOut]) -> LeftOut:
@@ -176,7 +173,9 @@ def _simplest(best: LeftOut, sets: Sequence[LeftOut]) -> LeftOut:
         return sorted(law.family for law in fit.laws)
 
     alike = [f for f in sets if families(f) == families(best)]
-    simpler = [f for f in alike if terms(f) < terms(best) and best.total > LEFT * f.total]
+    simpler = [
+        f for f in alike if terms(f) < terms(best) and best.total > CONSTANTS.law_left * f.total
+    ]
     return min(simpler, key=lambda f: (terms(f), f.total), default=best)
 
 
@@ -184,7 +183,7 @@ def _is_better(fit: LeftOut, other: LeftOut) -> bool:
     """Whether a fit leaves less of the stretches left out than another, beyond chance."""
     gain = other.error - fit.error
     spread = float(gain.std(ddof=1)) / math.sqrt(gain.size)
-    return float(gain.mean()) > SURE * spread
+    return float(gain.mean()) > CONSTANTS.law_sure * spread
 
 
 def _rivals(kept: LeftOut, sets: Sequence[LeftOut]) -> tuple[str, ...]:
@@ -194,7 +193,11 @@ def _rivals(kept: LeftOut, sets: Sequence[LeftOut]) -> tuple[str, ...]:
     for other in sets:
         unlike = [law for law in other.laws if law.family not in families]
         as_many = len(other.laws) == len(kept.laws) and unlike
-        if as_many and kept.total > LEFT * other.total and not _is_better(kept, other):
+        if (
+            as_many
+            and kept.total > CONSTANTS.law_left * other.total
+            and not _is_better(kept, other)
+        ):
             titles |= dict.fromkeys(law.title for law in unlike)
     return tuple(titles)
 
@@ -209,7 +212,7 @@ def _like(fits: BalanceFits, kept: LeftOut) -> tuple[str, bool]:
     for curve in curves():
         beside = tuple(law for law in kept.laws if law.variable != curve.variable)
         fit = fits.left_out((*beside, curve))
-        if fit.total <= LEFT * kept.total and _is_better(fit, kept):
+        if fit.total <= CONSTANTS.law_left * kept.total and _is_better(fit, kept):
             tried.append((fit.total, curve.title))
     if not tried:
         return "", False

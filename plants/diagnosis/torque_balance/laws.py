@@ -5,6 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from plants.diagnosis.constants import CONSTANTS
 from plants.diagnosis.torque_balance.balance import (
     ANGLE_KNOTS,
     COSINE,
@@ -30,8 +31,6 @@ Values = dict[str, float]
 LOADS = tuple(np.linspace(0.02, 0.9, 23).tolist())
 """Shares of the load tried. Torque and motion of one sign at nearly all times make no load
 friction known: then any share explains the same, and none is found."""
-WIDE_TURN = 1.0
-"""Least angle that gravity of a link is known from, rad: there a sine bends off a line by 4 %."""
 
 
 class TorqueLaw(NamedTuple):
@@ -120,7 +119,7 @@ def laws(balance: TorqueBalance, effects: Sequence[type[Effect]]) -> tuple[Torqu
             values = _stribeck(fading, speed)
             columns = COULOMB, fading
             listed.append(_law(StribeckFriction, VELOCITY, columns, values, positive=True))
-    if balance.turned_rad >= WIDE_TURN:
+    if balance.turned_rad >= CONSTANTS.turned_rad:
         listed.append(_law(LinkGravity, ANGLE, (SINE, COSINE), _gravity))
     return tuple(law for law in listed if law.effect in effects)
 
