@@ -233,7 +233,9 @@ def check_silence(devices: Sequence[FaultyDevice], seconds: float) -> None:
         is_good_again(link)
         device.begin("silence")
     ends_s = time.monotonic() + seconds
-    while time.monotonic() < ends_s or any(len(ages) == 1 for ages in ages_s):
+    ended = False
+    while not ended or any(len(ages) == 1 for ages in ages_s):
+        ended = time.monotonic() >= ends_s  # so that readings after a pause of the computer count
         for link, ages in zip(links, ages_s, strict=True):
             link.write(0)
             reading = link.read()
