@@ -21,9 +21,8 @@ SMALLEST = 1e-150
 
 def check_positive(name: str, value: float, unit: str = "") -> None:
     """Raises InvalidInput unless the value is finite and above zero."""
-    if not (
-        _is_finite(name, value) and value >= SMALLEST
-    ):  # a NaN passes every comparison with a bound
+    # Not `value < SMALLEST`, which is false of NaN.
+    if not (_is_finite(name, value) and value >= SMALLEST):
         raise InvalidInput(
             f"{name} is {value}{unit and ' ' + unit}; it must be finite and above zero"
         )
