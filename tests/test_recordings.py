@@ -315,6 +315,30 @@ def test_unit_that_a_channels_name_ends_in_is_used_and_told(tmp_path, ending, fa
 
 
 @pytest.mark.parametrize(
+    ("heading", "words", "found"),
+    [
+        ("t [ms],PWM (%),Speed (rpm)", "", {"current_A": "PWM (%)", "tension_N": "Speed (rpm)"}),
+        (
+            "Zeit,Sollwert,Stellgrad,Istwert",
+            "",
+            {"setpoint_N": "Sollwert", "current_A": "Stellgrad", "tension_N": "Istwert"},
+        ),
+        ("time,torque,position", "", {"current_A": "torque", "angle_rad": "position"}),
+        ("t,a,b", "input=a,output=b", {"current_A": "a", "tension_N": "b"}),
+    ],
+)
+def test_columns_of_a_plant_are_found_by_its_own_words_and_told(tmp_path, heading, words, found):
+    width = heading.count(",")
+    rows = "\n".join(f"{10 * k}{f',{k % 7}.5' * width}" for k in range(20))
+    (tmp_path / "log.csv").write_text(f"{heading}\n{rows}\n")
+    sources = dict(word.split("=") for word in words.split(",") if word)
+    read = read_recording(tmp_path / "log.csv", names(**sources))
+    assert {n: m.source for n, m in read.mapped.items() if n != "time_s"} == found
+    said = " ".join(issue.sentence for issue in read.issues)
+    assert words or all(source in said for source in found.values())
+
+
+@pytest.mark.parametrize(
     ("options", "message"),
     [
         (({"tensoin": "F"}, {}, {}), "did you mean tension"),

@@ -18,17 +18,19 @@ TIMES = (
 SETPOINTS = (
     *("setpoint", "sp", "reference", "ref", "target", "desired", "r", "set value", "sv", "w"),
     *("sollwert", "soll", "target temperature", "target temp", "target speed", "demand"),
+    *("consigne", "führungsgröße"),
 )
 MEASUREMENTS = (
     *("measurement", "measured", "pv", "process value", "process variable", "actual"),
     *("feedback", "current temperature", "current temp", "tension", "temperature", "temp"),
     *("speed", "velocity", "position", "angle", "y", "rpm", "istwert", "ist", "actual value"),
+    *("mesure", "regelgröße"),
 )
 EFFORTS = (
     *("effort", "output", "out", "op", "co", "mv", "control", "control output"),
     *("controller output", "control effort", "manipulated variable", "u", "control signal"),
     *("duty", "duty cycle", "pwm", "valve", "heater", "heater power", "power", "cv", "throttle"),
-    *("stellgröße", "stellgroesse", "output power"),
+    *("stellgröße", "stellgroesse", "stellgrad", "output power", "commande"),
 )
 
 _WORDS = {

@@ -12,7 +12,7 @@ from pydantic import Field
 
 from estune.core.quantities import FloatArray
 from estune.errors import InvalidInput
-from estune.recordings.column_names import METADATA, TABLE_COLUMNS
+from estune.recordings.column_names import METADATA, SYNONYMS, TABLE_COLUMNS
 from estune.recordings.heading import heading
 from estune.recordings.issue import Unusable
 from estune.recordings.raw_file import Channel
@@ -26,7 +26,7 @@ _OWN_UNITS = ("setpoint_N", "tension_N", "reference_N", "current_A")
 """Columns that hold input and output of any plant, in units of its own."""
 _MECHANICAL = ("time", "force", "current", "angle", "length", "torque", "frequency")
 """Dimensions that are converted, or refused, wherever they stand."""
-_STEMS = {name.partition("_")[0]: name for name in TABLE_COLUMNS}
+_STEMS = {name.partition("_")[0]: name for name in TABLE_COLUMNS} | SYNONYMS
 
 _DAYS = (*("%Y/%m/%d", "%d.%m.%Y", "%d/%m/%Y", "%m/%d/%Y"), "%d.%m.%y", "%d/%m/%y", "%m/%d/%y")
 _TIMES = ("%H:%M:%S", "%H:%M:%S.%f", "%H:%M", "%I:%M:%S %p", "%I:%M %p")

@@ -17,6 +17,15 @@ TABLE_COLUMNS = (
 MEASURED = ("tension_N", "angle_rad", "reference_N")
 """Columns that a sensor measures; the others are commands, held until the next."""
 
+SYNONYMS = {
+    "input": "current_A",
+    "torque": "current_A",
+    "force": "current_A",
+    "output": "tension_N",
+    "position": "angle_rad",
+}
+"""What the columns are called on machines that are no reel: a plant, a motor or a carriage."""
+
 METADATA = (
     "rig",
     "trial_id",

@@ -7,6 +7,9 @@ import numpy as np
 
 from estune.core.quantities import FloatArray
 from estune.recordings.channel_search import (
+    EFFORTS,
+    MEASUREMENTS,
+    SETPOINTS,
     TIMES,
     by_usual_name,
     find_channel,
@@ -21,7 +24,13 @@ from estune.recordings.column_map import (
     is_own_unit,
     map_column,
 )
-from estune.recordings.column_names import MEASURED, METADATA, TABLE_COLUMNS, suggest_name
+from estune.recordings.column_names import (
+    MEASURED,
+    METADATA,
+    SYNONYMS,
+    TABLE_COLUMNS,
+    suggest_name,
+)
 from estune.recordings.heading import heading, nearest
 from estune.recordings.issue import DataIssue, Unusable
 from estune.recordings.long_form import separated
@@ -113,6 +122,8 @@ def _mapped(
         else:
             mapped[name] = found
             issues += _by_name(name, table, channel, found, drum)
+    if drum.radius_m is None:
+        issues += _as_plant(raw, mapped, drum)
     used = {m.source for m in mapped.values()}
     left = frozenset(c.name for c in raw.channels) - used
     present = left | mapped.keys()
@@ -135,9 +146,35 @@ def _channel(raw: RawFile, name: str, table: ColumnTable) -> Channel | None:
         return tails[0]
     if name == "time_s":
         return by_usual_name(raw.channels, "time", TIMES)
-    stem = name.partition("_")[0]
-    named = [c for c in raw.channels if heading(c.name).key == stem]
+    stems = {name.partition("_")[0], *(word for word, of in SYNONYMS.items() if of == name)}
+    named = [c for c in raw.channels if heading(c.name).key in stems]
     return named[0] if len(named) == 1 else None
+
+
+def _as_plant(raw: RawFile, mapped: dict[str, Mapped], drum: Drum) -> list[DataIssue]:
+    """Output, input and setpoint of a plant by the usual names of a loop, added to the mapped.
+
+    Only where nothing measured was found otherwise; it is said, for a name may mislead.
+    """
+    issues = list[DataIssue]()
+    if any(name in mapped for name in MEASURED):
+        return issues
+    wanted = (
+        ("setpoint_N", "setpoint", "setpoint", SETPOINTS),
+        ("tension_N", "output", "measurement", MEASUREMENTS),
+        ("current_A", "input", "effort", EFFORTS),
+    )
+    for name, word, kind, usual in wanted:
+        taken = {m.source for m in mapped.values()}
+        left = [c for c in raw.channels if c.name not in taken]
+        channel = None if name in mapped else by_usual_name(left, kind, usual)
+        found = channel and map_column(name, ColumnTable(), channel, drum)
+        if channel and found:
+            mapped[name] = found
+            said = f"{channel.name} is taken as the {word} of the plant"
+            other = f"--map {word}=NAME names another"
+            issues.append(DataIssue("warning", f"{said}; {other}", name))
+    return issues
 
 
 def _by_name(
@@ -150,7 +187,9 @@ def _by_name(
         return [doubt] if doubt and is_bare(table, channel) and channel.time_s is None else []
     if found.unit in ("", "counts", si):
         if si and not table.from_ and is_bare(table, channel):
-            said = f"{channel.name} has no unit and is read as {si}"
+            own = drum.radius_m is None and heading(channel.name).key in SYNONYMS
+            as_read = "in the unit of the model" if own else f"as {si}"
+            said = f"{channel.name} has no unit and is read {as_read}"
             return [DataIssue("warning", f"{said}; give --unit {stem}=UNIT if it is not", name)]
         return []
     if is_own_unit(name, found.unit, drum):
@@ -181,12 +220,13 @@ def _check_present(columns: dict[str, Mapped], raw: RawFile) -> None:
     if not any(name in columns for name in MEASURED):
         raise Unusable(
             f"there is none of the columns {', '.join(MEASURED)}; {_listed(raw)}: name what was "
-            f"measured, as in {option('tension', _nearest(raw, columns, 'tension', 'force'))}"
+            "measured, the output of a plant, the angle or position of a drive or the tension of "
+            f"a cable, as in {option('output', _nearest(raw, columns, *MEASUREMENTS))}"
         )
     if not {"setpoint_N", "current_A"} & set(columns):
         raise Unusable(
             f"there is neither setpoint_N nor current_A; {_listed(raw)}: name what was commanded, "
-            f"as in {option('current', _nearest(raw, columns, 'current', 'command', 'effort'))}"
+            f"as in {option('input', _nearest(raw, columns, 'current', 'command', *EFFORTS))}"
         )
     for name, m in columns.items():
         if m.values.size < FEWEST_SAMPLES:

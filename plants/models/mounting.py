@@ -120,17 +120,13 @@ class MountedModel(PlantModel):
     def scale(self) -> PlantScale:
         """Units that sentences on the plant refer to."""
         signals = self.signals
-        scale = super().scale._replace(
-            input_unit=signals.command_unit, output_unit=signals.measurement_unit
-        )
-        if not (scale.input_unit and scale.output_unit):
-            return scale
-        output = signals.measurement_name, signals.measurement_unit
-        return scale._replace(
+        return super().scale._replace(
+            input_unit=signals.command_unit,
+            output_unit=signals.measurement_unit,
             channels={
-                "tension_N": output,
+                "tension_N": (signals.measurement_name, signals.measurement_unit),
                 "current_A": (signals.command_name, signals.command_unit),
-            }
+            },
         )
 
     @property
