@@ -178,6 +178,47 @@ def test_reel_whose_current_has_the_other_sign_is_refused():
     assert "reversed" in issue.sentence
 
 
+def test_drum_that_friction_holds_shows_no_sign():
+    """Its tension creeps by 0.15 N, and the controller's integral answers by 2.6 N."""
+    m = closed_loop_record()
+    short = 0.15 * m.time_s / m.time_s[-1] + 0.04 * np.random.default_rng(0).standard_normal(
+        m.samples
+    )
+    asked = 0.66 + 0.45 * np.cumsum(short) / RATE
+    angle = np.where(m.time_s > 0.2, 0.0775, 0.0782)
+    held = replace(m, rig=GOOD.rig, tension_N=15.0 - short, current_A=asked, angle_rad=angle)
+    issues = findings(replace(held, setpoint_N=np.where(m.time_s > 0.2, 15.1, 15.0)))
+    assert not [issue for issue in issues if issue.level == "refused"]
+
+
+def arm(seconds, effort_Nm, *, load_share=0.4, beginning=0.0):
+    """A geared joint with a link: gravity, and friction that grows with its load."""
+    angle, speed, angles = beginning, 0.0, []
+    for u in effort_Nm(np.arange(round(200.0 * seconds)) / 200.0):
+        for _ in range(20):
+            load = 0.48 * np.sin(angle)
+            held = 0.02 + load_share * abs(load)
+            speed += (u - load - 0.01 * speed) / 0.006 / 4000.0
+            speed = np.sign(speed) * max(abs(speed) - held / 0.006 / 4000.0, 0.0)
+            angle += speed / 4000.0
+        angles.append(angle)
+    t = np.arange(len(angles)) / 200.0
+    torque = effort_Nm(t)
+    rounded = np.rint(np.array(angles) / 1.5e-3) * 1.5e-3
+    return replace(open_loop(0, 200.0, torque, angle_rad=rounded), loop="closed", setpoint_N=None)
+
+
+def test_torque_of_the_other_sign_is_told_of_a_joint_with_a_link():
+    moving = arm(8.0, lambda t: 0.45 * np.sin(2.0 * t) + 0.35 * np.sin(5.3 * t))
+    resting = arm(8.0, lambda t: np.where(t < 1.0, 0.3 * t, 0.3 - 0.05 * np.exp(1.0 - t)))
+    right = [replace(m, source=name) for m, name in ((moving, "moving"), (resting, "resting"))]
+    joint = plants.servo(0.005, 0.01, sampling_Hz=200.0)
+    accepted, _ = check(right, joint)
+    assert len(accepted) == 2
+    with pytest.raises(InvalidInput, match=r"moving, column current_A: .* reversed.*resting, col"):
+        check([replace(m, current_A=-m.current_A) for m in right], joint)
+
+
 def test_closed_loop_current_in_mA_is_refused():
     m = closed_loop_record()
     (finding,) = findings(replace(m, rig=GOOD.rig, current_A=m.current_A * 1e3, flags=None))[:1]

@@ -18,9 +18,21 @@ from plants.diagnosis.models.base import BaseNumbers
 
 
 def issues(
-    m: MeasuredRecord, b: BaseNumbers | None, rate_Hz: float, step_rad: float
+    m: MeasuredRecord,
+    b: BaseNumbers | None,
+    rate_Hz: float,
+    step_rad: float,
+    sign: DataIssue | None,
 ) -> Iterator[DataIssue]:
-    """All issues of a record, its source left out; without numbers those that need no model."""
+    """All issues of a record, its source left out; without numbers those that need no model.
+
+    Args:
+        m: The record.
+        b: The model's numbers.
+        rate_Hz: The model's sampling rate, Hz.
+        step_rad: The encoder's step, rad.
+        sign: Issue of its sign, by all records.
+    """
     if m.samples < CONSTANTS.fewest:
         sentence = f"{m.samples} samples are too few; record {CONSTANTS.fewest:g} or more"
         yield DataIssue("refused", sentence)
@@ -36,8 +48,8 @@ def issues(
     for look in (_too_short, _mislabelled, _at_limit):
         yield from look(m, b)
     inside = list(inner_loop(m, b))
-    # A setpoint of another kind is in no unit of a torque.
-    yield from inside or mistaken_units(m, b, rate_Hz)
+    # A setpoint of another kind is in no unit of a torque, and has no sign of one.
+    yield from inside or ([sign] if sign else mistaken_units(m, b, rate_Hz))
     if b.stiffness_N_m is None or m.angle_rad is None or m.tension_N is None:
         return
     per_N = 1.0 / b.tension_per_angle_N_rad

@@ -1,9 +1,7 @@
-"""Plausibility of the channels' sizes and signs: columns that seem to be in another unit."""
+"""Plausibility of the channels' sizes: columns that seem to be in another unit."""
 
 import math
 from collections.abc import Iterator
-
-import numpy as np
 
 from estune.core.quantities import FloatArray
 from estune.recordings.issue import DataIssue
@@ -14,7 +12,7 @@ from plants.diagnosis.models.base import BaseNumbers
 
 
 def mistaken_units(m: MeasuredRecord, b: BaseNumbers, rate_Hz: float) -> Iterator[DataIssue]:
-    """Columns that seem to be in another unit, or of the other sign: refused where that is clear.
+    """Columns that seem to be in another unit: refused where that is clear.
 
     A reel's tension follows the angle by k R and the command by about one; of a free drum the
     command accelerates the inertia and works against friction. Judged by factors of twenty and
@@ -39,58 +37,12 @@ def mistaken_units(m: MeasuredRecord, b: BaseNumbers, rate_Hz: float) -> Iterato
     elif m.angle_rad is not None and b.stiffness_N_m is None:
         torque = smoother.sampled(m.angle_rad, 0.0, b.viscous_friction_Nms, b.drum_inertia_kg_m2)
         by_angle = _slope(torque, b.drum_radius_m * u)
-        if by_angle is not None and by_angle < 0.0:
-            by_angle = by_angle if _brakes(m.angle_rad, u, smoother) else None
     elif m.angle_rad is not None:
         by_angle = _slope(smoother.sampled(m.angle_rad, b.tension_per_angle_N_rad), u)
-    reversed_ = list(_reversed(m, by_angle, by_effort))
-    if b.stiffness_N_m is None and by_angle is not None:
-        yield from reversed_ or _issues_of_drive(m, 1.0 / by_angle)
-        return
-    yield from reversed_ or _issues(m, by_angle, by_effort)
-
-
-def _brakes(angle_rad: FloatArray, effort: FloatArray, smoother: Smoother) -> bool:
-    """Whether an effort explains the motion of a free drum by an inertia and friction below zero.
-
-    A load that drives the motor, a cogging torque or a record that begins in motion may make one
-    of them negative, but not both, and gravity of a link both; so it is beside them, and each
-    quarter of the record has to say so. Motion in one direction cannot tell friction from an
-    offset: such a quarter says nothing.
-    """
-    velocity = smoother.sampled(angle_rad, 0.0, 1.0)
-    terms = np.column_stack(
-        [
-            smoother.sampled(angle_rad, 0.0, 0.0, 1.0),
-            velocity,
-            np.sign(velocity),
-            np.ones(velocity.size),
-            *(smoother.sampled(f(angle_rad), 1.0) for f in (np.sin, np.cos)),
-        ]
-    )
-    known = np.flatnonzero(np.isfinite(terms).all(axis=1) & np.isfinite(effort))
-    said = []
-    for part in (known, *np.array_split(known, 4)):
-        v = velocity[part]
-        if part.size > terms.shape[1] and min(np.mean(v > 0), np.mean(v < 0)) >= CONSTANTS.small:
-            a, b, dry, *_ = np.linalg.lstsq(terms[part], effort[part], rcond=1e-9)[0]
-            said.append(bool(a < 0.0 and np.mean(b * v**2 + dry * np.abs(v)) < 0.0))
-    return bool(said) and all(said)
-
-
-def _reversed(
-    m: MeasuredRecord, by_angle: float | None, by_effort: float | None
-) -> Iterator[DataIssue]:
-    """The column whose sign contradicts the others."""
-    backward = [slope is not None and slope < 0.0 for slope in (by_angle, by_effort)]
-    if not any(backward):
-        return
-    column = "tension_N" if all(backward) else "angle_rad"
-    if by_effort is None or (backward[1] and not backward[0]):
-        column = m.command_column
-    sentence = "it moves the other way than the model says: its sign seems to be reversed"
-    remedy = f"change the sign of {column} or of what it moves"
-    yield DataIssue("refused", f"{sentence}; {remedy}", column)
+    if b.stiffness_N_m is not None:
+        yield from _issues(m, by_angle, by_effort)
+    elif by_angle is not None:
+        yield from _issues_of_drive(m, 1.0 / by_angle)
 
 
 def _issues(
@@ -142,6 +94,6 @@ def within_factor(ratio: float, factor: float | None = None) -> bool:
 
 
 def _slope(x: FloatArray, y: FloatArray) -> float | None:
-    """Slope of y by x, either sign, or None where they have too little to do with each other."""
+    """Slope of y by x, or None where they have too little to do with each other."""
     slope, share = proportion(x, y)
-    return slope if share > 0.5 else None
+    return slope if slope > 0.0 and share > 0.5 else None

@@ -8,6 +8,7 @@ from typing import Any
 from estune.errors import InvalidInput
 from estune.recordings.issue import DataIssue
 from plants.diagnosis.checks.quality import issues
+from plants.diagnosis.checks.sign import reversed_signs
 from plants.diagnosis.data.measured_record import MeasuredRecord
 from plants.diagnosis.data.noise import step_of
 from plants.diagnosis.data.records import FolderContents
@@ -28,9 +29,9 @@ def check(logged: FolderContents, model: Any) -> FolderContents:
     # A record in which the drum hardly turns does not show the encoder's step.
     step_rad = max((step_of(m.angle_rad) for m in kept if m.angle_rad is not None), default=0.0)
     usable = []
-    for m in kept:
-        numbers = BaseNumbers.of(model, m)
-        of_record = issues(m, numbers, rate_Hz, step_rad)
+    numbers = [BaseNumbers.of(model, m) for m in kept]
+    for m, b, sign in zip(kept, numbers, reversed_signs(kept, numbers), strict=True):
+        of_record = issues(m, b, rate_Hz, step_rad, sign)
         own = [replace(issue, source=m.source or m.name) for issue in of_record]
         listed += own
         if not any(issue.level == "refused" for issue in own):
