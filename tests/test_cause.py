@@ -1,6 +1,7 @@
 """Whether it is the tuning or the machine: the cause of what a log shows."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -96,6 +97,8 @@ def test_tuning_is_the_cause_where_the_margins_are_known_to_be_small():
     waved = judge_signals(flow_loop(load=1.0))
     assert with_margins(waved, (2.5, 2.2, 2.9)).name == "tuning"
     assert with_margins(waved, (1.9, 1.6, 2.3)) is waved
+    slow = replace(waved, name="tuning", numbers={"direction": "slow"})
+    assert with_margins(slow, (3.0, 2.9, 3.1)).numbers["direction"] == "tight"
     sticks = with_margins(judge_signals(flow_loop(band=1.5, slip=0.9)), (2.5, 2.2, 2.9))
     assert sticks.name == "sticking"
     assert "too tight as well" in sticks.heading()

@@ -198,7 +198,7 @@ def _daemon_facts(daemon: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
 def ago(at: str, now: datetime) -> str:
     """A time in the past in words."""
     past_s = (now - datetime.fromisoformat(at).astimezone()).total_seconds()
-    return f"{duration(max(past_s, 0.0))} ago"
+    return f"{duration(past_s)} ago" if past_s >= 1.0 else "just now"
 
 
 _UNITS: tuple[tuple[float, float, str], ...] = (

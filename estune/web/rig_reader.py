@@ -114,7 +114,8 @@ class RigReader(Reader):
                 "gains": list(rig.gains.as_tuple()),
                 "gain_labels": gain_labels(rig),
                 "gain_bounds": [
-                    f"{low:g} to {high:g}" for _, (low, high) in rig.bounds_of(trial=False).items()
+                    f"{low:.4g} to {high:.4g}"
+                    for _, (low, high) in rig.bounds_of(trial=False).items()
                 ],
                 "measurement": rig.measurement,
                 "command": rig.command,
