@@ -31,6 +31,10 @@ STARTS = 2
 """Starts that are improved, and one more without dead time: on a plant of 4 Hz in two trials of
 the same gains most starts of the coarse grid ended at 25 samples of dead time and more."""
 
+FINE, ROUGH = 1e-8, 1e-5
+"""Relative decrease of the sum of squares at which a fit ends, and one that is only compared: the
+tuned gains of 13 plants cost the same to 0.01 %, and a search takes half of the evaluations."""
+
 by_cost = attrgetter("cost")
 
 
@@ -70,7 +74,7 @@ def cold_starts(signals: FitSignals, noises: Iterable[NoiseModel] = (WHITE,)) ->
     ranked = sorted(coarse, key=by_cost)
     starts = [*ranked[:STARTS], ranked[0]._replace(dead=0)]
     found = list[PoleFit]()
-    for fit in sorted((improve(signals, one) for one in starts), key=by_cost):
+    for fit in sorted((improve(signals, one, ROUGH) for one in starts), key=by_cost):
         if all(abs(fit.dead - other.dead) > _first_step(other.dead) for other in found):
             found.append(fit)
     return [searched_dead_time(signals, found[:1]), *found[1:]]
@@ -80,11 +84,10 @@ def searched_dead_time(signals: FitSignals, starts: Sequence[PoleFit]) -> PoleFi
     """The best dead time about some fits, the poles improved at each."""
 
     def fit(beside: PoleFit, dead: int) -> PoleFit:
-        return improve(signals, beside._replace(dead=dead))
+        return improve(signals, beside._replace(dead=dead), ROUGH)
 
-    improved = [improve(signals, start) for start in starts]
-    best = min(improved, key=by_cost)
-    return search_dead_time(fit, best, _first_step(best.dead))
+    best = min((improve(signals, start, ROUGH) for start in starts), key=by_cost)
+    return improve(signals, search_dead_time(fit, best, _first_step(best.dead)))
 
 
 def _first_step(dead: int) -> int:
@@ -95,10 +98,12 @@ def _first_step(dead: int) -> int:
 def search_dead_time(
     fit: Callable[[PoleFit, int], PoleFit], best: PoleFit, step: int = 1
 ) -> PoleFit:
-    """The best dead time about a fit, by steps that shrink to one sample."""
+    """The best dead time about a fit, by steps that shrink to one sample; each is fitted once."""
+    tried = {best.dead}
     while True:
-        beside = [d for d in (best.dead - step, best.dead + step) if d >= 0]
-        better = min((fit(best, d) for d in beside), key=by_cost)
+        beside = {best.dead - step, best.dead + step} - tried
+        tried |= beside
+        better = min((fit(best, d) for d in sorted(beside) if d >= 0), key=by_cost, default=best)
         if better.cost < best.cost:
             best = better
         elif step == 1:
@@ -107,9 +112,15 @@ def search_dead_time(
             step = max(1, step // 3)
 
 
-def improve(signals: FitSignals, start: PoleFit) -> PoleFit:
-    """Poles and noise of least squares from a start, by Levenberg and Marquardt."""
-    from scipy.optimize import least_squares  # noqa: PLC0415  slow to import
+def improve(signals: FitSignals, start: PoleFit, tolerance: float = FINE) -> PoleFit:
+    """Poles and noise of least squares from a start, by Levenberg and Marquardt.
+
+    Args:
+        signals: The records.
+        start: Where the search begins.
+        tolerance: Relative decrease of the sum of squares below which it ends.
+    """
+    from scipy.optimize import leastsq  # noqa: PLC0415  slow to import
 
     first = Solution.at(signals, start.coordinates, start.dead, start.noise)
     known = {search_vector(first.coordinates, first.noise).tobytes(): first}
@@ -128,14 +139,15 @@ def improve(signals: FitSignals, start: PoleFit) -> PoleFit:
         slopes = here.search_slopes(signals)
         return np.asarray(slopes - here.basis @ (here.basis.T @ slopes))
 
-    found = least_squares(
+    x, *_ = leastsq(
         lambda x: at(x).residual,
         search_vector(first.coordinates, first.noise),
-        jac=jacobian,
-        method="lm",
-        xtol=1e-6,
-        ftol=1e-8,
-        max_nfev=40 if first.noise.is_white else 15,
+        Dfun=jacobian,
+        full_output=True,
+        xtol=100.0 * tolerance,
+        ftol=tolerance,
+        gtol=FINE,
+        maxfev=40 if first.noise.is_white else 15,
     )
-    best = at(found.x)
+    best = at(x)
     return PoleFit(best.cost, best.coordinates, start.dead, best.noise)

@@ -15,7 +15,13 @@ import numpy as np
 
 from estune.core.filtering import lfilter
 from estune.core.quantities import FloatArray
-from estune.loop_model.identification import PoleFit, by_cost, improve, searched_dead_time
+from estune.loop_model.identification import (
+    PoleFit,
+    by_cost,
+    dead_times,
+    improve,
+    searched_dead_time,
+)
 from estune.loop_model.least_squares import (
     FitSignals,
     Solution,
@@ -210,8 +216,14 @@ def without_spare_pole(signals: FitSignals, fit: PoleFit) -> PoleFit:
     (pair,) = sections_of(two.coordinates)
     rates = np.clip(np.log(np.abs(pair.log_poles)), SLOWEST_SINGLE, FASTEST_SINGLE)
     singles = rates + np.where(pair.log_poles.real > 0.0, OUTSIDE, 0.0)
-    starts = [two._replace(coordinates=np.array([single])) for single in singles]
-    one = min((searched_dead_time(signals, [start]) for start in starts), key=by_cost)
+    # A fast spare pole stands for dead time.
+    delays = sorted({two.dead, *dead_times(signals.settling_samples)})
+    coarse = (
+        PoleFit(at.cost, at.coordinates, at.dead, two.noise)
+        for single in singles
+        for at in Solution.over(signals, np.array([single]), delays, two.noise)
+    )
+    one = searched_dead_time(signals, [min(coarse, key=by_cost)])
     return min(_judged(signals, two), _judged(signals, one), key=lambda it: it.criterion).fit
 
 
