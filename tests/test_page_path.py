@@ -93,6 +93,28 @@ def test_tuning_stopped_from_the_page_restores_the_rig_and_can_be_resumed(chromi
         assert len([*folder.glob("page-*/run.sqlite")]) == 1
 
 
+def test_emergency_stop_is_in_reach_beside_an_open_form_and_is_reset_when_agreed(
+    chromium, emulated
+):
+    _, server, _ = emulated
+    with opened(chromium, server.address) as page:
+        start = page.get_by_role("button", name="Start a tuning")
+        start.click()
+        page.get_by_role("button", name="Emergency stop").click()
+        expect(page.locator("#answer")).to_contain_text("it is in its safe state")
+        page.keyboard.press("Escape")
+        expect(page.locator("#form")).to_be_hidden()
+        expect(start).to_be_hidden()
+        reset = page.get_by_role("button", name="Reset the emergency stop")
+        page.once("dialog", lambda asked: asked.dismiss())
+        reset.click()
+        expect(page.locator("#state")).to_have_text("emergency stop")
+        page.once("dialog", lambda asked: asked.accept())
+        reset.click()
+        expect(page.locator("#state")).to_have_text("idle")
+        expect(start).to_be_visible()
+
+
 def test_page_with_the_right_to_stop_alone_stops_and_offers_nothing_else(chromium, tmp_path):
     with served("simulated") as rig:
         view = rig_view(rig.endpoint, "reel", runs=RunFolder(tmp_path))

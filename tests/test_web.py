@@ -182,7 +182,7 @@ def test_page_is_small_and_may_load_its_own_files_alone(server):
     texts = [ask(server, f"/static/{name}").text for name in names]
     assert ask(server).text in texts
     assert {"uPlot.iife.min.js", "page.js", "tuner.js"} < set(names)
-    assert sum(map(len, texts)) < 150_000
+    assert sum(map(len, texts)) < 155_000
     assert "default-src 'self'" in ask(server).headers["Content-Security-Policy"]
     assert ask(server, "/static/../server.py").status == 404
     assert ask(server, "/static/page.py").status == 404

@@ -124,7 +124,11 @@ def _ended(state: Mapping[str, Any], values: Mapping[str, Any], now: datetime) -
     ended = ago(state["ended_at"], now)
     if word != "finished":
         tone: Tone = "no" if _ENDED.get(word) else ""
-        return Banner(word, tone, "; ".join(filter(None, (ended, reason))))
+        rig = values.get("rig")
+        # The reason is of then: after a reset it still asks for the stop to be cleared.
+        now_is = f"the rig is {rig['mode']} now" if rig and reason else ""
+        why = f"it ended as {reason}" if now_is else reason
+        return Banner(word, tone, "; ".join(filter(None, (ended, now_is, why))))
     if result is None:
         return Banner("finished", "", ended)
     ending, good, offer = (result.get(name) for name in ("ending", "good", "offer"))
@@ -176,7 +180,8 @@ def _facts(kind: str, values: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
             yield "time of a trial", duration(state["trial_s"])
         if state["unsafe"]:
             yield "unsafe trials", str(state["unsafe"])
-        if best := state["best"]:
+        best = state["best"]
+        if best and not values.get("result"):  # which gives the cost from all repeats
             yield "best cost", f"{best['cost']:.4g} in trial {best['number']}"
     if run and kind == "run":
         yield "rig", run["rig"]

@@ -287,7 +287,9 @@ def _search_text(expected: dict[str, Any] | None, pending: JournalEntry | None) 
         low, _, high = (math.inf if x is None else x for x in known["next_cost"])
         if math.isfinite(high):  # else nothing is expected
             parts.append(f"Its cost is expected between {low:.3g} and {high:.3g}.")
-    return " ".join((*parts, "The grey band is the noise about the best cost."))
+    return " ".join(
+        (*parts, "Grey: the noise about the best cost, and the interval of each gain's optimum.")
+    )
 
 
 def _expected(session: Session) -> dict[str, Any]:

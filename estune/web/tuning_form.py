@@ -205,6 +205,8 @@ def _value(member: Declared, text: str) -> Any:
         ends = {name: getattr(bounds, name) for name in names}
         bounds = Bounds(**{name: end and 100.0 * end for name, end in ends.items()})
         text = text.removesuffix("%")
+    if "." not in text and text.count(",") == 1:  # a decimal comma
+        text = text.replace(",", ".")
     what = ", ".join(filter(None, ("a whole number" if kind is int else "a number", bounds.text)))
     try:
         value = kind(text)

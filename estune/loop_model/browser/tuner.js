@@ -104,9 +104,11 @@ export class Tuner {
       button("Optimum for these limits", () => this.move(() => this.solve({}))), this.compare,
       button("Copy gains", () => this.copy()), this.form);
     if (this.act)
-      this.buttons.append(button("Try these gains once", () => this.act.try(this.gains)),
+      this.buttons.append(button("Try these gains once", () => {
+        if (!this.broken || window.confirm("The model predicts that these gains break a limit. Move the rig with them in one trial?")) this.act.try(this.gains);
+      }),
         (this.apply = button("Make these gains live\u2026", () => this.act.apply({ gains: { ...this.gains }, rows: this.rows, heads: [this.baseName, "these gains"],
-          limits: `Predicted to keep Ms at most ${short(this.limits.Ms)} and overshoot at most ${percent(this.limits.overshoot)}.` }))));
+          limits: `Predicted to keep Ms at most ${short(this.limits.Ms)} and overshoot at most ${percent(this.limits.overshoot)}.` }))), (this.why = make("span", { className: "soft" })));
     this.numbers = make("table", {});
     this.cells = [];
     const figures = make("div", { className: "grid" });
@@ -191,7 +193,7 @@ export class Tuner {
     this.showNumbers(own, base, { Ms, overshoot, effort, over });
     if (this.apply) {
       this.apply.disabled = own.y === null || over.Ms || over.overshoot;
-      this.apply.title = this.apply.disabled ? "Not offered: the model predicts that these gains break a limit." : "";
+      this.why.textContent = this.apply.disabled ? "The model predicts that these gains break a limit." : "";
     }
     this.every = full ? 1 : Math.ceil(this.time.length / COARSE);
     this.draw(own, others, parts);

@@ -2,7 +2,14 @@
 
 import { make } from "./charts.js";
 
-const dialog = document.getElementById("form");
+const dialog = document.getElementById("form"), page = document.querySelector("main");
+// Not modal: a modal dialog makes all else inert, the emergency stop, too.
+function show() {
+  page.inert = true;
+  dialog.show();
+}
+dialog.addEventListener("close", () => { page.inert = false; });
+document.addEventListener("keydown", ({ key }) => { if (key === "Escape" && dialog.open) dialog.close(""); });
 const button = (textContent, properties) => make("button", { ...properties }, textContent);
 
 function field({ name, label, choices, is_number, help, otherwise, is_open }) {
@@ -42,7 +49,7 @@ export async function openForm(view, start) {
     if (!Object.keys(fields).length) said.textContent = sentence;
   });
   dialog.replaceChildren(form);
-  dialog.showModal();
+  show();
 }
 
 // Whether gains are to become live.
@@ -53,6 +60,6 @@ export function confirmGains(gains, heads, rows, notes) {
     table(["gain", "live now", "new", "bounds"], gains), table(["response", ...heads], rows), ...notes.map((textContent) => make("p", {}, textContent)),
     make("div", { className: "buttons" }, button("Make live", { value: "yes", className: "primary" }), button("Cancel", { value: "" }))));
   dialog.returnValue = "";
-  dialog.showModal();
+  show();
   return new Promise((resolve) => { dialog.onclose = () => resolve(dialog.returnValue === "yes"); });
 }

@@ -78,7 +78,7 @@ function showState() {
   kept("reset").hidden = !v.rig?.latched;
   if (kind === "rig") {
     kept("stop").hidden = !running;
-    kept("tune").hidden = running || !v.rig || now.word === "starting";
+    kept("tune").hidden = running || !v.rig || v.rig.latched || now.word === "starting";
     kept("tune").className = $("offer").hidden ? "primary" : ""; // one button is the next step
   } else if (kind === "run") {
     kept("stop").hidden = !running;
@@ -166,6 +166,8 @@ function showCommands() {
     button.addEventListener("click", () => {
       if (name === "delete") {
         if (window.confirm(`Delete run ${view} with all of its trials? This cannot be undone.`)) command(name, { confirmed: view });
+      } else if (name === "reset") {
+        if (window.confirm("Reset the emergency stop? The rig may move again; make sure that the cause is removed.")) command(name);
       } else if (kind !== "daemon" && name === "tune") openForm(view, (settings) => command("tune", { settings }));
       else command(name, name === "resume" && kind === "run" ? { run: view } : undefined);
     });

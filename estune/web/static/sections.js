@@ -129,8 +129,8 @@ export class Sections {
 
   drawSearch() {
     const { run, state } = this.values, trials = this.tables.trials;
-    $("search").hidden = !run || !state;
-    if (!run || !state) return;
+    $("search").hidden = !run || !state || !trials.length;
+    if ($("search").hidden) return;
     let best = null;
     const safe = [], unsafe = [], so_far = [];
     const top = state.eta_max ?? Math.max(...trials.map((r) => r[1] ?? 0));
