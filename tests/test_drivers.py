@@ -187,10 +187,12 @@ class TestODriveWithCanGauge(_OnAnEmulatedDevice):
         return MOVES
 
 
+@pytest.mark.slow  # its faults are waited for; the protocol is that of the board
 class TestSerialGauge(_OnAnEmulatedDevice):
     table = staticmethod(of_serial_gauge_alone)
 
 
+@pytest.mark.slow  # as above; by day it passes them beside an ODrive
 class TestCanGauge(_OnAnEmulatedDevice):
     kind, table = "can", staticmethod(of_can_gauge_alone)
 
