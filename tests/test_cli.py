@@ -271,6 +271,10 @@ def test_apply_makes_gains_live_and_start_restores_the_old(tuned, endpoint, here
     assert "confirms" in done
     assert f"{result.gains.P:.6g} N/N" in done
     assert result.rig.gains_text(result.gains) in here("discover", endpoint)
+    assert "--start" in done
+    again = here("apply", folder / "first", endpoint, "--backoff", "25%")
+    assert "--start" not in again  # the gains of another time
+    assert f"keep them: P {result.gains.P:.6g}" in again
     here("apply", folder / "first", endpoint, "--start")
     assert result.rig.gains_text(result.start_gains) in here("discover", endpoint)
 

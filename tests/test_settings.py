@@ -72,8 +72,12 @@ def test_parameters_of_tune_are_written_out_with_type_default_and_meaning():
     assert parameters["trials"].annotation is int
     assert next(iter(parameters)) == "target"
     assert all(p.kind is p.KEYWORD_ONLY for name, p in parameters.items() if name != "target")
-    with pytest.raises(TypeError, match="unexpected keyword argument 'trails'"):
-        estune.tune("plants:reference_reel", trails=3)
+    for wrong, remedy in (
+        ("trails", "did you mean trials"),
+        ("max_overshoot", r"give limits=RobustnessLimits\(max_overshoot=...\)"),
+    ):
+        with pytest.raises(TypeError, match=f"unexpected keyword argument '{wrong}'; {remedy}"):
+            estune.tune("plants:reference_reel", **{wrong: 3})
 
 
 @pytest.mark.parametrize(("table", "member", "wrong"), BOUNDED)

@@ -4,6 +4,7 @@ import http.client
 import json
 import re
 import shutil
+import socket
 import threading
 from functools import partial
 from importlib.resources import files
@@ -20,6 +21,7 @@ from estune.run.journal import Journal
 from estune.support.user import user_at_host
 from estune.web.board import Board, Seen
 from estune.web.history import HISTORY_MAX
+from estune.web.http_service import usual_port
 from estune.web.reader import Reader
 from estune.web.rig_reader import RigReader
 from estune.web.run_folder import RunFolder
@@ -347,3 +349,10 @@ def test_folder_lists_its_runs_and_those_begun_later(run, tmp_path):
     (tmp_path / "torn").mkdir()
     (tmp_path / "torn" / "run.sqlite").write_bytes(b"SQLite format 3")
     assert {view.name for view in views()} == {"copy", "torn"}
+
+
+def test_usual_port_is_left_to_the_page_that_has_it():
+    with socket.create_server(("127.0.0.1", 0)) as other:
+        taken = other.getsockname()[1]
+        assert usual_port(taken) == 0
+    assert usual_port(taken) == taken

@@ -108,9 +108,16 @@ def apply(
         print(_backed_off_sentence(result, gains, share))
     if not start and not result.success:
         print(f"they are the gains the run began from: {result.message}")
-    if not start and gains != result.rig.gains:
+    if not start and before.gains != gains:
+        restores = before.gains == result.rig.gains
         back = command_line("apply", result.folder, target, rig=rig, security=security)
-        print(f"restore the old ones with: {back} --start")
+        print(f"restore the old ones with: {back} --start" if restores else _not_kept(before))
+
+
+def _not_kept(before: RigDescription) -> str:
+    """What is said of gains that no run can restore: `--start` has those of another time."""
+    old = ", ".join(f"{name} {_gain(before, name)}" for name in GAIN_NAMES)
+    return f"the old ones are not those that the run began from; keep them: {old}"
 
 
 def estop(

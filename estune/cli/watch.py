@@ -24,7 +24,7 @@ PORT = 8765
 def watch(
     *what: RunName,
     rig: str | None = None,
-    port: int = PORT,
+    port: int | None = None,
     host: str = "127.0.0.1",
     allow_commands: Flag = False,
     allow_stop: Flag = False,
@@ -42,7 +42,7 @@ def watch(
             daemon; several are on one page. By default all rigs and daemons that you run on this
             machine, and the runs of --folder.
         rig: Name of one rig at the endpoint; all of them by default.
-        port: Port of the page; 0 takes a free one.
+        port: Port of the page; by default 8765, or a free one where that is taken.
         host: Address of this machine at which the page is served.
         allow_commands: Let the page stop the rig and command the daemon. The printed address
             contains the key that commands need.
@@ -52,7 +52,8 @@ def watch(
         folder: Folder of runs: those that are shown by default and of the rigs, and in which a run
             is looked for by its name.
     """
-    from estune.web.run_folder import RunFolder  # noqa: PLC0415  slow to import
+    from estune.web.http_service import usual_port  # noqa: PLC0415  slow to import
+    from estune.web.run_folder import RunFolder  # noqa: PLC0415  as above
     from estune.web.server import PageServer  # noqa: PLC0415  as above
     from estune.web.views import folder_views  # noqa: PLC0415  as above
 
@@ -70,7 +71,7 @@ def watch(
         server = PageServer(
             lambda: [view for views in sources for view in views()],
             host=host,
-            port=port,
+            port=usual_port(PORT, host) if port is None else port,
             right=right,
             allow_remote=allow_remote,
         )

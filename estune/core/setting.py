@@ -10,11 +10,12 @@ the command line (`estune.cli.options`), the parameters of functions (`keywords`
 docs/reference/settings.md, and `to_json` for forms.
 """
 
+import difflib
 import inspect
 import math
 import textwrap
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import MISSING, dataclass, fields
+from dataclasses import MISSING, dataclass, fields, is_dataclass
 from functools import wraps
 from types import NoneType, UnionType
 from typing import (
@@ -281,6 +282,9 @@ def keywords(
 
         @wraps(function)
         def called(*args: Any, **kwargs: Any) -> _R:
+            unknown = kwargs.keys() - signature.parameters.keys()
+            if unknown:
+                raise TypeError(_unknown_keyword(function.__name__, min(unknown), options))
             given = signature.bind(*args, **kwargs)  # its errors name the function's arguments
             target: Any = given.arguments.pop(first.name)
             made: Any = options
@@ -295,6 +299,19 @@ def keywords(
         return cast("Callable[Concatenate[Any, _P], _R]", made)
 
     return decorate
+
+
+def _unknown_keyword(function: str, name: str, options: Any) -> str:
+    """What to write instead: an argument that has a setting of this name, or the nearest one."""
+    said = f"{function}() got an unexpected keyword argument {name!r}"
+    hints = get_type_hints(options)
+    for argument, hint in hints.items():
+        for kind in (hint, *get_args(hint)):
+            is_setting = isinstance(kind, type) and is_dataclass(kind)
+            if is_setting and name in {field.name for field in fields(kind)}:
+                return f"{said}; give {argument}={kind.__name__}({name}=...)"
+    near = difflib.get_close_matches(name, hints, 1)
+    return f"{said}; did you mean {near[0]}?" if near else said
 
 
 def share(value: float | str, bare_most: float | None = None) -> float:

@@ -130,7 +130,10 @@ class Plan(Search):
                 "requires; use safe_bayesian"
             )
         if self.step.loop != "closed":
-            raise InvalidInput("an open-loop step cannot tune a controller; make it a closed one")
+            raise InvalidInput(
+                "the step is of an open loop, which tunes no controller; a drive without a gauge "
+                "has no other: tune a rig, a reel or a linear_plant of what the loop measures"
+            )
         after_s = self.step.duration_s - self.step.step_at_s
         if self.cost.settling_time_s > after_s:
             raise InvalidInput(

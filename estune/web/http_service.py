@@ -32,6 +32,17 @@ Folders = Sequence[tuple[str, str]]
 """Folders of files, each by its package and its path in it."""
 
 
+def usual_port(usual: int, host: str = "127.0.0.1") -> int:
+    """The usual port of a page, or 0 where it is taken: by another page, as a rule."""
+    try:
+        with socket.create_server(
+            (host, usual), family=socket.AF_INET6 if ":" in host else socket.AF_INET
+        ):
+            return usual
+    except OSError:
+        return 0
+
+
 class HttpService:
     """Serves routes from a thread of its own until `close`.
 

@@ -9,7 +9,7 @@ from estune import api
 from estune.cli.options import TunerName
 from estune.cli.tune import finish
 from estune.cli.values import Flag
-from estune.cli.watch import PORT, watch
+from estune.cli.watch import watch
 from estune.run.journal import RUNS
 from estune.run.loop import Stopped
 from estune.support.child_process import child_process, next_line
@@ -28,7 +28,7 @@ def demo(
     seed: int = 0,
     pace: float = 0.1,
     page: Flag = False,
-    port: int = PORT,
+    port: int | None = None,
     folder: Path = Path(RUNS),
 ) -> int:
     """Tune a simulated reel, which runs in another process, over Zenoh.
@@ -39,7 +39,7 @@ def demo(
         seed: Seed of the measurement noise.
         pace: Wall-clock seconds per simulated second: 1 is real time, 0 is as fast as possible.
         page: Show the reel on a page in the browser instead, from which it is tuned, until Ctrl-C.
-        port: Port of the page; 0 takes a free one.
+        port: Port of the page; by default 8765, or a free one where that is taken.
         folder: Folder of runs.
     """
     with served_reel(seed, pace) as endpoint:
@@ -70,7 +70,7 @@ _FIRST_STEPS = """
 Open the address below in a browser on this machine. Then:
   1. Start a tuning, and Start: about 8 trials, shown as they run
   2. Tune by the model: move a slider, and see the response predicted
-  3. Try these gains once, and Apply to make them live
+  3. Try these gains once, then Make these gains live
 Ctrl-C ends the reel and the page.
 """
 

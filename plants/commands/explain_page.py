@@ -15,7 +15,7 @@ def explain_page(
     *,
     model: OptionalText = "",
     folder: Path | None = None,
-    port: int = PORT,
+    port: int | None = None,
 ) -> None:
     """Explain records in the browser: columns, model, verdict.
 
@@ -27,12 +27,13 @@ def explain_page(
         data: Folder of records, or a file; the page can open others.
         model: The model, as of estune explain; the page has a form for others.
         folder: Folder for dropped files, the model and the results; explained/TIME by default.
-        port: Port of the page; 0 takes a free one.
+        port: Port of the page; by default 8766, or a free one where that is taken.
 
     Raises:
         InvalidInput: the port is taken, or the records or the model cannot be used.
     """
-    from plants.explain_page.server import ExplainPage  # noqa: PLC0415  slow to import
+    from estune.web.http_service import usual_port  # noqa: PLC0415  slow to import
+    from plants.explain_page.server import ExplainPage  # noqa: PLC0415  as above
     from plants.explain_page.workbook import Workbook  # noqa: PLC0415  as above
 
     made = folder or Path("explained") / f"{datetime.now().astimezone():%Y%m%d-%H%M%S}"
@@ -41,7 +42,7 @@ def explain_page(
         workbook.use(str(data))
     if model:
         workbook.use_model(reference=model)
-    page = ExplainPage(workbook, port)
+    page = ExplainPage(workbook, usual_port(PORT) if port is None else port)
     print(f"page at {page.address}", flush=True)
     try:
         threading.Event().wait()

@@ -42,6 +42,7 @@ from estune.run.results.sentences import (
     load_stays,
     response_changes,
     start_remarks,
+    trial_remark,
 )
 from estune.run.results.summary import (
     INTERVALS_ARE,
@@ -313,6 +314,7 @@ class RunResult(OptimizeResult):  # type: ignore[misc]  # scipy ships no type in
             *(finding.sentence for finding in self.findings),
             *behaviour_remarks(self.behaviour),
             *((INTERVALS_ARE,) if self.tuned and self.tuned.intervals else ()),
+            trial_remark(self.plan, self.rig),
             *load_remarks([*self.rejections.values()][-1], self.plan, self.rig),
             *(_robustness_remarks(self) if self.verdict.complete else ()),
         )

@@ -74,6 +74,19 @@ def load_cells(at: LoadRejection | None, rig: RigDescription) -> dict[str, str]:
     }
 
 
+def trial_remark(plan: Plan, rig: RigDescription) -> str:
+    """The conditions of the trials; without them nobody can check the Ms of a result."""
+    step, settings = plan.step, rig.controller
+    reached = rig.measured(step.preload_N + step.step_N)
+    lag_s = settings.derivative_filter_s
+    filtered = f"filtered by {time_text(lag_s)}" if lag_s else "not filtered"
+    return (
+        f"trials step from {step.preload_N:g} to {reached}, the controller runs at "
+        f"{settings.sampling_Hz:.4g} Hz, the derivative is {filtered}, and the cost asks "
+        f"for settling in {time_text(plan.cost.settling_time_s)}"
+    )
+
+
 def load_remarks(at: LoadRejection | None, plan: Plan, rig: RigDescription) -> Iterator[str]:
     """The load step of the predictions, and what to do where it stays."""
     if at is None:
