@@ -393,6 +393,18 @@ def test_gap_of_any_measurement_splits_the_resampled_record(tmp_path):
     assert any("resampled" in issue.sentence for issue in recording.issues)
 
 
+def test_rows_missing_from_an_even_clock_in_whole_seconds_leave_the_others_as_they_are(tmp_path):
+    time_s = 2.0 * np.delete(np.arange(400), [50, *range(200, 240)])
+    value = np.sin(0.1 * time_s)
+    write_csv(tmp_path / "log.csv", {"time_s": time_s, "tension_N": value, "current_A": value})
+    read = read_recording(tmp_path / "log.csv")
+    assert read.sampling_Hz == pytest.approx(0.5, rel=1e-12)
+    assert [part["time_s"].size for part in read.parts] == [200, 160]
+    for part in read.parts:
+        at = np.searchsorted(time_s, part["time_s"][:40])
+        np.testing.assert_allclose(part["tension_N"][:40], value[at], atol=1e-9)
+
+
 def test_stamps_in_bursts_are_refused(tmp_path):
     c = columns()
     bursts = np.repeat(np.arange(200) / 316.0, 2) + np.tile([0.0, 1e-5], 200)
