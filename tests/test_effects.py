@@ -105,10 +105,10 @@ FRICTIONLESS = plants.reference_reel(
 def test_friction_adds_no_energy(name, share):
     usual, declared = EFFECTS[name](), EFFECTS[name].parameters()
     strength = next(iter(declared))
-    value = getattr(usual, strength) + share * (declared[strength].high - getattr(usual, strength))
+    value = getattr(usual, strength) + share * (1e4 - getattr(usual, strength))
     effect = replace(usual, **{strength: value})
     if hasattr(effect, "presliding_rad") and share == 1.0:  # stiff bristles are the hard case
-        effect = replace(effect, presliding_rad=declared["presliding_rad"].low)
+        effect = replace(effect, presliding_rad=1e-7)
     J = FRICTIONLESS.drum_inertia_kg_m2
     seen = rollout(FRICTIONLESS + effect, np.where(np.arange(600) < 3, 40.0, 20.0), 20.0)
     swing = seen.theta - seen.theta[0]
@@ -195,10 +195,10 @@ def test_roles_follow_from_the_declaration_unless_given():
 
 def test_fit_of_friction_begins_at_a_share_of_the_torque_in_the_records():
     records = RecordScale(torque_rms_Nm=0.5, torque_max_Nm=1.0)
-    assert EFFECTS["coulomb_friction"].start("torque_Nm", records) == (0.05, 2.0)
-    assert EFFECTS["coulomb_friction"].start("torque_Nm", RecordScale()) == (0.02, 1e4)
+    assert EFFECTS["coulomb_friction"].range("torque_Nm", records) == (0.0, 0.05, 2.0)
+    assert EFFECTS["coulomb_friction"].range("torque_Nm", RecordScale()) == (0.0, 0.02, 20.0)
     moving = RecordScale(velocity_rms_rad_s=1.0, velocity_max_rad_s=3.0)
-    assert EFFECTS["coulomb_friction"].start("creep_rad_s", moving) == (0.0, 6.0)
+    assert EFFECTS["coulomb_friction"].range("creep_rad_s", moving) == (0.0, 0.0, 6.0)
 
 
 def test_guesses_of_a_string_are_the_densities_that_ring_where_the_residual_does():

@@ -14,7 +14,13 @@ import plants
 from estune.core.gains import Gains
 from estune.errors import InvalidInput
 from estune.support.toml_file import read_toml
-from plants.effects import EFFECTS, CoulombFriction, CurrentSaturation, EyeletFriction
+from plants.effects import (
+    EFFECTS,
+    CoulombFriction,
+    CurrentSaturation,
+    EyeletFriction,
+    RecordScale,
+)
 from plants.models import model_file
 from plants.models.model_tables import KINDS
 from plants.models.reel import Reel
@@ -30,7 +36,8 @@ def between(low, high):
 @st.composite
 def effects(draw):
     kind = EFFECTS[draw(st.sampled_from(sorted(EFFECTS)))]
-    return kind(**{name: draw(between(p.low, p.high)) for name, p in kind.parameters().items()})
+    ranges = {name: kind.range(name, RecordScale()) for name in kind.parameters()}
+    return kind(**{name: draw(between(r.low, r.high)) for name, r in ranges.items()})
 
 
 REELS = st.builds(

@@ -1,6 +1,7 @@
 """Conformance suite of a physical effect; see `plants.effects.effect`."""
 
 import itertools
+import math
 import re
 from collections.abc import Iterable
 
@@ -24,6 +25,24 @@ KNOWN = RecordScale(
     periods_per_turn=(24.0,),
 )
 """The scale of records that show all."""
+SHOWN = RecordScale(
+    sample_s=1.0 / REEL.sampling_Hz,
+    record_s=10.0,
+    window_s=0.14,
+    torque_rms_Nm=0.3,
+    torque_max_Nm=3.0,
+    angle_rms_rad=0.1,
+    velocity_rms_rad_s=1.0,
+    velocity_max_rad_s=10.0,
+    current_max_A=6.0,
+    current_rate_A_s=1e3,
+    reading_max_N=40.0,
+    stretch_max_m=6e-3,
+    turn_periods=8.0,
+    preload_N=20.0,
+    cable_length_m=REEL.cable_length_m,
+)
+"""That of records of the reel of this suite, within whose bounds a fit moves."""
 
 CORNERS = 256
 """Most corners of the bounds that are tried. Up to eight parameters have all of theirs; of
@@ -58,10 +77,10 @@ class EffectConformance:
         declared = effect.parameters()
         assert any(p.neutral is not None for p in declared.values())
         for name, p in declared.items():
-            assert p.low < p.high
             assert p.low <= getattr(effect(), name) <= p.high
             assert p.neutral in (None, getattr(effect.neutral(), name))
-            for wrong in (p.low - 1.0, p.high + 1.0, float("nan"), float("inf")):
+            beyond = [edge for edge in (p.low - 1.0, p.high + 1.0) if math.isfinite(edge)]
+            for wrong in (*beyond, math.nan, math.inf):
                 with pytest.raises(InvalidInput, match=f"{effect.name}: {name} is"):
                     effect(**{name: wrong})
 
@@ -69,9 +88,10 @@ class EffectConformance:
         assert effect.named(Role.SIZE, Role.LIMIT)
         for records in (UNKNOWN, KNOWN):
             for name, p in effect.parameters().items():
-                start, high = effect.start(name, records)
-                assert p.low <= start <= high <= p.high
-                assert all(p.low <= value <= p.high for value in effect.guesses(name, records))
+                low, start, high = effect.range(name, records)
+                assert p.low <= low <= start <= high <= p.high
+                assert low < high < math.inf
+                assert all(low <= value <= high for value in effect.guesses(name, records))
         usual = {name: getattr(effect(), name) for name in effect.parameters()}
         assert effect.matters(usual, UNKNOWN)
 
@@ -121,7 +141,7 @@ class EffectConformance:
             if not effect.smooth:
                 continue
             found = np.asarray(slope(reel.parameter_values, unit)).ravel()
-            low, high = declared.low, declared.high
+            low, _, high = effect.range(name, SHOWN)
             h = 1e-6 * min(high - value or 1.0, value - low or 1.0, max(abs(value), 0.01))
             ahead, behind = (
                 np.asarray(run(reel.parameter_values + s * h * unit)).ravel() for s in (1, -1)
@@ -134,7 +154,8 @@ class EffectConformance:
 
     def test_effect_stays_finite_at_its_bounds(self, effect: type[Effect]) -> None:
         declared = effect.parameters()
-        for values in corners([(p.low, p.high) for p in declared.values()]):
+        ranges = [effect.range(name, SHOWN) for name in declared]
+        for values in corners([(r.low, r.high) for r in ranges]):
             reel = REEL + effect(**dict(zip(declared, values, strict=True)))
             for profile in (UP, DOWN):
                 seen = trial(reel, profile)
@@ -143,8 +164,7 @@ class EffectConformance:
                 assert np.isfinite(columns).all(), values
 
     def test_cable_never_pushes(self, effect: type[Effect]) -> None:
-        declared = effect.parameters()
-        extreme = effect(**{name: p.high for name, p in declared.items()})
+        extreme = effect(**{n: effect.range(n, SHOWN).high for n in effect.parameters()})
         for one in (effect(), extreme):
             watched = REEL + one + EyeletFriction.neutral()
             assert rollout(watched, RESTLESS).outside.min() >= 0.0

@@ -8,9 +8,15 @@ from typing import Any
 
 import casadi as ca
 
+from plants.effects.parameter import Share
+
 STATES = 3
 FURTHEST_rad = 1.0
 """Greatest change of the angle in a substep; it exceeds half the sampling rate."""
+
+WAVES = (Share(0.5, "turn_periods"), Share(1e4, "turn_periods"))
+"""Bounds of a fit of the periods of a wave in a turn: what hardly bends in all of the travel is no
+wave, and ten thousand in it are more than readings show."""
 
 
 def encode_angle(angle_rad: Any) -> Any:

@@ -48,7 +48,7 @@ class Backlash(Effect):
     form_error = 0.1
 
     play_rad: float = parameter(
-        0.003, low=0.0, high=0.5, unit="rad", neutral=0.0, least=(Share(3.0, "angle_noise_rad"),)
+        0.003, low=0.0, unit="rad", neutral=0.0, least=(Share(3.0, "angle_noise_rad"),)
     )
     motor_share: float = parameter(0.5, low=0.05, high=0.95)
 

@@ -1,16 +1,14 @@
 """Viscous friction that is not in proportion to velocity."""
 
+import math
 from dataclasses import dataclass
 
 import casadi as ca
 
 from plants.effects.effect import Effect, Port, Response, Signal, Site, Values
-from plants.effects.parameter import RecordScale, parameter
+from plants.effects.parameter import Share, parameter
 from plants.effects.plant_scale import PlantScale, digits
 from plants.effects.remedy import Remedy, limit
-
-BEGUN = 0.1
-"""Start of a fit: torque at the rms velocity, relative to the torque's rms."""
 
 
 @dataclass(frozen=True)
@@ -35,14 +33,14 @@ class BentViscousFriction(Effect):
     excitation = "motion at several speeds in both directions"
     port = Port.DRUM
 
-    bend_Nms2: float = parameter(1e-3, low=-1e4, high=1e4, unit="N m s2/rad2", neutral=0.0)
-
-    @classmethod
-    def start(cls, name: str, records: RecordScale) -> tuple[float, float]:
-        """A share of the torque at the records' velocity."""
-        usual, high = super().start(name, records)
-        begun = BEGUN * records.torque_rms_Nm / max(records.velocity_rms_rad_s, 1e-9) ** 2
-        return (begun, high) if 0.0 < begun < high else (usual, high)
+    bend_Nms2: float = parameter(
+        1e-3,
+        low=-math.inf,
+        unit="N m s2/rad2",
+        neutral=0.0,
+        start=Share(0.1, "bend_Nms2"),
+        between=(Share(-1e3, "bend_Nms2"), Share(1e3, "bend_Nms2")),
+    )
 
     @classmethod
     def describe(cls, p: Values, plant: PlantScale) -> str:

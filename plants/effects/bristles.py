@@ -5,9 +5,13 @@ from typing import Any, NamedTuple
 import casadi as ca
 
 from plants.effects.effect import Site
+from plants.effects.parameter import Share
 
 FURTHEST = 1.596071637983322
 """Root of 1 - a + a^2/2 - a^3/6."""
+
+PRESLIDING = (Share(1e-7, "angle_rms_rad"), Share(2.0, "angle_rms_rad"))
+"""Bounds of a fit of the lengths of bristles."""
 
 
 def bent(z: Any, travel: Any) -> Any:

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import casadi as ca
 
 from plants.effects.effect import Effect, Port, Response, Signal, Site, Values
-from plants.effects.parameter import parameter
+from plants.effects.parameter import ABOVE_ZERO, Share, parameter
 from plants.effects.plant_scale import PlantScale, share, si
 from plants.effects.remedy import Remedy, limit
 
@@ -35,7 +35,14 @@ class CableCreep(Effect):
     states = 1
 
     share: float = parameter(0.1, low=0.0, high=2.0, neutral=0.0)
-    time_s: float = parameter(0.3, low=0.01, high=100.0, unit="s")
+    # Shorter than some samples it is stiffness, longer than the records it is another length.
+    time_s: float = parameter(
+        0.3,
+        low=ABOVE_ZERO,
+        unit="s",
+        start=Share(2.0, "window_s"),
+        between=(Share(6.0, "sample_s"), Share(10.0, "record_s")),
+    )
 
     @classmethod
     def describe(cls, p: Values, _plant: PlantScale) -> str:

@@ -78,7 +78,13 @@ class CableSlack(Effect):
 
     # A cable that never comes taut is one that stiffens.
     slack_m: float = parameter(
-        5e-4, low=0.0, high=0.05, unit="m", neutral=0.0, most=(Share(1.0, "stretch_max_m"),)
+        5e-4,
+        low=0.0,
+        unit="m",
+        neutral=0.0,
+        start=Share(0.1, "stretch_max_m"),
+        between=(Share(0.0), Share(10.0, "stretch_max_m")),
+        most=(Share(1.0, "stretch_max_m"),),
     )
 
     @classmethod

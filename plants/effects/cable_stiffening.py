@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import casadi as ca
 
 from plants.effects.effect import Effect, Port, Response, Signal, Site, Values
-from plants.effects.parameter import parameter
+from plants.effects.parameter import Share, parameter
 from plants.effects.plant_scale import PlantScale, digits, share, si
 from plants.effects.remedy import Remedy, limit
 
@@ -36,8 +36,21 @@ class CableStiffening(Effect):
     family = "stiffening"
     port = Port.CABLE
 
-    stiffening_per_N: float = parameter(5e-3, low=0.0, high=0.1, unit="1/N", neutral=0.0)
-    cubic_per_N2: float = parameter(0.0, low=0.0, high=0.1, unit="1/N2", neutral=0.0)
+    stiffening_per_N: float = parameter(
+        5e-3,
+        low=0.0,
+        unit="1/N",
+        neutral=0.0,
+        start=Share(0.2, "per_reading_per_N"),
+        between=(Share(0.0), Share(4.0, "per_reading_per_N")),
+    )
+    cubic_per_N2: float = parameter(
+        0.0,
+        low=0.0,
+        unit="1/N2",
+        neutral=0.0,
+        between=(Share(0.0), Share(100.0, "per_square_per_N2")),
+    )
 
     @classmethod
     def describe(cls, p: Values, plant: PlantScale) -> str:

@@ -7,7 +7,7 @@ from typing import Any
 import casadi as ca
 
 from plants.effects.effect import Effect, Port, Response, Signal, Site, Values
-from plants.effects.parameter import parameter
+from plants.effects.parameter import Share, parameter
 from plants.effects.plant_scale import PlantScale, si
 from plants.effects.remedy import Place, Remedy
 
@@ -45,7 +45,14 @@ class CableWeight(Effect):
     by_tension = True
     form_error = 0.005
 
-    density_kg_m: float = parameter(0.03, low=0.0, high=0.5, unit="kg/m", neutral=0.0)
+    density_kg_m: float = parameter(
+        0.03,
+        low=0.0,
+        unit="kg/m",
+        neutral=0.0,
+        start=Share(0.03, "sagging_kg_m"),
+        between=(Share(0.0), Share(0.5, "sagging_kg_m")),
+    )
 
     @classmethod
     def describe(cls, p: Values, plant: PlantScale) -> str:

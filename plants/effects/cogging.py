@@ -7,7 +7,7 @@ import casadi as ca
 
 from plants.effects import angle_phase
 from plants.effects.effect import Effect, Port, Response, Signal, Site, Values
-from plants.effects.parameter import PHASE_MAX_rad, Role, parameter, phase
+from plants.effects.parameter import ABOVE_ZERO, PHASE_MAX_rad, Role, parameter, phase
 from plants.effects.plant_scale import PlantScale
 from plants.effects.remedy import Remedy, angle_map, workshop
 
@@ -18,12 +18,14 @@ USUAL_ORDER = 24.0
 
 
 def _amplitude(usual_Nm: float = 0.0) -> float:
-    amplitude: float = parameter(usual_Nm, low=0.0, high=1e3, unit="N m", neutral=0.0)
+    amplitude: float = parameter(usual_Nm, low=0.0, unit="N m", neutral=0.0)
     return amplitude
 
 
 def _per_turn(start: float | None = None) -> float:
-    periods: float = parameter(USUAL_ORDER, low=0.5, high=1e4, role=Role.PERIODS, start=start)
+    periods: float = parameter(
+        USUAL_ORDER, low=ABOVE_ZERO, role=Role.PERIODS, start=start, between=angle_phase.WAVES
+    )
     return periods
 
 

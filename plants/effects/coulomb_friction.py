@@ -39,8 +39,8 @@ class CoulombFriction(Effect):
     port = Port.DRUM
     resists = True
 
-    torque_Nm: float = parameter(0.02, low=0.0, high=1e4, unit="N m", neutral=0.0)
-    creep_rad_s: float = parameter(0.0, low=0.0, high=1e3, unit="rad/s", start=0.0)
+    torque_Nm: float = parameter(0.02, low=0.0, unit="N m", neutral=0.0)
+    creep_rad_s: float = parameter(0.0, low=0.0, unit="rad/s", start=0.0)
 
     @classmethod
     def describe(cls, p: Values, plant: PlantScale) -> str:

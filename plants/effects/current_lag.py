@@ -38,10 +38,10 @@ class CurrentLag(Effect):
     lag_s: float = parameter(
         2e-3,
         low=0.0,
-        high=0.5,
         unit="s",
         neutral=0.0,
         start=Share(1.0, "sample_s"),
+        between=(Share(0.0), Share(0.5, "record_s")),
         least=(Share(0.2, "sample_s"),),
     )
 

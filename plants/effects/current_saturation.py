@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import casadi as ca
 
 from plants.effects.effect import Effect, Port, Response, Signal, Site, Values
-from plants.effects.parameter import Role, parameter
+from plants.effects.parameter import ABOVE_ZERO, NEVER, Role, Share, parameter
 from plants.effects.plant_scale import PlantScale
 from plants.effects.remedy import Remedy, in_loop, limit
 
@@ -37,7 +37,14 @@ class CurrentSaturation(Effect):
     excitation = "large steps"
     port = Port.ACTUATOR
 
-    limit_A: float = parameter(1.5, low=1e-3, high=1e6, unit="A", neutral=1e6, role=Role.LIMIT)
+    limit_A: float = parameter(
+        1.5,
+        low=ABOVE_ZERO,
+        unit="A",
+        neutral=NEVER,
+        role=Role.LIMIT,
+        between=(Share(1e-3, "current_max_A"), Share(10.0, "current_max_A")),
+    )
     bend: float = parameter(0.02, low=1e-3, high=0.9)
 
     @classmethod

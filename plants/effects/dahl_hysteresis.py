@@ -4,10 +4,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar
 
-from plants.effects.bristles import both_bent
+from plants.effects.bristles import PRESLIDING, both_bent
 from plants.effects.coulomb_friction import CoulombFriction
 from plants.effects.effect import Effect, Port, Response, Signal, Site, Values
-from plants.effects.parameter import Share, parameter
+from plants.effects.parameter import ABOVE_ZERO, Share, parameter
 from plants.effects.plant_scale import PlantScale
 from plants.effects.remedy import Remedy, friction_feed_forward
 
@@ -47,10 +47,14 @@ class DahlHysteresis(Effect):
     resists = True
     form_error = 0.005
 
-    torque_Nm: float = parameter(0.02, low=0.0, high=1e4, unit="N m", neutral=0.0)
+    torque_Nm: float = parameter(0.02, low=0.0, unit="N m", neutral=0.0)
     # Shorter than this, bristles that bend and a drum that sticks look alike to the encoder.
     presliding_rad: float = parameter(
-        2e-3, low=1e-7, high=10.0, unit="rad", least=(Share(12.0, "angle_noise_rad"),)
+        2e-3,
+        low=ABOVE_ZERO,
+        unit="rad",
+        between=PRESLIDING,
+        least=(Share(12.0, "angle_noise_rad"),),
     )
     # At 1 it acts as the length does: a fit begins beside it.
     spread: float = parameter(1.0, low=1.0, high=100.0, start=4.0)

@@ -32,7 +32,13 @@ class DeadTime(Effect):
     port = Port.ACTUATOR
 
     delay_s: float = parameter(
-        1e-3, low=0.0, high=0.05, unit="s", neutral=0.0, least=(Share(0.2, "sample_s"),)
+        1e-3,
+        low=0.0,
+        unit="s",
+        neutral=0.0,
+        start=Share(0.6, "sample_s"),
+        between=(Share(0.0), Share(0.25, "record_s")),
+        least=(Share(0.2, "sample_s"),),
     )
 
     @classmethod

@@ -1,16 +1,14 @@
 """Viscous friction that differs by direction."""
 
+import math
 from dataclasses import dataclass
 
 import casadi as ca
 
 from plants.effects.effect import Effect, Port, Response, Signal, Site, Values
-from plants.effects.parameter import RecordScale, parameter
+from plants.effects.parameter import Share, parameter
 from plants.effects.plant_scale import PlantScale
 from plants.effects.remedy import Remedy, limit, workshop
-
-BEGUN = 0.1
-"""Start of a fit: torque at the rms velocity, relative to the torque's rms."""
 
 
 @dataclass(frozen=True)
@@ -36,14 +34,13 @@ class DirectionalFriction(Effect):
     excitation = "motion at several speeds in both directions"
     port = Port.DRUM
 
-    difference_Nms: float = parameter(0.01, low=-1e4, high=1e4, unit="N m s/rad", neutral=0.0)
-
-    @classmethod
-    def start(cls, name: str, records: RecordScale) -> tuple[float, float]:
-        """A share of the torque at the records' velocity."""
-        usual, high = super().start(name, records)
-        begun = BEGUN * records.torque_rms_Nm / max(records.velocity_rms_rad_s, 1e-9)
-        return (begun, high) if 0.0 < begun < high else (usual, high)
+    difference_Nms: float = parameter(
+        0.01,
+        low=-math.inf,
+        unit="N m s/rad",
+        neutral=0.0,
+        between=(Share(-1e3, "damping_Nms"), Share(1e3, "damping_Nms")),
+    )
 
     @classmethod
     def describe(cls, p: Values, plant: PlantScale) -> str:

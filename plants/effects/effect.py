@@ -25,7 +25,7 @@ from types import SimpleNamespace
 from typing import Any, ClassVar, NamedTuple, Self
 
 from estune.errors import InvalidInput
-from plants.effects.parameter import Parameter, RecordScale, Role, Share
+from plants.effects.parameter import ABOVE_ZERO, Parameter, Range, RecordScale, Role, Share
 from plants.effects.plant_scale import PlantScale, si
 from plants.effects.remedy import Remedy
 
@@ -80,16 +80,20 @@ class Site(NamedTuple):
     friction_Nm: Signal = 0.0
 
 
-USUAL_STARTS: dict[tuple[Port, str], tuple[Share, Share | None]] = {
+USUAL_RANGES: dict[tuple[Port, str], tuple[Share, Share | None]] = {
     (Port.DRUM, "N m"): (Share(0.1, "torque_rms_Nm"), Share(2.0, "torque_max_Nm")),
     (Port.DRUM, "rad/s"): (Share(0.3, "velocity_rms_rad_s"), Share(2.0, "velocity_max_rad_s")),
     (Port.EYELET, "rad/s"): (Share(0.01, "velocity_rms_rad_s"), Share(2.0, "velocity_max_rad_s")),
     (Port.DRUM, "rad"): (Share(0.05, "angle_rms_rad"), Share(2.0, "angle_rms_rad")),
+    (Port.DRUM, "N m s/rad"): (Share(0.1, "damping_Nms"), Share(1e3, "damping_Nms")),
     (Port.ACTUATOR, "A"): (Share(0.8, "current_max_A"), None),
     (Port.ACTUATOR, "A/s"): (Share(0.8, "current_rate_A_s"), None),
 }
 """Start and upper bound of a fit, of a parameter that declares neither: by port and unit,
 relative to what the records show."""
+
+FAR = 1e3
+"""Bounds of a fit where neither nature nor the records give one, in times the usual value."""
 
 
 @dataclass(frozen=True)
@@ -180,18 +184,25 @@ class Effect(ABC):
         return cls(**{name: p.neutral for name, p in declared if p.neutral is not None})
 
     @classmethod
-    def start(cls, name: str, records: RecordScale) -> tuple[float, float]:
-        """Start of a fit of a parameter, and its upper bound."""
+    def range(cls, name: str, records: RecordScale) -> Range:
+        """Start and bounds of a fit of a parameter to some records."""
         p, usual = cls.parameters()[name], float(getattr(cls(), name))
-        begin, most = USUAL_STARTS.get((cls.port, "" if p.is_phase else p.unit), (None, None))
+        begin, most = USUAL_RANGES.get((cls.port, "" if p.is_phase else p.unit), (None, None))
+        least, most = p.between or (None, most)
         begin = p.start if isinstance(p.start, Share) else begin
-        value = usual if begin is None else begin.factor * getattr(records, begin.of)
-        high = p.high if most is None else min(p.high, most.factor * getattr(records, most.of))
-        if not (math.isfinite(value) and value > 0.0 and high > p.low):
-            value, high = usual, p.high
+        far = FAR * (abs(usual) or 1.0)
+        low = max(p.low, usual / FAR if p.low == ABOVE_ZERO else -far)
+        high = min(p.high, far)
+        above, below = (math.nan if one is None else one.size(records) for one in (least, most))
+        above = low if math.isnan(above) else max(p.low, above)
+        below = high if math.isnan(below) else min(p.high, below)
+        low, high = (above, below) if above < below else (low, high)
+        value = math.nan if begin is None else begin.size(records)
+        if not value > 0.0:
+            value = usual
         if isinstance(p.start, float | int):
             value = float(p.start)
-        return min(max(value, p.low), high), high
+        return Range(low, min(max(value, low), high), high)
 
     @classmethod
     def guesses(cls, name: str, records: RecordScale) -> tuple[float, ...]:
@@ -205,7 +216,8 @@ class Effect(ABC):
         elif tried is None or isinstance(tried, Share):
             tried = {Role.FREQUENCY: records.resonances_Hz, Role.PERIODS: records.periods_per_turn}
             tried = tried.get(p.role, ())
-        return tuple(float(value) for value in tried if p.low <= value <= p.high)
+        low, _, high = cls.range(name, records)
+        return tuple(float(value) for value in tried if low <= value <= high)
 
     @classmethod
     def matters(
@@ -226,8 +238,7 @@ class Effect(ABC):
         def size(one: Share) -> float:
             if not one.of:
                 return one.factor
-            of = values[one.of] if one.of in values else getattr(records, one.of)
-            return float(one.factor * of)
+            return one.factor * values[one.of] if one.of in values else one.size(records)
 
         for name, p in cls.parameters().items():
             least = [one for one in p.least if one.of in values or not distinct]

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import casadi as ca
 
 from plants.effects.effect import Effect, Port, Response, Signal, Site, Values
-from plants.effects.parameter import parameter
+from plants.effects.parameter import ABOVE_ZERO, Share, parameter
 from plants.effects.plant_scale import PlantScale, share
 from plants.effects.remedy import Remedy, in_loop, known_motion, workshop
 
@@ -86,7 +86,12 @@ class EyeletFriction(Effect):
     attenuation: float = parameter(0.95, low=0.35, high=1.0, neutral=1.0)
     inner_share: float = parameter(0.2, low=1e-4, high=0.9, start=(0.03, 0.3))
     knee: float = parameter(0.1, low=0.01, high=30.0, start=(0.1,))
-    creep_rad_s: float = parameter(1e-4, low=1e-7, high=1e3, unit="rad/s")
+    creep_rad_s: float = parameter(
+        1e-4,
+        low=ABOVE_ZERO,
+        unit="rad/s",
+        between=(Share(1e-6, "velocity_max_rad_s"), Share(2.0, "velocity_max_rad_s")),
+    )
 
     @classmethod
     def describe(cls, p: Values, plant: PlantScale) -> str:

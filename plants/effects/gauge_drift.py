@@ -1,9 +1,10 @@
 """Drift of the gauge's zero."""
 
+import math
 from dataclasses import dataclass
 
 from plants.effects.effect import Effect, Port, Response, Signal, Site, Values
-from plants.effects.parameter import parameter
+from plants.effects.parameter import Share, parameter
 from plants.effects.plant_scale import PlantScale
 from plants.effects.remedy import Remedy, workshop
 
@@ -26,7 +27,14 @@ class GaugeDrift(Effect):
     port = Port.GAUGE
     states = 1
 
-    rate_N_per_s: float = parameter(0.1, low=-10.0, high=10.0, unit="N/s", neutral=0.0)
+    rate_N_per_s: float = parameter(
+        0.1,
+        low=-math.inf,
+        unit="N/s",
+        neutral=0.0,
+        start=Share(0.03, "reading_rate_N_s"),
+        between=(Share(-2.0, "reading_rate_N_s"), Share(2.0, "reading_rate_N_s")),
+    )
 
     @classmethod
     def describe(cls, p: Values, plant: PlantScale) -> str:

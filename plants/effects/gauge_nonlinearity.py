@@ -1,11 +1,12 @@
 """A curved gauge."""
 
+import math
 from dataclasses import dataclass
 
 import casadi as ca
 
 from plants.effects.effect import Effect, Port, Response, Signal, Site, Values
-from plants.effects.parameter import parameter
+from plants.effects.parameter import Share, parameter
 from plants.effects.plant_scale import PlantScale, digits
 from plants.effects.remedy import Remedy, recalibrate
 
@@ -31,7 +32,14 @@ class GaugeNonlinearity(Effect):
     port = Port.GAUGE
     form_error = 0.05
 
-    curvature_per_N: float = parameter(1e-3, low=-0.01, high=0.02, unit="1/N", neutral=0.0)
+    curvature_per_N: float = parameter(
+        1e-3,
+        low=-math.inf,
+        unit="1/N",
+        neutral=0.0,
+        start=Share(0.04, "per_reading_per_N"),
+        between=(Share(-0.4, "per_reading_per_N"), Share(0.8, "per_reading_per_N")),
+    )
 
     @classmethod
     def describe(cls, p: Values, plant: PlantScale) -> str:

@@ -1,5 +1,6 @@
 """A shifted zero of the gauge."""
 
+import math
 from dataclasses import dataclass
 
 from plants.effects.effect import Effect, Port, Response, Signal, Site, Values
@@ -29,10 +30,11 @@ class GaugeOffset(Effect):
     # Uncertainty of any gauge's zero: a hundredth of its readings.
     offset_N: float = parameter(
         0.5,
-        low=-20.0,
-        high=20.0,
+        low=-math.inf,
         unit="N",
         neutral=0.0,
+        start=Share(0.01, "reading_max_N"),
+        between=(Share(-0.5, "reading_max_N"), Share(0.5, "reading_max_N")),
         least=(Share(3.0, "tension_noise_N"), Share(0.01, "reading_max_N")),
     )
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import casadi as ca
 
 from plants.effects.effect import Effect, Port, Response, Signal, Site, Values
-from plants.effects.parameter import parameter
+from plants.effects.parameter import ABOVE_ZERO, Share, parameter
 from plants.effects.plant_scale import PlantScale, digits, share
 from plants.effects.remedy import Remedy, workshop
 from plants.simulation.equations import held_input
@@ -39,7 +39,12 @@ class GaugeResonance(Effect):
     states = 3
 
     share: float = parameter(0.2, low=0.0, high=1.0, neutral=0.0)
-    frequency_Hz: float = parameter(150.0, low=20.0, high=2000.0, unit="Hz")
+    frequency_Hz: float = parameter(
+        150.0,
+        low=ABOVE_ZERO,
+        unit="Hz",
+        between=(Share(3.0, "window_Hz"), Share(2.0, "fastest_Hz")),
+    )
     damping: float = parameter(0.03, low=1e-3, high=0.9)
 
     @classmethod

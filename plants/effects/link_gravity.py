@@ -28,7 +28,7 @@ class LinkGravity(Effect):
     without_cable = True
     states = angle_phase.STATES
 
-    torque_Nm: float = parameter(0.05, low=0.0, high=1e4, unit="N m", neutral=0.0)
+    torque_Nm: float = parameter(0.05, low=0.0, unit="N m", neutral=0.0)
     phase_rad: float = phase()
 
     @classmethod

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import casadi as ca
 
 from plants.effects.effect import Effect, Port, Response, Signal, Site, Values
-from plants.effects.parameter import parameter, phase
+from plants.effects.parameter import ABOVE_ZERO, parameter, phase
 from plants.effects.plant_scale import PlantScale
 from plants.effects.remedy import NOTCH_HARM, Remedy, in_loop, workshop
 
@@ -33,8 +33,8 @@ class MainsInterference(Effect):
     port = Port.GAUGE
     states = 2
 
-    amplitude_N: float = parameter(0.1, low=0.0, high=10.0, unit="N", neutral=0.0)
-    frequency_Hz: float = parameter(50.0, low=10.0, high=300.0, unit="Hz")
+    amplitude_N: float = parameter(0.1, low=0.0, unit="N", neutral=0.0)
+    frequency_Hz: float = parameter(50.0, low=ABOVE_ZERO, unit="Hz")
     phase_rad: float = phase()
 
     @classmethod

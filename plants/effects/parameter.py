@@ -6,8 +6,16 @@ from dataclasses import field
 from enum import StrEnum
 from typing import Any, NamedTuple
 
+from scipy import constants
+
 PHASE_MAX_rad = 8.0 * math.pi
 """Bound of a phase on either side: while a period is fitted, its phase winds up with it."""
+
+ABOVE_ZERO = 1e-300
+"""Least value of what is above zero."""
+
+NEVER = 1e15
+"""A limit that nothing reaches, in whatever unit."""
 
 
 class Role(StrEnum):
@@ -28,6 +36,8 @@ class RecordScale(NamedTuple):
 
     Attributes:
         sample_s: Sampling interval.
+        record_s: Length of the longest record.
+        window_s: Length of a prediction, which shows the machine's own dynamics.
         torque_rms_Nm: Commanded torque about its mean.
         torque_max_Nm: Greatest magnitude of the commanded torque.
         angle_rms_rad: Angle about its mean.
@@ -48,6 +58,8 @@ class RecordScale(NamedTuple):
     """
 
     sample_s: float = math.nan
+    record_s: float = math.nan
+    window_s: float = math.nan
     torque_rms_Nm: float = math.nan
     torque_max_Nm: float = math.nan
     angle_rms_rad: float = math.nan
@@ -66,6 +78,55 @@ class RecordScale(NamedTuple):
     resonances_Hz: tuple[float, ...] = ()
     periods_per_turn: tuple[float, ...] = ()
 
+    @property
+    def window_Hz(self) -> float:
+        """Frequency of which a prediction is a period."""
+        return 1.0 / self.window_s
+
+    @property
+    def fastest_Hz(self) -> float:
+        """Highest frequency that samples hold, somewhat below half their rate."""
+        return 0.45 / self.sample_s
+
+    @property
+    def damping_Nms(self) -> float:
+        """Viscous friction that takes the torque at the velocity of the records."""
+        return self._torque_by_speed(1)
+
+    @property
+    def bend_Nms2(self) -> float:
+        """Quadratic friction that does."""
+        return self._torque_by_speed(2)
+
+    @property
+    def per_reading_per_N(self) -> float:
+        """Inverse of the greatest reading."""
+        return 1.0 / self.reading_max_N if self.reading_max_N > 0.0 else math.nan
+
+    @property
+    def per_square_per_N2(self) -> float:
+        """Its square."""
+        return self.per_reading_per_N**2
+
+    @property
+    def reading_rate_N_s(self) -> float:
+        """Rate at which the greatest reading is gone through in a record."""
+        return self.reading_max_N / self.record_s
+
+    @property
+    def sagging_kg_m(self) -> float:
+        """Mass of a cable that weighs as much as the preload pulls."""
+        return self.preload_N / (float(constants.g) * self.cable_length_m)
+
+    @property
+    def ringing_kg_m(self) -> float:
+        """Mass of a cable along which a wave runs once in a window, at the preload."""
+        return self.preload_N * (self.window_s / self.cable_length_m) ** 2
+
+    def _torque_by_speed(self, power: int) -> float:
+        speed = self.velocity_rms_rad_s
+        return self.torque_rms_Nm / speed**power if speed > 0.0 else math.nan
+
 
 class Share(NamedTuple):
     """A size relative to another: 0.2 of `sample_s` is a fifth of a sample.
@@ -78,6 +139,24 @@ class Share(NamedTuple):
     factor: float
     of: str = ""
 
+    def size(self, records: RecordScale) -> float:
+        """The size in some records; nan where they do not show it."""
+        return self.factor * float(getattr(records, self.of)) if self.of else self.factor
+
+
+class Range(NamedTuple):
+    """Where a fit of a parameter begins, and its bounds.
+
+    Attributes:
+        low: Lower bound.
+        start: Where it begins.
+        high: Upper bound.
+    """
+
+    low: float
+    start: float
+    high: float
+
 
 Start = float | Share | tuple[float, ...] | Callable[[RecordScale], Sequence[float]] | None
 
@@ -85,9 +164,13 @@ Start = float | Share | tuple[float, ...] | Callable[[RecordScale], Sequence[flo
 class Parameter(NamedTuple):
     """Declaration of one parameter of an effect.
 
+    Its range is that of nature: a torque is any number, a time not negative, a share of a whole
+    no more than one. What a fit tries of it is stated by what scales it, or else machines of
+    another size, and the same one in other units, would be told apart by it.
+
     Attributes:
-        low: Lower bound.
-        high: Upper bound.
+        low: Least value that there can be.
+        high: Greatest value that there can be.
         unit: Its unit; empty for a plain number.
         role: What it stands for.
         neutral: The value at which the effect does nothing, whatever its other parameters; None
@@ -97,6 +180,8 @@ class Parameter(NamedTuple):
             them. None: a frequency begins at the resonances of the residual, periods at those it
             follows, anything else at the usual share of what the records show (`USUAL_STARTS`),
             or else at the usual value.
+        between: Bounds of a fit, by what the records show; none where those of its port and unit
+            (`USUAL_RANGES`), or of nature, will do.
         least: The effect does not matter in practice where the parameter is less than one of them.
         most: It is not believed where the parameter is more than one of them.
     """
@@ -107,6 +192,7 @@ class Parameter(NamedTuple):
     role: Role
     neutral: float | None
     start: Start = None
+    between: tuple[Share, Share] | None = None
     least: tuple[Share, ...] = ()
     most: tuple[Share, ...] = ()
 
@@ -120,11 +206,12 @@ def parameter(
     value: float,
     *,
     low: float,
-    high: float,
+    high: float = math.inf,
     unit: str = "",
     neutral: float | None = None,
     role: Role | None = None,
     start: Start = None,
+    between: tuple[Share, Share] | None = None,
     least: tuple[Share, ...] = (),
     most: tuple[Share, ...] = (),
 ) -> Any:
@@ -135,7 +222,7 @@ def parameter(
     if role is None:
         role = Role.SHAPE if unit != "Hz" else Role.FREQUENCY
         role = role if neutral is None else Role.SIZE
-    declared = Parameter(low, high, unit, role, neutral, start, least, most)
+    declared = Parameter(low, high, unit, role, neutral, start, between, least, most)
     return field(default=value, metadata={"parameter": declared})
 
 

@@ -28,7 +28,7 @@ class Quantisation(Effect):
     port = Port.GAUGE
     smooth = False
 
-    step_N: float = parameter(0.1, low=0.0, high=5.0, unit="N", neutral=0.0)
+    step_N: float = parameter(0.1, low=0.0, unit="N", neutral=0.0)
 
     @classmethod
     def describe(cls, p: Values, plant: PlantScale) -> str:

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import casadi as ca
 
 from plants.effects.effect import Effect, Port, Response, Signal, Site, Values
-from plants.effects.parameter import Role, parameter
+from plants.effects.parameter import ABOVE_ZERO, NEVER, Role, Share, parameter
 from plants.effects.plant_scale import PlantScale
 from plants.effects.remedy import Remedy, limit, workshop
 
@@ -33,7 +33,12 @@ class RateLimit(Effect):
     states = 1
 
     rate_A_per_s: float = parameter(
-        50.0, low=1e-3, high=1e12, unit="A/s", neutral=1e12, role=Role.LIMIT
+        50.0,
+        low=ABOVE_ZERO,
+        unit="A/s",
+        neutral=NEVER,
+        role=Role.LIMIT,
+        between=(Share(1e-3, "current_rate_A_s"), Share(10.0, "current_rate_A_s")),
     )
 
     @classmethod

@@ -6,10 +6,10 @@ from typing import ClassVar
 
 import casadi as ca
 
-from plants.effects.bristles import both_bent
+from plants.effects.bristles import PRESLIDING, both_bent
 from plants.effects.dahl_hysteresis import DahlHysteresis
 from plants.effects.effect import Effect, Port, Response, Signal, Site, Values
-from plants.effects.parameter import Share, parameter
+from plants.effects.parameter import ABOVE_ZERO, Share, parameter
 from plants.effects.plant_scale import PlantScale
 from plants.effects.remedy import Remedy, friction_feed_forward
 
@@ -59,14 +59,19 @@ class StribeckFriction(Effect):
 
     # Friction that falls to nothing with speed is no dry friction.
     coulomb_Nm: float = parameter(
-        0.02, low=0.0, high=1e4, unit="N m", neutral=0.0, least=(Share(0.2, "excess_Nm"),)
+        0.02, low=0.0, unit="N m", neutral=0.0, least=(Share(0.2, "excess_Nm"),)
     )
     # Friction that hardly falls is as good as constant.
     excess_Nm: float = parameter(
-        0.01, low=0.0, high=1e4, unit="N m", neutral=0.0, least=(Share(0.2, "coulomb_Nm"),)
+        0.01, low=0.0, unit="N m", neutral=0.0, least=(Share(0.2, "coulomb_Nm"),)
     )
-    stribeck_rad_s: float = parameter(0.5, low=1e-4, high=1e3, unit="rad/s")
-    presliding_rad: float = parameter(1e-5, low=1e-7, high=10.0, unit="rad")
+    stribeck_rad_s: float = parameter(
+        0.5,
+        low=ABOVE_ZERO,
+        unit="rad/s",
+        between=(Share(1e-4, "velocity_max_rad_s"), Share(2.0, "velocity_max_rad_s")),
+    )
+    presliding_rad: float = parameter(1e-5, low=ABOVE_ZERO, unit="rad", between=PRESLIDING)
     spread: float = parameter(1.0, low=1.0, high=100.0, start=4.0)
 
     @classmethod

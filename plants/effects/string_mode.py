@@ -10,7 +10,7 @@ import casadi as ca
 from plants.effects.cable_weight import CableWeight
 from plants.effects.effect import Effect, Port, Response, Signal, Site, Values
 from plants.effects.oscillator import stepping
-from plants.effects.parameter import RecordScale, parameter
+from plants.effects.parameter import ABOVE_ZERO, RecordScale, Share, parameter
 from plants.effects.plant_scale import PlantScale, share, si
 from plants.effects.remedy import Remedy, limit
 
@@ -59,7 +59,11 @@ class StringMode(Effect):
 
     coupling: float = parameter(1.0, low=0.0, high=2.0, neutral=0.0)
     density_kg_m: float = parameter(
-        0.05, low=0.002, high=0.5, unit="kg/m", start=_ringing_densities
+        0.05,
+        low=ABOVE_ZERO,
+        unit="kg/m",
+        start=_ringing_densities,
+        between=(Share(0.01, "ringing_kg_m"), Share(2.5, "ringing_kg_m")),
     )
     damping: float = parameter(0.01, low=1e-3, high=0.5)
 

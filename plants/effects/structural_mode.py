@@ -7,7 +7,7 @@ import casadi as ca
 
 from plants.effects.effect import Effect, Port, Response, Signal, Site, Values
 from plants.effects.oscillator import stepping
-from plants.effects.parameter import RecordScale, parameter
+from plants.effects.parameter import ABOVE_ZERO, RecordScale, Share, parameter
 from plants.effects.plant_scale import PlantScale, digits, share
 from plants.effects.remedy import NOTCH_HARM, Remedy, in_loop, limit, workshop
 
@@ -51,10 +51,20 @@ class StructuralMode(Effect):
     states = 2
 
     share: float = parameter(0.1, low=0.0, high=1.0, neutral=0.0)
-    frequency_Hz: float = parameter(60.0, low=5.0, high=250.0, unit="Hz")
+    # A slower one is the machine's own motion.
+    frequency_Hz: float = parameter(
+        60.0,
+        low=ABOVE_ZERO,
+        unit="Hz",
+        between=(Share(0.7, "window_Hz"), Share(1.0, "fastest_Hz")),
+    )
     damping: float = parameter(0.05, low=1e-3, high=0.9)
     stiffening_per_N: float = parameter(
-        0.0, low=0.0, high=0.1, unit="1/N", start=_stiffening_coefficients
+        0.0,
+        low=0.0,
+        unit="1/N",
+        start=_stiffening_coefficients,
+        between=(Share(0.0), Share(4.0, "per_reading_per_N")),
     )
 
     @classmethod

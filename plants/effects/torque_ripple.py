@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 from plants.effects import angle_phase
 from plants.effects.effect import Effect, Port, Response, Signal, Site, Values
-from plants.effects.parameter import Role, Share, parameter, phase
+from plants.effects.parameter import ABOVE_ZERO, Role, Share, parameter, phase
 from plants.effects.plant_scale import PlantScale
 from plants.effects.remedy import Remedy, angle_map, workshop
 
@@ -29,10 +29,15 @@ class TorqueRipple(Effect):
     port = Port.DRUM
     states = angle_phase.STATES
 
-    amplitude_Nm: float = parameter(0.01, low=0.0, high=1e3, unit="N m", neutral=0.0)
+    amplitude_Nm: float = parameter(0.01, low=0.0, unit="N m", neutral=0.0)
     # What comes back nowhere is no wave: any curve that is bent once looks so.
     per_turn: float = parameter(
-        24.0, low=3.0, high=1e4, role=Role.PERIODS, least=(Share(0.8, "turn_periods"),)
+        24.0,
+        low=ABOVE_ZERO,
+        role=Role.PERIODS,
+        start=Share(3.0, "turn_periods"),
+        between=angle_phase.WAVES,
+        least=(Share(0.8, "turn_periods"),),
     )
     phase_rad: float = phase()
 

@@ -29,7 +29,7 @@ class ViscousDamping(Effect):
     base_parameter = "viscous_friction_Nms"
     port = Port.DRUM
 
-    damping_Nms: float = parameter(0.01, low=0.0, high=1e4, unit="N m s/rad", neutral=0.0)
+    damping_Nms: float = parameter(0.01, low=0.0, unit="N m s/rad", neutral=0.0)
 
     @classmethod
     def describe(cls, p: Values, plant: PlantScale) -> str:

@@ -1,5 +1,6 @@
 """Calibration of torque and gauge as an effect, so that a fitted model can carry it."""
 
+import math
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -34,8 +35,8 @@ class Calibration(Effect):
     also: ClassVar[tuple[Port, ...]] = (Port.GAUGE,)
 
     torque_gain: float = parameter(1.0, low=1e-3, high=1e3, neutral=1.0)
-    torque_offset_Nm: float = parameter(0.0, low=-1e4, high=1e4, unit="N m", neutral=0.0)
-    gauge_offset_N: float = parameter(0.0, low=-1e5, high=1e5, unit="N", neutral=0.0)
+    torque_offset_Nm: float = parameter(0.0, low=-math.inf, unit="N m", neutral=0.0)
+    gauge_offset_N: float = parameter(0.0, low=-math.inf, unit="N", neutral=0.0)
 
     @staticmethod
     def amend(p: Values, reel: Values) -> dict[str, Any]:

@@ -1,6 +1,7 @@
 """Free parameters of a model that is compared with records, and effects that may be added."""
 
 import importlib
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -13,6 +14,7 @@ from estune.core.quantities import FloatArray
 from estune.errors import InvalidInput, PlantError
 from plants.diagnosis.constants import CONSTANTS
 from plants.diagnosis.data.measured_record import MeasuredRecord
+from plants.diagnosis.models.base import BaseNumbers
 from plants.diagnosis.models.calibration import Calibration
 from plants.diagnosis.models.free_parameters import (
     CALIBRATION,
@@ -23,14 +25,18 @@ from plants.diagnosis.models.free_parameters import (
     positive,
 )
 from plants.diagnosis.models.signal_scales import signal_scale
-from plants.effects import Effect, Parameter
+from plants.effects import Effect, Parameter, RecordScale, Role
 from plants.models.linear_plant import LinearPlant
 from plants.models.path_structure import PathStructure, squarings_for
 from plants.models.symbolic_plant import TracedStructure
 
-SENSORS = ("angle_zero", "current_gain", "current_offset", "reference_offset", "input_slope")
+SENSORS = (
+    *("angle_zero", "current_gain", "current_offset", "reference_offset"),
+    *("input_slope", "input_before"),
+)
 """Errors of the readings and the command of a record, in the order of the C code. The input slope
-is the hold between samples: 0 for zero order, 1 for first order."""
+is the hold between samples: 0 for zero order, 1 for first order. The input before is what was
+commanded before the record began, less its first command."""
 
 
 class Local(NamedTuple):
@@ -100,6 +106,10 @@ class DiagnosedModel(ABC):
             [self.turned(m) for m in self.measurements],
             [m.sampling_Hz for m in self.measurements],
         )
+        self.sizes = self._with_readings(self.sizes)
+        # Which depends on the sizes of torque and motion.
+        window_s = self.suggested_horizon_s or self.sizes.record_s
+        self.sizes = self.sizes._replace(window_s=window_s)
 
     # Declared by each kind of model.
 
@@ -146,6 +156,21 @@ class DiagnosedModel(ABC):
         return []
 
     # The same for all kinds.
+
+    def _with_readings(self, sizes: RecordScale) -> RecordScale:
+        """The sizes, with those of the readings and of the cable as the effects see them."""
+        read = [np.nanmax(m.tension_N) for m in self.measurements if m.tension_N is not None]
+        most = float(np.max(read, initial=0.0)) / abs(self.reading_unit)
+        numbers = [BaseNumbers.of(self.model, m) for m in self.measurements]
+        softness = [1.0 / b.stiffness_N_m for b in numbers if b is not None and b.stiffness_N_m]
+        lengths = [m.cable_length_m for m in self.measurements if m.cable_length_m]
+        preloads = [m.preload_N for m in self.measurements if m.preload_N > 0.0]
+        return sizes._replace(
+            reading_max_N=most if most > 0.0 else math.nan,
+            stretch_max_m=most * max(softness, default=math.nan),
+            preload_N=float(np.median(preloads)) if preloads else math.nan,
+            cable_length_m=float(np.median(lengths)) if lengths else math.nan,
+        )
 
     def squarings(self, fastest_rad_s: float) -> int:
         """Squarings of a matrix exponential of such a rate; the same for most records."""
@@ -268,18 +293,20 @@ class DiagnosedModel(ABC):
         self, cls: type[Effect], slug: str, name: str, p: Parameter, value: float | None
     ) -> Free:
         """An effect's parameter with the model's value, or one of the size of the data."""
-        start, high = cls.start(name, self.sizes)
-        low, high = p.low, max(high, value if value is not None else p.low)
-        start = value if value is not None else start
+        low, start, high = cls.range(name, self.sizes)
+        if value is not None:
+            low, start, high = min(low, value), value, max(high, value)
+        # A limit does nothing from where a fit ends on.
+        neutral = high if p.role is Role.LIMIT else p.neutral
         return Free(
             name=f"{slug}.{name}",
             unit=p.unit,
-            start=min(max(start, low), high),
+            start=start,
             low=low,
             high=high,
             scale="log" if low > 0.0 else "linear",
             owner=slug,
-            neutral=p.neutral,
+            neutral=neutral,
         )
 
 

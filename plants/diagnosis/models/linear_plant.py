@@ -95,9 +95,22 @@ class DiagnosedLinear(DiagnosedPlant):
         return of_calibration(free, "torque_offset_Nm", 1.0 / torque)
 
     def sensors(self) -> list[Slot]:
-        """Hold of the input between its samples, which records do not state."""
+        """What records do not state: the input's hold between samples, and the one before them.
+
+        A record of a plant with a long dead time begins with the answer to what was commanded
+        earlier: with the first command in its place a delay of a time constant left 4 noise floors
+        instead of 1, in which a rate limit was found.
+        """
         free = Free("input_slope", "", self._slope, 0.0, 1.0, "linear", "base")
-        return [Slot(free, "input_slope")]
+        reach = 2.0 * self.sizes.current_max_A * self.newtons_per_ampere
+        before = (
+            either_way(f"input_before[{n}]", "", 0.0, reach, f"record {n}")
+            for n in range(len(self.measurements))
+        )
+        return [
+            Slot(free, "input_slope"),
+            *(Slot(free, "input_before", record=n) for n, free in enumerate(before)),
+        ]
 
     @cached_property
     def _slope(self) -> float:

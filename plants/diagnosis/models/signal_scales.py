@@ -28,7 +28,11 @@ def signal_scale(
         float(np.abs(np.diff(i)).max(initial=0.0)) * rate
         for i, rate in zip(currents, rates_Hz, strict=True)
     ]
+    turned = max((float(np.ptp(angle)) for angle in angles if angle.size), default=0.0)
     return RecordScale(
+        sample_s=1.0 / min(rates_Hz),
+        record_s=max(i.size / rate for i, rate in zip(currents, rates_Hz, strict=True)),
+        turn_periods=2.0 * math.pi / turned if turned > 0.0 else math.nan,
         torque_rms_Nm=abs(torque_constant) * _rms(moved),
         torque_max_Nm=abs(torque_constant) * _max(currents),
         angle_rms_rad=_rms([angle - angle.mean() for angle in angles if angle.size]),

@@ -14,7 +14,9 @@
 #define APART static __attribute__((noinline))
 
 enum { TENSION, ANGLE, REFERENCE, CURRENT, CHANNELS };
-enum { ANGLE_ZERO, CURRENT_GAIN, CURRENT_OFFSET, REFERENCE_OFFSET, INPUT_SLOPE, SENSORS };
+enum {
+  ANGLE_ZERO, CURRENT_GAIN, CURRENT_OFFSET, REFERENCE_OFFSET, INPUT_SLOPE, INPUT_BEFORE, SENSORS
+};
 
 #define FURTHEST 1e6 /* what a prediction that runs away counts for, in sigmas */
 
@@ -77,9 +79,12 @@ APART long numbers(Rows *rows, long l, long samples, const double *given, double
   res[0] = state; res[1] = &drive;
   estune_settle(arg, res, 0, 0, 0);
   arg[1] = state; arg[2] = &command;
-  if (!at_rest) { /* the first command is as good as the last */
+  if (!at_rest) { /* what was commanded before is not recorded */
+    const double before = command + sensor[INPUT_BEFORE];
+    arg[2] = &before;
     res[0] = moved; res[1] = &drive;
     estune_drive(arg, res, 0, 0, 0);
+    arg[2] = &command;
   }
   rows->drives[0][l] = drive;
   if (rows->first_order) {

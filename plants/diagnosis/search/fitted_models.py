@@ -106,9 +106,9 @@ def is_named(fit: CandidateFit) -> bool:
 def has_evidence(fitter: ModelFitter, fit: CandidateFit, base: CandidateFit) -> bool:
     """Whether intervals of each effect's sizes exclude the values at which it does nothing."""
     stated = intervals(fitter, fit, base)
+    free = fit.fitted.predictor.free
     for effect in fit.effects:
-        neutral = {n: p.neutral for n, p in effect.parameters().items() if p.neutral is not None}
-        sizes = [(stated[f"{effect.name}.{n}"], at) for n, at in neutral.items()]
-        if all(size.low <= at <= size.high for size, at in sizes):
+        sizes = [f for f in free if f.owner == effect.name and f.neutral is not None]
+        if all(stated[f.name].low <= (f.neutral or 0.0) <= stated[f.name].high for f in sizes):
             return False
     return True

@@ -18,14 +18,9 @@ def record_scale(
     fitter: ModelFitter, where: ResidualLocation, values: Mapping[str, float]
 ) -> RecordScale:
     """Scales of the machine in the records, and variables that the base residual follows."""
-    measurements = fitter.measurements
-    lengths = [m.cable_length_m for m in measurements if m.cable_length_m]
-    preloads = [m.preload_N for m in measurements if m.preload_N > 0.0]
     return fitter.scale._replace(
-        preload_N=float(np.median(preloads)) if preloads else math.nan,
-        cable_length_m=float(np.median(lengths)) if lengths else math.nan,
         resonances_Hz=tuple(sorted({f for b in where.blocks for f in _spectral_peaks(b)})),
-        periods_per_turn=tuple(_per_turn(measurements, where, values)),
+        periods_per_turn=tuple(_per_turn(fitter.measurements, where, values)),
     )
 
 

@@ -267,26 +267,13 @@ class ModelFitter:
     def scale(self) -> RecordScale:
         """Scales that sizes of effects are judged by."""
         angle_rad, tension_N = self.floor.angle_rad, self.floor.tension_N
-        model = self.model.calibrated({})
-        numbers = [BaseNumbers.of(model, m) for m in self.measurements]
-        pulls = [math.nan if b is None else b.tension_per_angle_N_rad for b in numbers]
-        pairs = zip(self.measurements, pulls, strict=True)
-        pulling = [(m.tension_N, pull) for m, pull in pairs if m.tension_N is not None]
-        held = [(tension, pull) for tension, pull in pulling if math.isfinite(pull)]
-        turned = [float(np.ptp(m.angle_rad)) for m in self.measurements if m.angle_rad is not None]
-        # Without an encoder the gauge tells how far the drum has turned.
-        turned = turned or [float(np.ptp(tension)) / pull for tension, pull in held]
         if math.isnan(angle_rad):
+            model = self.model.calibrated({})
+            numbers = [BaseNumbers.of(model, m) for m in self.measurements]
+            pulls = [math.nan if b is None else b.tension_per_angle_N_rad for b in numbers]
             angle_rad = tension_N / float(np.median(pulls))
-        stretched = [float(tension.max()) / k * model.drum_radius_m for tension, k in held]
-        read = [float(tension.max()) for tension, _ in pulling]
         return self.model.sizes._replace(
-            sample_s=1.0 / min(m.sampling_Hz for m in self.measurements),
-            angle_noise_rad=angle_rad,
-            tension_noise_N=tension_N,
-            reading_max_N=max(read, default=math.nan),
-            stretch_max_m=max(stretched, default=math.nan),
-            turn_periods=2.0 * math.pi / max(*turned, 1e-9) if turned else math.nan,
+            angle_noise_rad=angle_rad, tension_noise_N=tension_N / abs(self.model.reading_unit)
         )
 
 

@@ -5,6 +5,7 @@ one: a loop of constant height for friction at the eyelet, whose loop grows with
 gain that changes with time for an offset that does; any function of the velocity for dry friction.
 """
 
+import math
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -13,10 +14,17 @@ import casadi as ca
 from plants.effects import Effect, Port, Signal, Site, parameter
 from plants.effects.bristles import bent
 from plants.effects.effect import Response, Values
+from plants.effects.parameter import ABOVE_ZERO, Share
 
 
 def _torque() -> float:
-    value: float = parameter(0.01, low=-1e4, high=1e4, unit="N m", neutral=0.0)
+    value: float = parameter(
+        0.01,
+        low=-math.inf,
+        unit="N m",
+        neutral=0.0,
+        between=(Share(-2.0, "torque_max_Nm"), Share(2.0, "torque_max_Nm")),
+    )
     return value
 
 
@@ -40,7 +48,12 @@ class VelocityCurve(Effect):
     up_1_Nm: float = _torque()
     up_2_Nm: float = _torque()
     up_3_Nm: float = _torque()
-    scale_rad_s: float = parameter(1.0, low=1e-4, high=1e3, unit="rad/s")
+    scale_rad_s: float = parameter(
+        1.0,
+        low=ABOVE_ZERO,
+        unit="rad/s",
+        between=(Share(1e-4, "velocity_max_rad_s"), Share(2.0, "velocity_max_rad_s")),
+    )
 
     @staticmethod
     def respond(p: Values, state: Signal, _signal: Signal, site: Site) -> Response:
@@ -75,8 +88,21 @@ class CableLoop(Effect):
     port = Port.CABLE
     states = 2
 
-    height_N: float = parameter(0.5, low=0.0, high=100.0, unit="N", neutral=0.0)
-    reach_N: float = parameter(4.0, low=0.1, high=100.0, unit="N")
+    height_N: float = parameter(
+        0.5,
+        low=0.0,
+        unit="N",
+        neutral=0.0,
+        start=Share(0.0125, "reading_max_N"),
+        between=(Share(0.0), Share(2.5, "reading_max_N")),
+    )
+    reach_N: float = parameter(
+        4.0,
+        low=ABOVE_ZERO,
+        unit="N",
+        start=Share(0.1, "reading_max_N"),
+        between=(Share(2.5e-3, "reading_max_N"), Share(2.5, "reading_max_N")),
+    )
 
     @staticmethod
     def respond(p: Values, state: Signal, signal: Signal, _site: Site) -> Response:
@@ -115,7 +141,13 @@ class GaugeWarming(Effect):
     states = 1
 
     gain: float = parameter(0.03, low=-0.5, high=0.5, neutral=0.0)
-    time_s: float = parameter(2.0, low=0.2, high=50.0, unit="s")
+    time_s: float = parameter(
+        2.0,
+        low=ABOVE_ZERO,
+        unit="s",
+        start=Share(0.2, "record_s"),
+        between=(Share(0.02, "record_s"), Share(5.0, "record_s")),
+    )
 
     @staticmethod
     def respond(p: Values, state: Signal, signal: Signal, site: Site) -> Response:
@@ -138,8 +170,22 @@ class CableBend(Effect):
     appearance = "tension against angle is bent, most where it pulls the most"
     port = Port.CABLE
 
-    bend_per_N: float = parameter(3e-3, low=-5e-3, high=0.1, unit="1/N", neutral=0.0)
-    bend_per_N2: float = parameter(1e-5, low=-5e-5, high=0.01, unit="1/N2", neutral=0.0)
+    bend_per_N: float = parameter(
+        3e-3,
+        low=-math.inf,
+        unit="1/N",
+        neutral=0.0,
+        start=Share(0.12, "per_reading_per_N"),
+        between=(Share(-0.2, "per_reading_per_N"), Share(4.0, "per_reading_per_N")),
+    )
+    bend_per_N2: float = parameter(
+        1e-5,
+        low=-math.inf,
+        unit="1/N2",
+        neutral=0.0,
+        start=Share(0.016, "per_square_per_N2"),
+        between=(Share(-0.08, "per_square_per_N2"), Share(16.0, "per_square_per_N2")),
+    )
 
     @staticmethod
     def respond(p: Values, state: Signal, signal: Signal, _site: Site) -> Response:

@@ -79,18 +79,19 @@ class Directions:
         self.effect, self.predictor, self.context = effect, predictor, context
         self.declared = effect.parameters()
         self.column = {name: place[f"{effect.name}.{name}"] for name in self.declared}
+        self.free = {name: predictor.free[n] for name, n in self.column.items()}
         self.sizes = effect.named(Role.SIZE, Role.LIMIT)
         self.phases = effect.named(Role.PHASE)
-        sizes = [self.declared[name] for name in self.sizes]
+        sizes = [self.free[name] for name in self.sizes]
         # Sizes may only grow from their neutral values.
-        self.only_up = not self.phases and all(p.neutral in (p.low, p.high) for p in sizes)
+        self.only_up = not self.phases and all(f.neutral in (f.low, f.high) for f in sizes)
         values = context.model.values
         # A wave over an angle whose zero each record has for itself, and nothing else tells.
         of_records = (f.name for f in predictor.free if f.owner.startswith("record "))
         self.has_free_phase = bool(self.phases) and any(n not in values for n in of_records)
         self.without_effect = predictor.row(values)
         for name in self.sizes:
-            self.without_effect[self.column[name]] = self.declared[name].neutral
+            self.without_effect[self.column[name]] = self.free[name].neutral
         self.residuals_without = predictor.residuals(
             self.without_effect[None, :], context.entries
         )[0]
@@ -126,8 +127,8 @@ class Directions:
     def _limits(self) -> tuple[list[_Direction], float]:
         """Levels of a limit from where it begins to act."""
         name = self.sizes[0]
-        p = self.declared[name]
-        levels = np.geomspace(p.low, p.high, 2 * int(CONSTANTS.shapes))
+        f = self.free[name]
+        levels = np.geomspace(f.low, f.high, 2 * int(CONSTANTS.shapes))
         change = self.context.products(self._changes(self._rows(name, levels))).rms
         # In noise floors; less is rounding.
         acting = np.flatnonzero(change > CONSTANTS.numerics)
@@ -214,10 +215,9 @@ class Directions:
 
     def _scaled(self, name: str, power: FloatArray) -> FloatArray:
         """Values of a size at powers of ten of the usual one, within its bounds."""
-        p, neutral = self.declared[name], self.without_effect[self.column[name]]
-        usual = float(self.predictor.start[self.column[name]])
-        step = usual - neutral or 1e-2 * (p.high - p.low)
-        values: FloatArray = np.clip(neutral + step * 10.0**power, p.low, p.high)
+        f, neutral = self.free[name], self.without_effect[self.column[name]]
+        step = f.start - neutral or 1e-2 * (f.high - f.low)
+        values: FloatArray = np.clip(neutral + step * 10.0**power, f.low, f.high)
         return values
 
     def _rows(self, name: str, values: FloatArray) -> FloatArray:
@@ -243,10 +243,10 @@ class Directions:
             row[self.column[self.phases[0]]] = math.atan2(cosine, sine)
             weights = np.array([math.hypot(sine, cosine)])
         for name, weight in zip(self.sizes, weights.tolist(), strict=True):
-            p, neutral = self.declared[name], self.without_effect[self.column[name]]
+            f, neutral = self.free[name], self.without_effect[self.column[name]]
             times = min(max(weight, -CONSTANTS.scaled_most), CONSTANTS.scaled_most)
             size = times * (tried[name] - neutral)
-            row[self.column[name]] = min(max(neutral + size, p.low), p.high)
+            row[self.column[name]] = min(max(neutral + size, f.low), f.high)
         return row
 
     def _shapes(self) -> list[dict[str, float]]:
@@ -267,24 +267,24 @@ class Directions:
         return {name: self._grid(name) for name in shapes}
 
     def _grid(self, name: str) -> list[float]:
-        p = self.declared[name]
+        p, f = self.declared[name], self.free[name]
         suggested = list(self.effect.guesses(name, self.context.records))
-        usual, most = float(self.predictor.start[self.column[name]]), int(CONSTANTS.shapes)
+        usual, most = f.start, int(CONSTANTS.shapes)
         if p.role is Role.FREQUENCY:
-            low, high = max(p.low, self.context.lowest_Hz), min(p.high, self.context.highest_Hz)
+            low, high = max(f.low, self.context.lowest_Hz), min(f.high, self.context.highest_Hz)
             tried = np.geomspace(low, max(high, low), int(CONSTANTS.frequencies))
             return [*suggested, *tried.tolist()]
         if suggested:
             return suggested
         shown = shown_range(p.unit, self.context.records)
         if shown is not None:
-            low, high = (min(max(edge, p.low), p.high) for edge in shown)
+            low, high = (min(max(edge, f.low), f.high) for edge in shown)
             spans = math.ceil(math.log(max(high / low, 1.0)) / math.log(CONSTANTS.spaced))
             return [*np.geomspace(low, high, min(1 + spans, 2 * most - 1))]
-        if p.low > 0.0 and usual > 0.0:
+        if f.low > 0.0 and usual > 0.0:
             off = CONSTANTS.usual_off
-            return [*np.geomspace(max(p.low, usual / off), min(p.high, usual * off), most)]
-        return [*np.linspace(p.low, p.high, most)]
+            return [*np.geomspace(max(f.low, usual / off), min(f.high, usual * off), most)]
+        return [*np.linspace(f.low, f.high, most)]
 
 
 def shown_range(unit: str, records: RecordScale) -> tuple[float, float] | None:
