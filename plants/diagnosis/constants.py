@@ -96,10 +96,10 @@ class Constants(NamedTuple):
     model_off: float = 1.6
     """Factor by which numbers of a model may be off, so that a ratio of units is told from it: the
     least ratio of two units asked about is 6, of degrees and turns per minute."""
-    slow_s: float = 0.01
-    """Smoothing of current and motion where the current is predicted from the motion, s. Of a
-    drive of 8192 counts a turn at 400 Hz the acceleration is mostly noise with 0.005, and a third
-    of it with 0.01; with both a measured winch motor has the same waves, of which one of 2.7 Hz is
+    slow: float = 4.0
+    """Smoothing of current and motion where the current is predicted from the motion, in samples.
+    Of a drive of 8192 counts a turn at 400 Hz the acceleration is mostly noise with 2, and a third
+    of it with 4; with both a measured winch motor has the same waves, of which one of 2.7 Hz is
     weakened by 1.4 %."""
     upper_most: float = 1.2
     """Greatest noise relative to that of the upper spectrum: repeats of a free drive differ by a

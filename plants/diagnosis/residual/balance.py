@@ -82,7 +82,10 @@ def _force(b: BaseNumbers, s: Signals, smoother: Smoother) -> Terms:
     angle = s["angle_rad"] if encoder else s["tension_N"] / b.tension_per_angle_N_rad
     effort = b.drum_radius_m * smoother.held(s["effort_N"], b.dead_time_s, 1.0)
     inertia = b.drum_inertia_kg_m2 * smoother.sampled(angle, 0.0, 0.0, 1.0)
-    friction = smoother.sampled(angle, 0.0, 1.0)
+    # A torque like the others, of which the noise is added up: of no friction a small share of
+    # what inertia takes over the kernel.
+    least = CONSTANTS.small * b.drum_inertia_kg_m2 / smoother.width_s
+    friction = smoother.sampled(angle, 0.0, max(b.viscous_friction_Nms, least))
     if gauge and encoder:  # the gauge's own dynamics undone
         w = 2.0 * math.pi * b.gauge_Hz if b.gauge_Hz else math.inf
         pull = smoother.sampled(s["tension_N"], 1.0, 2.0 * b.gauge_damping / w, 1.0 / w**2)

@@ -151,14 +151,15 @@ def torque_waves(
     first = numbers[0]
     if first is None or not first.is_free:
         return None
-    motions = [_motion(m, first) for m in measurements if m.angle_rad is not None]
+    moved = [_motion(m, first) for m in measurements if m.angle_rad is not None]
+    motions = [motion for motion in moved if motion.angle_rad.size]
     if not motions:
         return None
     orders = _orders(motions)
     if not orders:
         return None
     parts = _parts(motions)
-    K, rate_Hz = first.newtons_per_ampere * first.drum_radius_m, first.sampling_Hz
+    K = first.newtons_per_ampere * first.drum_radius_m
     # The current is compared with a law of inertia and friction alone.
     before, plain = _best((), parts)
     after, law = _best(orders, parts)
@@ -183,7 +184,7 @@ def torque_waves(
         before / K,
         after / K,
         # A Gaussian of s samples leaves 1/(2 sqrt(pi) s) of the power of white noise.
-        noise_A / math.sqrt(max(2.0 * math.sqrt(math.pi) * CONSTANTS.slow_s * rate_Hz, 1.0)),
+        noise_A / math.sqrt(2.0 * math.sqrt(math.pi) * CONSTANTS.slow),
         orders,
         apart,
     )
@@ -197,7 +198,7 @@ def _best(orders: tuple[float, ...], parts: list[TorqueMotion]) -> tuple[float, 
 
 def _motion(m: MeasuredRecord, b: BaseNumbers) -> TorqueMotion:
     assert m.angle_rad is not None  # noqa: S101  only such records are taken
-    smoother = Smoother(max(CONSTANTS.slow_s, 1.0 / m.sampling_Hz), m.sampling_Hz)
+    smoother = Smoother(CONSTANTS.slow / m.sampling_Hz, m.sampling_Hz)
     command = m.command_A(b.newtons_per_ampere) * b.newtons_per_ampere * b.drum_radius_m
     torque = smoother.held(command, b.dead_time_s, 1.0)
     orders = (1.0,), (0.0, 1.0), (0.0, 0.0, b.drum_inertia_kg_m2)
