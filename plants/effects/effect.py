@@ -198,6 +198,8 @@ class Effect(ABC):
         below = high if math.isnan(below) else min(p.high, below)
         low, high = (above, below) if above < below else (low, high)
         value = math.nan if begin is None else begin.size(records)
+        if begin is None and p.between is not None and low > 0.0:
+            value = math.sqrt(low * high)  # the usual value is that of another machine
         if not value > 0.0:
             value = usual
         if isinstance(p.start, float | int):
