@@ -178,7 +178,7 @@ class Parameter(NamedTuple):
         start: Where a fit begins. A number: there, and nowhere else. A `Share`: there, and for a
             shape at values about it. Several numbers, or a function of the records: at each of
             them. None: a frequency begins at the resonances of the residual, periods at those it
-            follows, anything else at the usual share of what the records show (`USUAL_STARTS`),
+            follows, anything else at the usual share of what the records show (`USUAL_RANGES`),
             or else at the usual value.
         between: Bounds of a fit, by what the records show; none where those of its port and unit
             (`USUAL_RANGES`), or of nature, will do.
