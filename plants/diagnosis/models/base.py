@@ -105,7 +105,7 @@ class BaseNumbers:
     def slowest_s(self) -> float:
         """Time constant of the slowest mode that dies away, s; 0 where none does."""
         rates = -np.asarray(self._poles().real)
-        dying = rates[rates > 1e-6 * max(1.0, float(np.abs(rates).max(initial=0.0)))]
+        dying = rates[rates > 1e-6 * max(self._slow_rad_s, float(np.abs(rates).max(initial=0.0)))]
         return float(1.0 / dying.min()) if dying.size else 0.0
 
     @property
@@ -119,8 +119,13 @@ class BaseNumbers:
     def integrates(self) -> bool:
         """Whether a constant effort moves it without end."""
         poles = self._poles()
-        size = max(1.0, float(np.abs(poles).max(initial=0.0)))
+        size = max(self._slow_rad_s, float(np.abs(poles).max(initial=0.0)))
         return bool(np.any(poles.real >= -1e-9 * size))
+
+    @property
+    def _slow_rad_s(self) -> float:
+        """A rate beside which a millionth is zero: no record has 1e8 samples."""
+        return 0.01 * self.sampling_Hz
 
     def _poles(self) -> NDArray[np.complex128]:
         if self.linear is not None:

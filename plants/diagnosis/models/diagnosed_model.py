@@ -278,7 +278,7 @@ class DiagnosedModel(ABC):
         per_ampere = self.newtons_per_ampere
         if all(m.measured_current_A(per_ampere) is None for m in self.measurements):
             return []
-        reach = max(self.sizes.current_max_A, 1e-9) * self.drive_unit
+        reach = max(self.sizes.current_max_A, 1e-300) * self.drive_unit
         offset = either_way("current_offset_A", "A", 0.0, reach)
         return [
             Slot(positive("current_gain", "", 1.0), "current_gain", self.drive_unit),

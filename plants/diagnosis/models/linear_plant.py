@@ -90,7 +90,7 @@ class DiagnosedLinear(DiagnosedPlant):
         """Offset of the input."""
         torque = self.model.torque_unit
         start = self.calibration.torque_offset_Nm * torque
-        reach = torque * max(self.sizes.torque_max_Nm, 1e-12)
+        reach = torque * max(self.sizes.torque_max_Nm, 1e-300)
         free = either_way("input_offset", "", start, reach)
         return of_calibration(free, "torque_offset_Nm", 1.0 / torque)
 
@@ -102,7 +102,7 @@ class DiagnosedLinear(DiagnosedPlant):
         instead of 1, in which a rate limit was found.
         """
         free = Free("input_slope", "", self._slope, 0.0, 1.0, "linear", "base")
-        reach = 2.0 * self.sizes.current_max_A * self.newtons_per_ampere
+        reach = 2.0 * self.sizes.current_max_A * self.model.torque_unit
         before = (
             either_way(f"input_before[{n}]", "", 0.0, reach, f"record {n}")
             for n in range(len(self.measurements))

@@ -54,7 +54,7 @@ class DiagnosedDrum(DiagnosedModel):
         """The drum with these effects."""
         p = self.model
         # Friction over inertia may grow a hundredfold in a fit.
-        n = self.squarings(100.0 * max(p.viscous_friction_Nms, 1e-9) / p.drum_inertia_kg_m2)
+        n = self.squarings(100.0 * max(p.viscous_friction_Nms, 1e-300) / p.drum_inertia_kg_m2)
         return LinearEffectStructure(
             DrumStructure(), effects, fractional=True, squarings=n, rounded=False
         )
@@ -70,7 +70,7 @@ class DiagnosedDrum(DiagnosedModel):
         most = max(most if math.isfinite(most) else 0.0, 20.0 * p.viscous_friction_Nms)
         inertia = positive("drum_inertia_kg_m2", "kg m2", p.drum_inertia_kg_m2)
         friction = from_zero("viscous_friction_Nms", "N m s/rad", p.viscous_friction_Nms, most)
-        reach = max(self.sizes.torque_max_Nm, 1e-12)
+        reach = max(self.sizes.torque_max_Nm, 1e-300)
         offset = either_way("torque_offset_Nm", "N m", c.torque_offset_Nm, reach)
         return [
             Slot(inertia, inertia.name),

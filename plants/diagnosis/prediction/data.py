@@ -302,7 +302,7 @@ def _without_lag(m: MeasuredRecord, newtons_per_ampere: float) -> FloatArray | N
     if current is None:
         return None
     command = m.command_A(newtons_per_ampere)
-    most = min(round(0.05 * m.sampling_Hz), m.samples // 4)  # lags up to 50 ms
+    most = min(20, m.samples // 4)  # lags in samples: 50 ms at 400 Hz, and no time of its own
     kept = m.samples - most
     before = np.concatenate([command[:1], command[:-1]])
     columns = np.stack([command, before - command, np.ones(m.samples)], axis=1)

@@ -109,6 +109,11 @@ class Coordinates(NamedTuple):
         """Derivative of the values by what is searched, dx/dz."""
         return np.where(self.log, values[self.moves], 1.0)
 
+    @property
+    def span(self) -> FloatArray:
+        """Change of each searched coordinate that is large for it: e, or all of its range."""
+        return np.where(self.log, 1.0, self.high - self.low)
+
     def bounded(self, values: FloatArray) -> FloatArray:
         """The values, those that move no further than their bounds."""
         bounded = values.copy()
@@ -231,8 +236,11 @@ class _Slope(NamedTuple):
         """
         normal = columns @ columns.T + np.diag(known[0] ** 2)
         squares = np.diag(normal)
-        # Below 1e-9 of the greatest length a derivative does nothing: its value stays.
-        dead = squares <= 1e-18 * max(float(squares.max(initial=0.0)), 1e-300)
+        # Below 1e-9 of the greatest length a derivative does nothing: its value stays. Lengths are
+        # those over a span, or else units would decide: of a bend of 1e-10 N m s2 the derivative
+        # was 3e9 times any other's, and it alone was fitted.
+        lengths = squares * scale.span**2
+        dead = lengths <= 1e-18 * float(lengths.max(initial=0.0))
         size = np.where(dead, np.inf, np.sqrt(np.where(dead, 1.0, squares)))
         scaled = normal / size / size[:, None]
         pull = -(columns @ residuals + known[0] * known[1]) / size

@@ -46,7 +46,8 @@ class ScoreContext(NamedTuple):
         scale = Coordinates.of(fitted.predictor, moves)
         weight = residual.size * prior_weight(model.J)
         known, apart = scale.equations(fitted.values, weight)
-        basis = _orthonormal(np.hstack([slope, np.diag(known / scale.inner(fitted.values))]))
+        rows = np.hstack([slope * scale.inner(fitted.values)[:, None], np.diag(known)])
+        basis = _orthonormal(rows * scale.span[:, None])
         whole = np.concatenate([residual, apart])
         undone = whole - (basis @ whole) @ basis
         return cls(
