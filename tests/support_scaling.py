@@ -1,4 +1,4 @@
-"""Scales of a machine in other units, and plants of any time constant with their records."""
+"""Machines and their records in other units of time, force, length and angle."""
 
 import math
 from collections.abc import Sequence
@@ -10,9 +10,10 @@ import numpy as np
 from scipy.signal import lfilter
 
 import plants
-from plants.diagnosis.data.measured_record import MeasuredRecord
-from plants.effects import RecordScale, Role
+from experiments.look_alikes import excitations, record
+from plants.effects import EFFECTS, Effect, RecordScale, Role
 from plants.models.linear_plant import LinearPlant
+from plants.models.reel import Reel
 from tests.support_measurements import open_loop
 
 
@@ -54,6 +55,16 @@ class Scaling(NamedTuple):
         }[unit]
 
 
+SCALINGS = (
+    Scaling(time=1e-3),
+    Scaling(time=1e3),
+    Scaling(force=1e4),
+    Scaling(force=1e-4),
+    Scaling(length=1.0 / 30.0, angle=1.0 / 30.0),
+    Scaling(time=7.0, force=0.3, length=20.0, angle=20.0),
+)
+
+
 def scaled_scale(records: RecordScale, s: Scaling) -> RecordScale:
     """What records show, in other units."""
     units = {
@@ -81,8 +92,52 @@ def scaled_scale(records: RecordScale, s: Scaling) -> RecordScale:
 class Machine(NamedTuple):
     """A plant as its owner believes it, and its records."""
 
-    model: LinearPlant
-    records: Sequence[MeasuredRecord]
+    model: object
+    records: Sequence[object]
+
+    def scaled(self, s: Scaling) -> "Machine":
+        """The same machine and motion in other units."""
+        return self._replace(
+            model=_scaled_model(self.model, s), records=[self._record(m, s) for m in self.records]
+        )
+
+    def _record(self, m, s):
+        output = s.angle if isinstance(self.model, LinearPlant) else s.force
+        factors = {"time_s": s.time, "setpoint_N": s.force, "tension_N": output}
+        factors |= {"angle_rad": s.angle, "cable_length_m": s.length, "preload_N": s.force}
+        known = {n: getattr(m, n) for n in factors}
+        changed = {n: factors[n] * value for n, value in known.items() if value is not None}
+        return replace(m, sampling_Hz=m.sampling_Hz / s.time, **changed)
+
+
+def _scaled_model(model, s):
+    if isinstance(model, LinearPlant):
+        (A,), (B,), (C,) = model.model.A, model.model.B, model.model.C
+        gain = -s.angle / s.force * C * B / A[0]
+        lag = control.tf([gain], [-s.time / A[0], 1.0])
+        return plants.linear_plant(lag, sampling_Hz=model.controller.sampling_Hz / s.time)
+    torque, rate = s.torque, s.angle / s.time
+    factors = {
+        "drum_radius_m": s.length / s.angle,
+        "drum_inertia_kg_m2": torque * s.time / rate,
+        "viscous_friction_Nms": torque / rate,
+        "torque_constant_Nm_A": torque,
+        "dead_time_s": s.time,
+        "sampling_Hz": 1.0 / s.time,
+        "derivative_filter_s": s.time,
+        "encoder_counts": 1.0 / s.angle,
+    }
+    if isinstance(model, Reel):
+        factors |= {
+            "cable_length_m": s.length,
+            "viscous_friction_per_length_Ns": torque / rate / s.length,
+            "structure_stiffness_N_m": s.force / s.length,
+            "cable_density_kg_m": s.force / s.length,
+            "gauge_Hz": 1.0 / s.time,
+            **dict.fromkeys(("tension_N", "tension_min_N", "tension_max_N"), s.force),
+            **dict.fromkeys(("cable_EA_N", "gauge_noise_N"), s.force),
+        }
+    return replace(model, **{name: f * getattr(model, name) for name, f in factors.items()})
 
 
 def first_order(time_s, *, delay_s=0.0, lag_s=0.0, seed=0, samples=1600, per_time=20):
@@ -105,3 +160,56 @@ def first_order(time_s, *, delay_s=0.0, lag_s=0.0, seed=0, samples=1600, per_tim
 
     plant = plants.linear_plant(control.tf([2.0], [time_s, 1.0]), sampling_Hz=1.0 / step_s)
     return Machine(plant, [recorded(n) for n in range(2)])
+
+
+def servo(*, dry=0.0, lag_s=0.0, limit=math.inf, ripple=0.0, drag=0.0):
+    """A motor with its load, as its owner believes it and as it moved."""
+    rate_Hz, J, b, substeps = 250.0, 3e-3, 4e-3, 16
+    dt = 1.0 / rate_Hz / substeps
+
+    def recorded(seed):
+        rng, t = np.random.default_rng(seed), np.arange(2000) / rate_Hz
+        lines = 0.25 * np.arange(1, 25)
+        waves = np.cos(2.0 * np.pi * np.outer(t, lines) + rng.uniform(0.0, 2.0 * np.pi, 24))
+        u = 0.05 * waves @ (1.0 / np.hypot(1.0, lines))
+        u += 0.045 * np.sign(np.sin(0.4 * np.pi * t))
+        angle, q, w, drive = np.empty(t.size), 0.0, 0.0, 0.0
+        kept = math.exp(-dt / lag_s) if lag_s else 0.0
+        for k, effort in enumerate(np.clip(u, -limit, limit).tolist()):
+            angle[k] = q
+            for _ in range(substeps):
+                drive = effort + (drive - effort) * kept
+                torque = drive - ripple * math.sin(12.0 * q) - drag * w * abs(w)
+                free = (J * w + dt * torque) / (J + dt * b)
+                most = dt * dry / (J + dt * b)
+                w = 0.0 if abs(free) <= most else free - math.copysign(most, free)
+                q += dt * w
+        step = 2.0 * np.pi / 8192
+        return open_loop(seed, rate_Hz, u, angle_rad=np.round(angle / step) * step)
+
+    model = plants.servo(1.02 * J, 0.95 * b, sampling_Hz=rate_Hz)
+    return Machine(model, [recorded(n) for n in (1, 2)])
+
+
+def reel(effect: Effect) -> Machine:
+    """The reference reel with an effect, which its owner's model lacks."""
+    model = plants.reference_reel()
+    commands = excitations(model.sampling_Hz)
+    kinds = ("slow reversals", "noise", "steps")
+    records = [record(model + effect, k, commands[k], n) for n, k in enumerate(kinds)]
+    return Machine(model, records)
+
+
+MACHINES = {
+    "dead_time": lambda: first_order(2.0, delay_s=0.7, seed=1),
+    "current_lag": lambda: first_order(2.0, lag_s=0.5, seed=1),
+    "coulomb_friction": lambda: servo(dry=0.02),
+    "current_saturation": lambda: servo(limit=0.08),
+    "torque_ripple": lambda: servo(ripple=0.01),
+    "bent_viscous_friction": lambda: servo(drag=3e-4),
+    "eyelet_friction": lambda: reel(EFFECTS["eyelet_friction"](attenuation=0.93)),
+    "cable_creep": lambda: reel(EFFECTS["cable_creep"](0.3, 0.3)),
+    "structural_mode": lambda: reel(EFFECTS["structural_mode"](0.6, 25.0)),
+    "gauge_nonlinearity": lambda: reel(EFFECTS["gauge_nonlinearity"](0.012)),
+}
+"""Machines by the effect that is hidden in them."""

@@ -1,4 +1,4 @@
-"""What a diagnosis searches is scaled with the machine, and so is any time constant."""
+"""Other units and another clock change nothing of a diagnosis but the units of its numbers."""
 
 import math
 
@@ -10,7 +10,9 @@ from plants.conformance.effect import SHOWN
 from plants.diagnosis.search.nameless_laws import NAMELESS
 from plants.effects import EFFECTS
 from plants.effects.parameter import ABOVE_ZERO
-from tests.support_scaling import Scaling, first_order, scaled_scale
+from tests.support_scaling import MACHINES, SCALINGS, Scaling, first_order, scaled_scale
+
+ALL_AT_ONCE = SCALINGS[-1]
 
 
 @pytest.mark.parametrize(
@@ -30,6 +32,43 @@ def test_bounds_of_a_fit_are_scaled_with_the_machine(effect):
             assert p.low in (-math.inf, ABOVE_ZERO, 0.0)
 
 
+def diagnosed(machine):
+    d = plants.explain(machine.model, machine.records)
+    numbers = {
+        f"{e.name}.{n}": (at, e.effect.parameters()[n])
+        for e in d.effects
+        for n, at in e.parameters.items()
+    }
+    return d, numbers
+
+
+def check_same(hidden, scalings):
+    machine = MACHINES[hidden]()
+    d, numbers = diagnosed(machine)
+    assert [effect.name for effect in d.effects] == [hidden]
+    for s in scalings:
+        other, there = diagnosed(machine.scaled(s))
+        assert other.verdict == d.verdict
+        assert there.keys() == numbers.keys(), s
+        assert other.before.ratio == pytest.approx(d.before.ratio, rel=1e-3)
+        assert other.after.ratio == pytest.approx(d.after.ratio, rel=2e-3)
+        for name, (at, p) in numbers.items():
+            factor = s.factor("" if p.is_phase else p.unit, p.role)
+            off = abs(there[name][0].value / factor - at.value)
+            assert off <= 0.1 * (at.high - at.low), (s, name)
+
+
+@pytest.mark.parametrize("hidden", ["dead_time", "torque_ripple", "cable_creep"])
+def test_verdict_names_and_numbers_are_the_same_in_other_units(hidden):
+    check_same(hidden, [ALL_AT_ONCE])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("hidden", MACHINES)
+def test_verdict_names_and_numbers_are_the_same_in_each_of_six_other_units(hidden):
+    check_same(hidden, SCALINGS)
+
+
 @pytest.mark.slow
 def test_delays_and_lags_are_told_apart_at_any_time_constant():
     right = {"dead_time": 0, "current_lag": 0}
@@ -43,6 +82,6 @@ def test_delays_and_lags_are_told_apart_at_any_time_constant():
             "current_lag": first_order(time_s / lag, lag_s=time_s, seed=n + 10),
         }
         for hidden, machine in cases.items():
-            d = plants.explain(machine.model, machine.records)
+            d, _ = diagnosed(machine)
             right[hidden] += [effect.name for effect in d.effects] == [hidden]
     assert min(right.values()) >= 19

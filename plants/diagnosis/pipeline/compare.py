@@ -19,7 +19,7 @@ from plants.diagnosis.pipeline.fit import BaseFit
 from plants.diagnosis.progress import Progress, portion
 from plants.diagnosis.residual.localisation import ResidualLocation
 from plants.diagnosis.residual.torque_waves import TorqueWaves, torque_waves
-from plants.diagnosis.result import SearchStep, Verdict, explained_share
+from plants.diagnosis.result import SearchStep, Slugs, Verdict, explained_share
 from plants.diagnosis.search.conclusion import Conclusion, conclude
 from plants.diagnosis.search.fitted_models import FittedModels
 from plants.diagnosis.search.limitations import most_refused
@@ -30,7 +30,13 @@ from plants.diagnosis.search.screening import Screening
 from plants.diagnosis.search.search import search
 from plants.diagnosis.search.validation import ModelStage, free_run_rms, moved_rms, stage
 from plants.diagnosis.search.wrong_parameter import find_wrong_parameter
-from plants.diagnosis.torque_balance.agreement import SILENT, Agreement, agreement
+from plants.diagnosis.torque_balance.agreement import (
+    SILENT,
+    VISIBLE,
+    Agreement,
+    agreement,
+    family_of,
+)
 from plants.diagnosis.torque_balance.judge import TorqueJudgement
 from plants.effects import Cogging, Effect, MainsInterference, Quantisation
 from plants.effects.plant_scale import si, written_unit
@@ -116,9 +122,8 @@ def compare(
     if wrong is None and judged is not None:
         conclusion, stages = _undisputed(conclusion, stages, every.models, fitted, judged)
         believed = stages[-1].fit.effects
-        together = agreement(
-            conclusion.verdict, believed, conclusion.tied, conclusion.leading, judged
-        )
+        foreseen = conclusion.leading | _predicting(every.models, judged)
+        together = agreement(conclusion.verdict, believed, conclusion.tied, foreseen, judged)
         conclusion, stages = _weighed(conclusion, stages, every.models, judged, together)
         steps = tuple(each.step for each in stages) if together.effects else steps
     effects = _effects(stages, every.line, steps, waves)
@@ -137,6 +142,13 @@ def compare(
         judged=judged,
         together=together,
     )
+
+
+def _predicting(models: FittedModels, judged: TorqueJudgement) -> Slugs:
+    """The law of a torque, beside those that are certain, that predicts the motion best alone."""
+    certain = {e.name for e in judged.effects[:-1]}
+    laws = [fit for fit in models.singles if family_of(fit.effects[0]) in VISIBLE]
+    return next((fit.names for fit in laws if not fit.names & certain), frozenset())
 
 
 def _undisputed(

@@ -41,7 +41,7 @@ def agreement(
     verdict: Verdict,
     believed: Sequence[type[Effect]],
     tied: Sequence[str],
-    leading: Slugs,
+    foreseen: Slugs,
     judged: TorqueJudgement | None,
 ) -> Agreement:
     """How the judgement of a balance stands to the verdict of a prediction.
@@ -50,10 +50,10 @@ def agreement(
         verdict: Of the prediction.
         believed: Effects that it names.
         tied: Slugs that it leaves open.
-        leading: Slugs of the model that it would name first, believed or not.
+        foreseen: Slugs of what it would name first, believed or not.
         judged: What the balance says; None where it says nothing.
     """
-    named = _certain(judged, leading | set(tied)) if judged is not None else ()
+    named = _certain(judged, foreseen | set(tied)) if judged is not None else ()
     families = {family_of(e) for e in named}
     seen = {family_of(e) for e in believed if family_of(e) in VISIBLE}
     if verdict == "ambiguous":
