@@ -74,6 +74,9 @@ def evened(
     if _is_counted(time_s, rounding_s):
         return _counted(columns, time_s, stated_Hz)
     _check_order(time_s)
+    counts = _counts(time_s)
+    if counts[-1] >= counts.size and _off_grid(time_s, _usual_rate(time_s), counts) <= JITTER:
+        return _filled(columns, time_s, counts, stated_Hz, measured)
     gaps = _gaps(time_s, rounding_s)
     bounds = [0, *gaps.tolist(), time_s.size]
     rows = [slice(a, b) for a, b in itertools.pairwise(bounds)]
@@ -93,6 +96,36 @@ def evened(
         issues.append(DataIssue("warning", f"{sentence} spaced", COLUMN))
     whole = {COLUMN: time_s, **columns}
     parts = tuple({name: values[part] for name, values in whole.items()} for part in rows)
+    return Evened(found_Hz if stated_Hz is None else stated_Hz, parts, tuple(issues))
+
+
+def _filled(
+    columns: Columns,
+    time_s: FloatArray,
+    counts: FloatArray,
+    stated_Hz: float | None,
+    measured: tuple[str, ...],
+) -> Evened:
+    """Rows of an even clock with one or two missing filled in, in parts between longer gaps."""
+    found_Hz = _usual_rate(time_s)
+    if stated_Hz is not None and abs(stated_Hz / found_Hz - 1.0) > AGREES:
+        raise Unusable(_contradiction(stated_Hz, found_Hz), COLUMN)
+    every = np.arange(counts[-1] + 1.0)
+    last = np.searchsorted(counts, every, side="right") - 1
+    steps = np.append(np.diff(counts), 1.0)
+    within = (counts[last] == every) | (steps[last] <= BRIDGED)
+    whole = {COLUMN: np.interp(every, counts, time_s)} | {
+        name: np.interp(every, counts, values) if name in measured else values[last]
+        for name, values in columns.items()
+    }
+    bridged = np.flatnonzero((steps > 1.0) & (steps <= BRIDGED))
+    issues = _gap_issues(time_s, np.flatnonzero(steps[:-1] > BRIDGED) + 1)
+    if bridged.size:
+        number = int((steps[bridged] - 1.0).sum())
+        sentence = f"of an even clock of {found_Hz:.6g} Hz {number} rows are missing, one or two "
+        sentence += "in a row: measurements are interpolated there, commands held"
+        issues.append(DataIssue("warning", sentence, COLUMN, int(bridged[0]) + 2))
+    parts = tuple({name: values[part] for name, values in whole.items()} for part in _runs(within))
     return Evened(found_Hz if stated_Hz is None else stated_Hz, parts, tuple(issues))
 
 
@@ -159,12 +192,10 @@ def _resampling_issues(
     *,
     measured: tuple[str, ...],
 ) -> list[DataIssue]:
-    counts = _counts(clocks[lead])
-    off, missing = _off_grid(clocks[lead], rate, counts), int(counts[-1]) + 1 - counts.size
-    why = f"are up to {off:.2g} samples off an even grid" if off > JITTER else f"lack {missing}"
+    off = _off_grid(clocks[lead], rate, _counts(clocks[lead]))
     sentence = (
-        f"resampled to {rate:.6g} Hz, the usual rate of {lead}, whose stamps {why}: measurements "
-        "linearly, commands held"
+        f"resampled to {rate:.6g} Hz, the usual rate of {lead}, whose stamps are up to {off:.2g} "
+        "samples off an even grid: measurements linearly, commands held"
     )
     if parts > 1:
         sentence += f"; split into {parts} parts at gaps"
