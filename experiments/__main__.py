@@ -2,11 +2,13 @@
 
 import ast
 import re
+from functools import cache
 from pathlib import Path
 
 _PRINTS_RESULTS = re.compile(r"def main\(.*print_results\(", re.DOTALL)
 
 
+@cache
 def experiments() -> dict[str, str]:
     """Docstrings of the modules and packages that can be run and print results, by name."""
     folder = Path(__file__).parent

@@ -7,7 +7,7 @@ endpoint, its ledger, and the endpoints of routers.
 import subprocess
 import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -84,9 +84,9 @@ def hosted(kind: str, name: str = "reel", *routers: str) -> Iterator[str]:
 
     The link is the same; another process takes 1.5 s of CPU to start.
     """
-    with TemporaryDirectory() as folder:
+    with TemporaryDirectory() as folder, closing(make(kind, name)) as rig:
         file = Path(folder) / "ledger"
-        with zenoh.serve(make(kind, name), "tcp/127.0.0.1:0", ledger=file, routers=routers) as at:
+        with zenoh.serve(rig, "tcp/127.0.0.1:0", ledger=file, routers=routers) as at:
             yield at.endpoint
 
 

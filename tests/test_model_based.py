@@ -26,6 +26,7 @@ from estune.tuners.identified_loop import IdentifiedLoopTuner
 from experiments.loop_claims import true_sensitivity
 from experiments.loop_claims.truth import TrueLoop, constrained_optimum
 from plants.effects import CableStiffening, CoulombFriction, EyeletFriction
+from tests.support_lanes import first_by_day
 
 SLOWER = plants.reference_reel(sampling_Hz=316.0)
 """At half the rate of the reference reel, for fits of friction take half the time."""
@@ -160,7 +161,7 @@ def test_disturbance_in_one_trial_of_five_costs_few_trials(before):
     assert margins is None or truth <= margins.sensitivity.high
 
 
-@pytest.mark.parametrize("cut_after", [1, 2, 3])
+@pytest.mark.parametrize("cut_after", [*first_by_day(1, 2), 3])
 def test_run_cut_before_or_after_an_excitation_resumes_with_the_same_proposals(
     tmp_path, tuned, cut_after
 ):
@@ -178,7 +179,7 @@ def test_run_cut_before_or_after_an_excitation_resumes_with_the_same_proposals(
     assert estune.load(tmp_path / "cut").ending is tuned.ending
 
 
-@pytest.mark.parametrize("cut_after", [3, 6])
+@pytest.mark.parametrize("cut_after", first_by_day(3, 6))
 def test_run_whose_model_differs_in_its_last_digits_resumes_with_the_recorded_gains(
     tmp_path, monkeypatch, cut_after
 ):

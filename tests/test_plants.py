@@ -6,6 +6,7 @@ from scipy.integrate import solve_ivp
 import plants
 from estune.core.gains import Gains
 from plants.models.reel_equations import cable_stiffness_N_m
+from tests.support_lanes import first_by_day
 
 REEL = plants.reference_reel()
 
@@ -68,7 +69,7 @@ def wander(samples, size, seed=1):
     return 15.0 + size * np.convolve(steps, np.ones(8) / 3.0, "same")
 
 
-@pytest.mark.parametrize("dead_time_s", [0.0, h, 2.3 * h, 0.45 * h])
+@pytest.mark.parametrize("dead_time_s", first_by_day(2.3 * h, 0.0, h, 0.45 * h))
 def test_taut_reel_is_propagated_exactly(dead_time_s):
     reel = plants.reference_reel(dead_time_s=dead_time_s)
     effort = wander(120, 3.0)

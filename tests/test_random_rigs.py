@@ -59,7 +59,7 @@ def random_rig(seed):
 @pytest.mark.parametrize(
     "rigs",
     [
-        range(2, 4),
+        range(2, 3),
         pytest.param(range(4), marks=pytest.mark.slow),
         pytest.param(range(100), marks=pytest.mark.nightly),
     ],

@@ -32,7 +32,7 @@ def cache(tmp_path, monkeypatch):
 
 
 def libraries(folder):
-    return sorted(folder.glob("*.so"))
+    return sorted(folder.glob("*/*.so"))
 
 
 PLANTS = {
@@ -141,7 +141,7 @@ def test_concurrent_processes_compile_the_same_structure(cache):
     assert {error for _, error in answers} == {""}
     assert len({out for out, _ in answers}) == 1
     # No partial file remains.
-    assert {path.suffix for path in cache.iterdir()} == {".so", ".key"}
+    assert {path.suffix for path in cache.rglob("*") if path.is_file()} == {".so", ".key"}
 
 
 def run_elsewhere(**environment):

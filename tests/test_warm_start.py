@@ -26,8 +26,10 @@ s = control.tf("s")
     [
         (50.0**2 / (s**2 + 2 * 0.1 * 50.0 * s + 50.0**2), 0.002),
         (2.0 / (0.3 * s + 1), 0.05),
-        (1.0 / ((s + 1) * (0.2 * s + 1) * (0.04 * s + 1)), 0.0),
-        ((1 - 0.1 * s) / ((s + 1) * (0.5 * s + 1)), 0.3),
+        pytest.param(
+            1.0 / ((s + 1) * (0.2 * s + 1) * (0.04 * s + 1)), 0.0, marks=pytest.mark.slow
+        ),
+        pytest.param((1 - 0.1 * s) / ((s + 1) * (0.5 * s + 1)), 0.3, marks=pytest.mark.slow),
         (1.0 / (s * (s + 1.0)), 0.0),
     ],
     ids=["reel", "first order with dead time", "three lags", "non-minimum phase", "integrator"],

@@ -4,7 +4,6 @@ import math
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
-import cma
 import numpy as np
 
 import plants
@@ -183,6 +182,8 @@ def constrained_optimum(
         Ms = math.log(at.sensitivity / max_sensitivity)
         beyond = max(min(Ms, 5.0), 0.0) + max(at.overshoot - overshoot, 0.0)
         return math.log(at.cost) + PENALTY * beyond
+
+    import cma  # noqa: PLC0415  slow to import
 
     found = []
     for number, start in enumerate(starts):
