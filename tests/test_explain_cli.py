@@ -3,6 +3,7 @@
 import html
 import json
 import re
+from dataclasses import replace
 
 import pytest
 
@@ -19,7 +20,7 @@ from plants.effects import EFFECTS
 from tests.support_diagnosis import NO_BLOCKS, REEL, deciding, diagnosis, nothing_found
 
 HOSE = """
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar
 from plants.effects import Effect, Port, parameter
 
@@ -133,6 +134,20 @@ def test_terminal_shows_an_unexplained_verdict(monkeypatch, capsys):
     shown = capsys.readouterr().out
     assert shown.startswith("NO MISSING EFFECT: ")
     assert "with the effects" not in shown
+
+
+@pytest.mark.parametrize("verdict", ["none", "unknown"])
+def test_effects_that_the_model_cannot_have_are_told_where_none_helps(
+    monkeypatch, capsys, verdict
+):
+    why = {"cogging": "it acts at the drum", "backlash": "it never fell"}
+    found = replace(
+        nothing_found(), verdict=verdict, not_excited=why, not_of_the_plant=frozenset({"cogging"})
+    )
+    monkeypatch.setattr(module, "explain", lambda *_, **__: found)
+    command()
+    said = "not tried  cogging: it acts at the drum" in capsys.readouterr().out
+    assert said == (verdict == "unknown")
 
 
 @pytest.mark.parametrize(

@@ -1,6 +1,6 @@
 """`estune explain`: the effect that is missing from a model, identified from records."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -194,9 +194,8 @@ def _show(diagnosis: "Diagnosis") -> None:
         out.print()
         out.print(_table(best))
     out.print()
-    if diagnosis.hidden:
-        names = f"{', '.join(diagnosis.hidden)}; why is in the report"
-        out.print(Text.assemble(("not excited  ", "dim"), names), soft_wrap=True)
+    for head, names, why in _not_shown(diagnosis):
+        out.print(Text.assemble((f"{head}  ", "dim"), f"{names}{why}"), soft_wrap=True)
     for issue in diagnosis.findings:
         style = "red" if issue.level == "refused" else "yellow"
         line = Text.assemble((f"{issue.level}  ", style), str(issue))
@@ -205,6 +204,17 @@ def _show(diagnosis: "Diagnosis") -> None:
     if following is not None:
         sentence = following.sentence
         out.print(Text.assemble(("next  ", "bold"), sentence), soft_wrap=True)
+
+
+def _not_shown(diagnosis: "Diagnosis") -> Iterator[tuple[str, str, str]]:
+    """Effects that were not looked for: of the records, and of the model where no effect helps."""
+    from plants.diagnosis.report import summary  # noqa: PLC0415  slow to import
+
+    if diagnosis.hidden:
+        yield "not excited", ", ".join(diagnosis.hidden), "; why is in the report"
+    if diagnosis.verdict not in _STYLES:
+        for names, why in summary.not_tried(diagnosis):
+            yield "not tried", names, f": {why}"
 
 
 def _table(rows: "Rows") -> Table:

@@ -65,5 +65,6 @@ def _may_push(base: LinearBase, effect: type[Effect]) -> bool:
 _COMMON_NAMES = ("torque_unit", "angle_unit", "viscous_friction_Nms")
 _ABSENT = {
     True: "which a drive without a cable does not have",
-    False: "which takes an output that moves like a position and a spring that holds it",
+    False: "which takes an output that moves like a position and a spring that holds it; "
+    "describe the motor of a speed as a [servo]",
 }

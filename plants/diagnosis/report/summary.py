@@ -2,6 +2,7 @@
 
 import math
 from collections import defaultdict
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -132,13 +133,23 @@ def parameters(d: DiagnosisResult) -> TextTable:
     return TextTable(("effect", "parameter", "value", "95 % interval", "unit"), tuple(rows))
 
 
+def not_tried(d: DiagnosisResult) -> list[tuple[str, str]]:
+    """Effects that a plant of this kind cannot have in the model, and why."""
+    never = {name: why for name, why in d.not_excited.items() if name in d.not_of_the_plant}
+    return [(", ".join(names), why) for why, names in _alike(never).items()]
+
+
+def _alike(reasons: Mapping[str, str]) -> dict[str, list[str]]:
+    alike = defaultdict[str, list[str]](list)
+    for name, why in reasons.items():
+        alike[why].append(name)
+    return alike
+
+
 def not_excited(d: DiagnosisResult) -> TextTable:
     """Effects that these records cannot show, the reason, and the experiment that would."""
-    alike = defaultdict[str, list[str]](list)
-    for name, why in d.not_excited.items():
-        alike[why].append(name)
     rows = []
-    for why, names in alike.items():
+    for why, names in _alike(d.not_excited).items():
         shown = {d.shown_by.get(name) or "-" for name in names}
         rows.append((", ".join(names), why, shown.pop() if len(shown) == 1 else "-"))
     return TextTable(("effect", "why", "shown by"), tuple(rows))
