@@ -162,8 +162,8 @@ def test_overshoot_within_its_noise_of_the_limit_is_not_shown(peaks):
 @pytest.mark.parametrize(
     ("high", "misfit", "more"),
     [
-        # The half-width of 0.16 becomes that of the room, 0.1, but for the 2 % that remain.
-        (1.66, 0.0, f"{math.ceil(2 * (0.16**2 - 0.03**2) / (0.1**2 - 0.03**2))} repeats"),
+        # The half-width of 0.16 becomes that of the room, 0.1, but for the 0.5 % that remain.
+        (1.66, 0.0, f"{math.ceil(2 * (0.16**2 - 0.0075**2) / (0.1**2 - 0.0075**2))} repeats"),
         (1.66, 0.01, ""),
         (3.0, 0.0, ""),
     ],

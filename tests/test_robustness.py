@@ -16,6 +16,7 @@ from estune.core.response import StepShape
 from estune.errors import InvalidInput
 from estune.loop_model.claim import claim
 from estune.loop_model.fitting import fit_loop
+from estune.loop_model.half_widths import HalfWidths
 from estune.loop_model.limit_price import price_of
 from estune.loop_model.model import LoopModel
 from estune.loop_model.optimum import RobustnessLimits
@@ -126,6 +127,7 @@ def test_price_of_limits_is_small_on_a_reel_and_names_softer_limits_where_dear(f
         lambda x: space.gains(space.point(tuple(x.tolist()))),
         at=np.array(space.coordinates(space.point_of(free.gains))),
         bounds=(low, high),
+        beside=HalfWidths(0.0, 0.0, 0.0),
     )
     assert price.price > 0.05
     assert [limit for limit, _ in price.softer] == [1.8, 2.0]

@@ -39,11 +39,13 @@ class Claim(NamedTuple):
         margins: Predictions with their intervals; None where nothing is claimed.
         reason: Why nothing is claimed; empty where something is.
         misfit: rho of the trials near the gains; NaN without one.
+        is_white: Whether the model explains the records but for white noise.
     """
 
     margins: PredictedMargins | None
     reason: str
     misfit: float
+    is_white: bool = False
 
 
 class CostCheck(NamedTuple):
@@ -118,7 +120,7 @@ def claim(
             others = contradicting_sensitivities(fit, records, gains, settings)
             margins = _widened(predict_with_intervals(fit, trial, gains), margin, others)
             if math.isfinite(margins.sensitivity.high):
-                return Claim(margins, "", misfit)
+                return Claim(margins, "", misfit, fit.is_white)
             reason = "the records leave open whether the loop is stable with these gains"
             if math.inf in others:
                 reason = (

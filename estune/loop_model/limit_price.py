@@ -9,6 +9,7 @@ import numpy as np
 
 from estune.core.gains import Gains
 from estune.core.quantities import FloatArray
+from estune.loop_model.half_widths import HalfWidths
 from estune.loop_model.loop_fit import LoopFit
 from estune.loop_model.optimum import Optimum, RegionSearch, RobustnessLimits
 from estune.loop_model.prediction import StepTrial
@@ -63,6 +64,7 @@ def price_of(
     *,
     at: FloatArray,
     bounds: tuple[FloatArray, FloatArray],
+    beside: HalfWidths,
 ) -> LimitPrice:
     """The price of limits about the tuned gains.
 
@@ -73,11 +75,12 @@ def price_of(
         gains_of: From coordinates to gains.
         at: Coordinates of the tuned gains, shape (n,).
         bounds: Least and greatest coordinates.
+        beside: Half widths of the intervals at the tuned gains, which the search kept, too.
     """
 
     def best(within: RobustnessLimits) -> Optimum:
         low, high = np.maximum(bounds[0], at - EXTENT), np.minimum(bounds[1], at + EXTENT)
-        aimed = within.aimed(fit.noise_std / abs(trial.step.size))  # as of the tuned gains
+        aimed = within.aimed(beside)
         search = RegionSearch(fit.model, trial, aimed, gains_of, low, high, fit.noise_std)
         return search.minimise([at])
 

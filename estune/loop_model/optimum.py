@@ -10,6 +10,7 @@ import numpy as np
 from estune.core.gains import Gains
 from estune.core.quantities import FloatArray
 from estune.core.setting import Setting, check_settings, documented
+from estune.loop_model.half_widths import HalfWidths
 from estune.loop_model.intervals import Interval, PredictedMargins
 from estune.loop_model.model import LoopModel
 from estune.loop_model.prediction import Prediction, StepTrial, predictions
@@ -18,23 +19,6 @@ from estune.loop_model.sobol import sobol_points
 SENSITIVITY_MAX = 1.6
 """Largest Ms by default; 1.4 is robust, 2 aggressive."""
 
-
-SENSITIVITY_MARGIN, LARGEST_MARGIN = 0.03, 0.05
-"""Logarithm of Ms that a search keeps from its limit, and the most where the interval is wider.
-The upper end of an interval lies at least 2 % above Ms (`intervals.MODEL_ERROR`)."""
-
-CONFIRMED = 0.008
-"""Part of it for the confirmation, whose records move the estimate: by 0.1 to 0.6 % in four runs.
-"""
-
-OVERSHOOT_MARGIN, NOISE_MARGIN = 0.003, 2.0
-"""The same of the overshoot, as a share of the step, and as a multiple of the noise. The peak of a
-record is 0.4 times its noise too high on average and scatters by 0.7 times (15 random loops, noise
-of 0.2 to 2 % of the step), so that of two records the upper end of the interval lies 1.4 times
-higher on average, and 2 times higher in one of ten."""
-
-PHASE_MARGIN_deg = 2.0
-"""The same of the phase margin, whose intervals are 1 to 2 degrees wide."""
 
 _NONE = "no limit"
 
@@ -121,22 +105,16 @@ class RobustnessLimits:
             )
         )
 
-    def aimed(self, noise: float, width: float = 0.0) -> "RobustnessLimits":
-        """Limits of a search at whose optimum the upper ends of the intervals keep these.
+    def aimed(self, beside: HalfWidths) -> "RobustnessLimits":
+        """Limits of a search at whose optimum the intervals' ends keep these.
 
         Half of a small overshoot and of the logarithm of a small Ms is left at least.
-
-        Args:
-            noise: Standard deviation of the measurement noise, as a share of the step.
-            width: Logarithm of the upper end of the interval of Ms over Ms.
         """
         Ms, overshoot, angle = self.max_sensitivity, self.max_overshoot, self.min_phase_margin_deg
-        beside = OVERSHOOT_MARGIN + NOISE_MARGIN * noise
-        above = min(max(width + CONFIRMED, SENSITIVITY_MARGIN), LARGEST_MARGIN)
         return RobustnessLimits(
-            None if Ms is None else max(Ms * math.exp(-above), math.sqrt(Ms)),
-            None if overshoot is None else max(overshoot - beside, overshoot / 2.0),
-            None if angle is None else min(angle + PHASE_MARGIN_deg, 90.0),
+            None if Ms is None else max(Ms * math.exp(-beside.sensitivity), math.sqrt(Ms)),
+            None if overshoot is None else max(overshoot - beside.overshoot, overshoot / 2.0),
+            None if angle is None else min(angle + beside.phase_margin_deg, 90.0),
         )
 
     def loosened_to(self, p: Prediction) -> "RobustnessLimits":

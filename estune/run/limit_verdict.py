@@ -66,8 +66,8 @@ def limit_verdict(
 ) -> LimitVerdict:
     """Whether gains keep the limits of a plan, by what the records allow to be claimed.
 
-    Ms and phase margin are those of the claim. The overshoot is measured: that of all records with
-    these gains, without their noise. A limit is kept where the whole interval keeps it.
+    Ms and phase margin are those of the claim. The overshoot is measured, without the noise of the
+    records, or that of the claim. A limit is kept where the whole interval keeps it.
     """
     limits = plan.limits
     if limits is None:  # a run of an earlier version is not judged
@@ -89,7 +89,8 @@ def measured_overshoot(
     """Mean overshoot of the records with some gains, as a share of the step; None without any.
 
     Its 95 % interval is by Student's t. That of fewer than `FEWEST_REPEATS` is by the noise of the
-    records. Where the claim's, which rests on all records, reaches higher, so does this one.
+    records. The claim's rests on all records and is narrower: it takes its place where the model
+    explains the records and the two agree. Else where it reaches higher, so does this one.
     """
     own = [r for r in records if r.gains == gains]
     peaks = np.array([metrics_of(record, plan.step).overshoot for record in own])
@@ -108,10 +109,13 @@ def measured_overshoot(
         noise = float(np.median(np.abs(np.concatenate(moves)))) / MEDIAN_OF_DIFFERENCE
         spread = PEAK_SCATTER * noise / abs(plan.step.step_N)
     half = quantile * spread / math.sqrt(count)
-    high = mean + half
-    if claim and claim.margins and math.isfinite(claim.margins.overshoot.high):
-        high = max(high, claim.margins.overshoot.high)
-    return Interval(mean, max(mean - half, 0.0), high)
+    found = Interval(mean, max(mean - half, 0.0), mean + half)
+    told = claim.margins.overshoot if claim and claim.margins else None
+    if claim is None or told is None or not math.isfinite(told.high):
+        return found
+    if claim.is_white and told.low <= found.high and found.low <= told.high:
+        return told
+    return found._replace(high=max(found.high, told.high))
 
 
 Judged = tuple[LimitState, str]

@@ -14,6 +14,7 @@ from estune.core.metrics import BAND, NOISE_SIGMAS, steady_samples
 from estune.core.quantities import FloatArray
 from estune.loop_model.claim import Claim, CostCheck, claim
 from estune.loop_model.fitting import better_fit, fit_loop, fit_with_excitations
+from estune.loop_model.half_widths import half_widths
 from estune.loop_model.intervals import PredictedMargins
 from estune.loop_model.limit_price import LimitPrice, price_of
 from estune.loop_model.loop_fit import LoopFit
@@ -176,13 +177,15 @@ def limit_price(
     if limits is None or limits == RobustnessLimits(None, None, None):
         return None
     low, high = np.array(space.coordinate_bounds)
+    trial = step_trial(rig, plan.step, plan.cost)
     return price_of(
         loop.fit,
-        step_trial(rig, plan.step, plan.cost),
+        trial,
         limits,
         lambda x: space.gains(space.point(tuple(x.tolist()))),
         at=np.array(space.coordinates(space.point_of(gains))),
         bounds=(low, high),
+        beside=half_widths(loop.fit, loop.signals, trial, gains),
     )
 
 

@@ -15,6 +15,7 @@ from estune.interop import sampled_model
 from estune.loop_model.cautious_gains import SENSITIVITY_MAX as CAUTIOUS
 from estune.loop_model.cautious_gains import cautious_gains
 from estune.loop_model.fitting import fit_loop
+from estune.loop_model.half_widths import HalfWidths
 from estune.loop_model.loop_fit import LoopFit
 from estune.loop_model.margins import robustness
 from estune.loop_model.optimum import Optimum, RegionSearch, RobustnessLimits
@@ -169,7 +170,7 @@ def _optimum(fit: LoopFit, trial: StepTrial, limits: RobustnessLimits, at: Gains
     search = RegionSearch(
         model=fit.model,
         trial=trial,
-        limits=limits.aimed(NOISE_ASSUMED),
+        limits=limits.aimed(HalfWidths.assumed(NOISE_ASSUMED)),
         gains_of=lambda x: Gains(*np.exp(x).tolist()),
         low=centre - EXTENT,
         high=centre + EXTENT,

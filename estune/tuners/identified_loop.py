@@ -23,21 +23,18 @@ import numpy as np
 from estune.core.quantities import FloatArray
 from estune.loop_model.excitation import UnknownLoop
 from estune.loop_model.fitting import fit_loop, fit_with_excitations
-from estune.loop_model.intervals import predict_with_intervals
+from estune.loop_model.half_widths import HalfWidths, half_widths
 from estune.loop_model.loop_fit import LoopFit
 from estune.loop_model.margins import robustness
 from estune.loop_model.model import LoopModel
 from estune.loop_model.optimum import (
-    CONFIRMED,
     DERIVATIVE,
-    SENSITIVITY_MARGIN,
     SLOW_FILTER,
     TOLERANCE,
     Optimum,
     RegionSearch,
     RobustnessLimits,
 )
-from estune.loop_model.plant_error import error_margin, plant_error
 from estune.loop_model.prediction import Prediction, StepTrial, predict
 from estune.loop_model.records import LoopRecord
 from estune.tuners.identified_loop_state import IdentifiedLoopState
@@ -354,14 +351,17 @@ class IdentifiedLoopTuner:
         )
         if not math.isfinite(optimum.prediction.cost):
             return self._fall_back(state)
-        width = self._width(state, fit, optimum)
-        if width > SENSITIVITY_MARGIN - CONFIRMED:
-            optimum = self._search(state, fit.model, width).minimise([optimum.coordinates])
+        beside = None
+        if len(state.costs) >= CLOSE_FROM:
+            gains = self.space.gains(self.space.point(tuple(optimum.coordinates.tolist())))
+            records = (*state.records, *state.excitations)
+            beside = half_widths(fit, records, self._trial(state), gains)
+            optimum = self._search(state, fit.model, beside).minimise([optimum.coordinates])
         centre = tuple(optimum.coordinates.tolist())
         return state._replace(
             centre=centre,
             proposal=self.space.point(centre),
-            estimate=self._convergence(state, fit, optimum, width),
+            estimate=self._convergence(state, fit, optimum, beside),
             fallen_back=False,
         )
 
@@ -379,26 +379,12 @@ class IdentifiedLoopTuner:
         points = map(self.space.point_of, (one, slow) if gains.setpoint_filter_s else (one,))
         return [np.array(self.space.coordinates(point)) for point in points]
 
-    def _width(self, state: IdentifiedLoopState, fit: LoopFit, optimum: Optimum) -> float:
-        """Logarithm of the upper end of the interval of Ms at an optimum, over Ms.
-
-        Zero while the search is on its way, or where the end is not known.
-        """
-        if self.limits.max_sensitivity is None or len(state.costs) < CLOSE_FROM:
-            return 0.0
-        gains = self.space.gains(self.space.point(tuple(optimum.coordinates.tolist())))
-        trial = self._trial(state)
-        Ms = predict_with_intervals(fit, trial, gains).sensitivity
-        error = plant_error(fit, (*state.records, *state.excitations))
-        high = max(Ms.high, error_margin(fit, error, gains, trial.controller).sensitivity)
-        return math.log(high / Ms.value) if math.isfinite(high) else 0.0
-
     def _search(
-        self, state: IdentifiedLoopState, model: LoopModel, width: float = 0.0
+        self, state: IdentifiedLoopState, model: LoopModel, beside: HalfWidths | None = None
     ) -> RegionSearch:
         """The search for the optimum of a model within reach of the best trial.
 
-        With the width of the interval of Ms as of `_width`.
+        As far inside the limits as the half widths tell; as the assumed ones without them.
         """
         best = np.array(state.base)
         radius = self.reach * state.step_scale
@@ -407,7 +393,9 @@ class IdentifiedLoopTuner:
         return RegionSearch(
             model=model,
             trial=trial,
-            limits=self.limits.aimed(noise_std / abs(trial.step.size), width),
+            limits=self.limits.aimed(
+                beside or HalfWidths.assumed(noise_std / abs(trial.step.size))
+            ),
             gains_of=lambda x: self.space.gains(self.space.point(tuple(x.tolist()))),
             low=np.maximum(low, best - radius),
             high=np.minimum(high, best + radius),
@@ -420,7 +408,7 @@ class IdentifiedLoopTuner:
         state: IdentifiedLoopState,
         fit: LoopFit,
         optimum: Optimum,
-        width: float,
+        beside: HalfWidths | None,
     ) -> ConvergenceEstimate | None:
         """Remaining improvement within the limits, by draws from the posterior of the model."""
         best = log_of_cost(self._at(state, fit, state.base))
@@ -430,7 +418,7 @@ class IdentifiedLoopTuner:
         if self._at_edge(state, fit, optimum):
             return None
         loop = SearchedLoop(
-            fit, lambda model: self._search(state, model, width), optimum, state.surface
+            fit, lambda model: self._search(state, model, beside), optimum, state.surface
         )
         return model_convergence(loop, self.space, state.errors, seed=len(state.costs))
 
