@@ -14,10 +14,14 @@ import numpy as np
 from estune.core.gains import Gains
 from estune.core.quantities import FloatArray
 from estune.loop_model.agreement import contradicting_sensitivities
-from estune.loop_model.intervals import PredictedMargins, predict_with_intervals
+from estune.loop_model.intervals import (
+    PredictedMargins,
+    margins_by_records,
+    predict_with_intervals,
+)
 from estune.loop_model.loop_fit import LoopFit
 from estune.loop_model.plant_error import ErrorMargin, error_margin, plant_error, unknown_band
-from estune.loop_model.prediction import StepTrial, predict
+from estune.loop_model.prediction import StepTrial, cost_deviation, predict
 from estune.loop_model.records import LoopRecord
 
 TRIALS_MIN = 2
@@ -62,15 +66,19 @@ class CostCheck(NamedTuple):
     def fault(self, trial: StepTrial, gains: Gains) -> str:
         """A sentence on a mean cost outside the prediction's interval; empty where it agrees.
 
-        Three standard errors of the mean and `COST_ERROR` are allowed beside the interval.
+        Three standard errors of the mean and of the prediction, whose noise is one sequence and
+        its negative, and `COST_ERROR` are allowed beside the interval. Two repeats may agree by
+        chance: their errors are those that the noise makes at least.
         """
         costs = np.array(self.costs)
         cost = float(costs.mean())
         predicted = predict_with_intervals(self.fit, trial, gains).cost
         if not math.isfinite(predicted.value):
             return f"they cost {cost:.3g} where the trials before foretold an unstable loop"
-        scatter = float(costs.std(ddof=1)) / math.sqrt(costs.size) if costs.size > 1 else 0.0
-        allowed = 3.0 * scatter + COST_ERROR * cost
+        noise = cost_deviation(self.fit.model, trial, gains, self.fit.noise_std)
+        scatter = max(float(costs.std(ddof=1)) if costs.size > 1 else 0.0, noise)
+        error = math.hypot(scatter / math.sqrt(costs.size), noise / math.sqrt(2.0))
+        allowed = 3.0 * error + COST_ERROR * cost
         if predicted.low - allowed <= cost <= predicted.high + allowed:
             return ""
         return (
@@ -118,7 +126,7 @@ def claim(
         reason = reason or (check.fault(trial, gains) if check and check.costs else "")
         if not reason:
             others = contradicting_sensitivities(fit, records, gains, settings)
-            margins = _widened(predict_with_intervals(fit, trial, gains), margin, others)
+            margins = _widened(margins_by_records(fit, records, trial, gains), margin, others)
             if math.isfinite(margins.sensitivity.high):
                 return Claim(margins, "", misfit, fit.is_white)
             reason = "the records leave open whether the loop is stable with these gains"

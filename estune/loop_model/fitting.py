@@ -362,7 +362,9 @@ def _explaining(
     found = fit_with_friction(records, low, earlier) if earlier else None
     if found is not None and found.misfit < FRICTION_DONE:
         return found
-    linear = _summarised(records, signals, select_order(signals, first))
+    # Of two poles more one may be spare: it ends as an integrator of either sign.
+    selected = without_slowest_pole(signals, select_order(signals, first))
+    linear = _summarised(records, signals, selected)
     # Further poles explain the friction of one timid trial, and foretell another loop: of three of
     # the reference reel each, at gains of Ms 1.79, they state 4.0 to 4.3 with 0.02 N m and an
     # unstable loop with 0.05; friction states 1.6 to 1.8, and 1.1 to 1.7.

@@ -9,7 +9,7 @@ import numpy as np
 from estune.core.gains import Gains
 from estune.core.pidf import ControllerSettings
 from estune.core.quantities import FloatArray
-from estune.loop_model.allowed_models import Draws, plain_draws
+from estune.loop_model.allowed_models import Draws, allowed_draws, plain_draws
 from estune.loop_model.drawn_models import INFLATION
 from estune.loop_model.least_squares import Solution, signals_of
 from estune.loop_model.limited_loop import setpoint_response
@@ -89,6 +89,24 @@ def predict_with_intervals(
         Interval(*Ms),
         Interval(float(centre[3]), float(low[3]), float(high[3])),
     )
+
+
+def margins_by_records(
+    fit: LoopFit, records: Sequence[LoopRecord], trial: StepTrial, gains: Gains
+) -> PredictedMargins:
+    """Predictions with intervals; where draws are unstable, by those that the records allow.
+
+    Args:
+        fit: The identified loop.
+        records: The records given to the fit.
+        trial: The step trial.
+        gains: The gains.
+    """
+    draws = plain_draws(fit)
+    found = predict_with_intervals(fit, trial, gains, draws)
+    if math.isfinite(found.sensitivity.high) or fit.model.friction:
+        return found
+    return predict_with_intervals(fit, trial, gains, allowed_draws(fit, records, draws))
 
 
 def _ends(values: FloatArray) -> tuple[FloatArray, FloatArray]:

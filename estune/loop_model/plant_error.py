@@ -73,8 +73,17 @@ class ErrorMargin(NamedTuple):
     excited: bool = False
 
 
-def plant_error(fit: LoopFit, records: Sequence[LoopRecord]) -> PlantErrorBound:
-    """The bound of a fit by its records, those that were fitted."""
+def plant_error(
+    fit: LoopFit, records: Sequence[LoopRecord], foreseen: Sequence[FloatArray] = ()
+) -> PlantErrorBound:
+    """The bound of a fit by its records, those that were fitted.
+
+    Args:
+        fit: The identified loop.
+        records: The records given to the fit.
+        foreseen: Efforts of trials from rest to come, shape (samples,) each, as the loop answers:
+            with them the noise hides less, and no more is left unexplained.
+    """
     kept = [i for i in range(len(records)) if i not in fit.left_out]
     longest = max(records[i].samples for i in kept)
     edges = _edges(longest)
@@ -82,10 +91,11 @@ def plant_error(fit: LoopFit, records: Sequence[LoopRecord]) -> PlantErrorBound:
     for i in kept:
         one = _spectra(fit, records[i], i, edges)
         left, driven, noise, bins = left + one[0], driven + one[1], noise + one[2], bins + one[3]
+    known = driven + sum(_in_bands(_step_power(u), u.size - 1, edges)[0] for u in foreseen)
     with np.errstate(divide="ignore", invalid="ignore"):
         expected = noise * _largest(bins)
         beyond = np.maximum(left - expected, 0.0) / driven
-        squared = beyond + DEVIATIONS**2 * noise / (bins * driven)
+        squared = beyond + DEVIATIONS**2 * noise / (bins * known)
     seen, moved = bins > 0.0, driven > 0.0
     return PlantErrorBound(
         edges[seen],
@@ -123,14 +133,22 @@ def _spectra(
         left, noise_std = fit.errors[number], fit.residual_std
     start = int(np.argmax(left != 0.0))
     power = _step_power if record.at_rest else _service_power
-    powers = [power(signal[start:]) for signal in (left, effort)]
     samples = left.size - start - 1 if record.at_rest else left.size - start
+    (remaining, bins), (driven, _) = (
+        _in_bands(power(signal[start:]), samples, centres) for signal in (left, effort)
+    )
+    return remaining, driven, noise_std**2 * bins, bins
+
+
+def _in_bands(
+    power: FloatArray, samples: int, centres: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Sum of the power at the bins of each band, and their number, shape (bands,) each."""
     theta = 2.0 * math.pi * np.arange(1, samples // 2) / samples
     half = np.maximum(HALF_WIDTH * centres, 1.01 * math.pi / samples)
     low, high = np.searchsorted(theta, centres - half), np.searchsorted(theta, centres + half)
-    sums = [np.concatenate([[0.0], np.cumsum(power)]) for power in powers]
-    bins = (high - low).astype(float)
-    return sums[0][high] - sums[0][low], sums[1][high] - sums[1][low], noise_std**2 * bins, bins
+    sums = np.concatenate([[0.0], np.cumsum(power)])
+    return sums[high] - sums[low], (high - low).astype(float)
 
 
 def _step_power(signal: FloatArray) -> FloatArray:

@@ -185,7 +185,7 @@ def limit_price(
         lambda x: space.gains(space.point(tuple(x.tolist()))),
         at=np.array(space.coordinates(space.point_of(gains))),
         bounds=(low, high),
-        beside=half_widths(loop.fit, loop.signals, trial, gains),
+        beside=half_widths(loop.fit, loop.signals, trial, gains, repeats=0),
     )
 
 
