@@ -4,7 +4,6 @@ Every key carries its unit. All mistakes are reported at once, a line for each, 
 """
 
 import math
-from collections.abc import Iterator
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Self
@@ -13,7 +12,6 @@ from pydantic import model_validator
 
 from estune.core import pidf
 from estune.core.gains import Gains
-from estune.core.pidf import ControllerSettings
 from estune.errors import InvalidInput
 from estune.hardware.compensation.plan import CompensationPlan
 from estune.hardware.compensation.source import compensation_source
@@ -22,94 +20,23 @@ from estune.hardware.firmware import controller_source
 from estune.hardware.hybrid_control import HybridPlan
 from estune.hardware.live_gains import LengthSource
 from estune.hardware.loop_messages import BadReadings, LoopPlan, Motion, RealTime, SafeState
+from estune.hardware.rig_tables import RigTables
 from estune.hardware.scales import CurrentScale, GaugeScale
 from estune.hardware.schedule_file import read_schedule
-from estune.hardware.tables import (
-    BlackBoxTable,
-    ControllerTable,
-    CurrentTable,
-    DriverTable,
-    GainBoundsTable,
-    GainsTable,
-    GaugeTable,
-    GuardTable,
-    HybridTable,
-    LimitsTable,
-    MotionTable,
-    Positive,
-    RealTimeTable,
-    ReelTable,
-    RigStepTable,
-    SafeTable,
-    ScheduleTable,
-)
+from estune.hardware.table_faults import table_faults
 from estune.reel.calibration import CurrentCalibration, GaugeCalibration
 from estune.reel.guard import GuardWords, Limits
 from estune.support.file_limits import parse_json
-from estune.support.quantity_text import with_unit
-from estune.support.toml_file import TomlTable, read_toml, validate
+from estune.support.toml_file import read_toml, validate
 from estune.trial import RigDescription, RigLimits
-from estune.trial.signals import EFFORT, TENSION, Signals
+from estune.trial.signals import Signals
 
 FROZEN_s = 0.1
 """Default of guard.frozen_s of a reel."""
 
 
-class RigConfig(TomlTable):
-    """A rig's file."""
-
-    name: str
-    measurement: str = TENSION
-    command: str = EFFORT
-    sampling_Hz: Positive = 632.0
-    settling_time_s: Positive
-    driver: DriverTable
-    gauge: GaugeTable
-    current: CurrentTable
-    reel: ReelTable = ReelTable()
-    limits: LimitsTable
-    guard: GuardTable
-    safe: SafeTable = SafeTable()
-    motion: MotionTable
-    controller: ControllerTable = ControllerTable()
-    gains: GainsTable | None = None
-    gain_bounds: GainBoundsTable = GainBoundsTable()
-    schedule: ScheduleTable | None = None
-    compensation: CompensationTable | None = None
-    hybrid: HybridTable | None = None
-    step: RigStepTable
-    real_time: RealTimeTable = RealTimeTable()
-    black_box: BlackBoxTable = BlackBoxTable()
-
-    @property
-    def newtons_per_ampere(self) -> float:
-        """Tension at rest per motor current, N/A."""
-        return self.reel.torque_constant_Nm_A / self.reel.drum_radius_m
-
-    @property
-    def is_reel(self) -> bool:
-        """Whether it measures the tension of a cable."""
-        return self.measurement == TENSION
-
-    @property
-    def hold_N(self) -> float:
-        """Tension held between trials, N; by default the step's preload."""
-        hold_N = self.motion.hold_N
-        return self.step.profile.preload_N if hold_N is None else hold_N
-
-    @property
-    def capacity(self) -> int:
-        """Samples of the longest trial."""
-        return math.ceil(self.limits.duration_max_s * self.sampling_Hz) + 1
-
-    def settings(self) -> ControllerSettings:
-        """Fixed part of the controller; its limits are those of the current."""
-        effort = self.newtons_per_ampere
-        return self.controller.settings(
-            sampling_Hz=self.sampling_Hz,
-            output_min_N=self.limits.current_min_A * effort,
-            output_max_N=self.limits.current_max_A * effort,
-        )
+class RigConfig(RigTables):
+    """A rig's file, checked, and what it makes."""
 
     def describe(self) -> RigDescription:
         """Description of the rig at its start.
@@ -303,7 +230,7 @@ class RigConfig(TomlTable):
     @model_validator(mode="after")
     def _fits(self) -> Self:
         """Checks each table against the others."""
-        wrong = [*_reel_keys(self), *_tensions(self), *_currents(self), *_times(self)]
+        wrong = [*table_faults(self)]
         if self.gains is not None and self.schedule is not None:
             wrong.append("give either [gains] or a [schedule] of them, not both")
         for make in (self._check_live_gains, self.calibrations, self.compensations):
@@ -314,100 +241,6 @@ class RigConfig(TomlTable):
         if wrong:
             raise ValueError("\n".join(wrong))
         return self
-
-
-def _reel_keys(rig: RigConfig) -> Iterator[str]:
-    """What a reel must have, and another machine may leave out."""
-    motion, reel = rig.motion, rig.reel
-    if (motion.taut_N is None) != (motion.take_up_A is None):
-        yield "give both motion.taut_N and motion.take_up_A, or neither"
-    if not rig.is_reel:
-        return
-    needed = {
-        "reel.drum_radius_m": "drum_radius_m" in reel.model_fields_set,
-        "reel.torque_constant_Nm_A": "torque_constant_Nm_A" in reel.model_fields_set,
-        "reel.encoder_counts_per_turn": "encoder_counts_per_turn" in reel.model_fields_set,
-        "guard.slack_N": rig.guard.slack_N is not None,
-        "motion.take_up_A": motion.take_up_A is not None,
-        "motion.taut_N": motion.taut_N is not None,
-    }
-    if missing := ", ".join(name for name, given in needed.items() if not given):
-        yield f'give {missing}; or, if it is no reel, what it measures: measurement = "angle, rad"'
-
-
-def _tensions(rig: RigConfig) -> Iterator[str]:
-    low, high, step = rig.limits.tension_min_N, rig.limits.tension_max_N, rig.step.profile
-    unit = Signals(rig.measurement).measurement_unit
-    values = {
-        "step.preload_N": step.preload_N,
-        "step.preload_N + step.step_N": step.preload_N + step.step_N,
-        "motion.hold_N": rig.hold_N,
-    }
-    if rig.hybrid is not None:
-        least, margin = rig.hybrid.tension_min_N, rig.hybrid.margin_N
-        values["hybrid.tension_min_N"] = least
-        values["hybrid.tension_min_N + 2 margin_N"] = least + 2.0 * margin
-    for name, tension in values.items():
-        if not low <= tension <= high:
-            yield (
-                f"{name} {with_unit(tension, unit, 6)} is outside limits.tension_N {low:g} to "
-                f"{with_unit(high, unit, 6)}"
-            )
-    guard, taut_N = rig.guard, rig.motion.taut_N
-    if not guard.tension_max_N > high:
-        yield (
-            f"guard.tension_max_N {with_unit(guard.tension_max_N, unit, 6)} must be above "
-            f"limits.tension_max_N {with_unit(high, unit, 6)}, or a good trial trips it"
-        )
-    if guard.slack_N is not None and not guard.slack_N < low:
-        yield f"guard.slack_N {guard.slack_N:g} must be below limits.tension_min_N {low:g}"
-    if guard.slack_N is not None and taut_N is not None and not guard.slack_N < taut_N:
-        yield f"guard.slack_N {guard.slack_N:g} must be below motion.taut_N {taut_N:g}"
-
-
-def _currents(rig: RigConfig) -> Iterator[str]:
-    low, high = rig.limits.current_min_A, rig.limits.current_max_A
-    take_up_A, taut_N = rig.motion.take_up_A, rig.motion.taut_N
-    values = {"safe.current_A": rig.safe.current_A}
-    if take_up_A is not None:
-        values["motion.take_up_A"] = take_up_A
-    for name, current in values.items():
-        if not low <= current <= high:
-            yield f"{name} {current:g} A is outside limits.current_A {low:g} to {high:g} A"
-    if not rig.is_reel:  # what its command holds at rest is not known
-        return
-    pull_N = (take_up_A or 0.0) * rig.newtons_per_ampere
-    if taut_N is not None and take_up_A is not None and not taut_N < pull_N:
-        yield (
-            f"motion.taut_N {taut_N:g} N must be below what motion.take_up_A "
-            f"{take_up_A:g} A pulls at rest, {pull_N:g} N"
-        )
-    held_N = high * rig.newtons_per_ampere
-    if not rig.limits.tension_max_N <= held_N:
-        yield (
-            f"limits.current_max_A {high:g} A holds {held_N:g} N, less than limits.tension_max_N "
-            f"{rig.limits.tension_max_N:g} N"
-        )
-
-
-def _times(rig: RigConfig) -> Iterator[str]:
-    step, limits = rig.step.profile, rig.limits
-    if not step.duration_s <= limits.duration_max_s:
-        yield (
-            f"step.duration_s {step.duration_s:g} s is longer than limits.duration_max_s "
-            f"{limits.duration_max_s:g} s"
-        )
-    recorded_s = step.duration_s - step.step_at_s
-    if not rig.settling_time_s <= recorded_s:
-        yield (
-            f"settling_time_s {rig.settling_time_s:g} s is longer than what the step records "
-            f"after it, {recorded_s:g} s"
-        )
-    if not rig.guard.gap_s > 1.0 / rig.sampling_Hz:
-        yield (
-            f"guard.gap_s {rig.guard.gap_s:g} s is shorter than a sampling period, "
-            f"{1.0 / rig.sampling_Hz:.4g} s"
-        )
 
 
 def read_config(path: str | Path) -> RigConfig:
