@@ -18,7 +18,7 @@ from estune.run.approval import ApprovalCallback
 from estune.run.behaviour import behaviour_profiles
 from estune.run.journal import RECORDS_LEAST, RUNS, Journal
 from estune.run.labels import write_numbers
-from estune.run.loop import ProgressListener, Stopped, TuningRun
+from estune.run.loop import ProgressListener, Stopped
 from estune.run.plan import Search
 from estune.run.planning import (
     description_from_json,
@@ -29,6 +29,7 @@ from estune.run.planning import (
 )
 from estune.run.start import KnownStart, StartRule
 from estune.run.targets import open_target
+from estune.run.tuning_run import TuningRun
 from estune.trial import Rig, RigDescription
 from estune.trial.profiles import StepProfile
 from estune.tuners import DEFAULT_TUNER, Tuner

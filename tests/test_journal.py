@@ -21,6 +21,7 @@ from estune.run.planning import (
     plan_from_json,
     plan_to_json,
 )
+from estune.run.tuning_run import TuningRun
 from estune.trial import Outcome
 from estune.tuners import TUNERS
 from tests.support_runs import ArithmeticRig
@@ -52,7 +53,7 @@ class Doomed:
         return doomed
 
 
-def begin(folder: Path, tuner: str, rig: ArithmeticRig) -> loop.TuningRun:
+def begin(folder: Path, tuner: str, rig: ArithmeticRig) -> TuningRun:
     plan = make_plan(
         *(rig.describe(), "run"),
         tuner=tuner,
@@ -67,7 +68,7 @@ def begin(folder: Path, tuner: str, rig: ArithmeticRig) -> loop.TuningRun:
     return loop.start(plan, rig.describe(), Journal.create(folder, facts))
 
 
-def resume(folder: Path, rig: ArithmeticRig) -> loop.TuningRun:
+def resume(folder: Path, rig: ArithmeticRig) -> TuningRun:
     with Journal.open(folder, write=True) as journal:
         journal._file.rows("PRAGMA synchronous=OFF")
         plan = plan_from_json(journal.fact("plan"))

@@ -28,6 +28,7 @@ from estune.daemon.supervisor_state import (
     SupervisorState,
     next_state,
 )
+from estune.daemon.told_events import KINDS, REPEATED, WITHOUT_DISK
 from estune.daemon.tuning_runs import RunDecision, TuningRuns
 from estune.errors import EstuneError, InvalidInput, JournalError
 from estune.remote.messages.daemon import (
@@ -44,48 +45,6 @@ from estune.run.session import Session
 
 EventListener = Callable[[DaemonEvent], None]
 """Callback after each committed event; must return at once."""
-
-_KINDS = {
-    SupervisorEvent.FOUND: EventKind.FOUND,
-    SupervisorEvent.INHERITED: EventKind.GAINS,
-    SupervisorEvent.CHANGED: EventKind.GAINS,
-    SupervisorEvent.LOST: EventKind.LOST,
-    SupervisorEvent.FAILED: EventKind.FAILED,
-    SupervisorEvent.TROUBLE: EventKind.TROUBLE,
-    SupervisorEvent.UNSAFE: EventKind.UNSAFE,
-    SupervisorEvent.SEARCHED: EventKind.CONFIRMING,
-    SupervisorEvent.PROPOSED: EventKind.BETTER,
-    SupervisorEvent.ADOPTED: EventKind.BETTER,
-    SupervisorEvent.KEPT: EventKind.KEPT,
-    SupervisorEvent.DRIFTED: EventKind.DRIFTED,
-    SupervisorEvent.ENDED: EventKind.STOPPED,
-    SupervisorEvent.ACCEPT: EventKind.COMMAND,
-    SupervisorEvent.REJECT: EventKind.COMMAND,
-    SupervisorEvent.REVERT: EventKind.COMMAND,
-    SupervisorEvent.PAUSE: EventKind.PAUSED,
-    SupervisorEvent.RESUME: EventKind.RESUMED,
-    SupervisorEvent.STOP: EventKind.STOPPING,
-}
-"""Kinds of the events that change the state, as others see them; those not here are not logged."""
-
-_REPEATED = (SupervisorEvent.LOST, SupervisorEvent.FAILED, SupervisorEvent.TROUBLE)
-"""Events that are logged once while their message stays the same."""
-
-_WITHOUT_DISK = frozenset(
-    {
-        SupervisorEvent.FOUND,
-        SupervisorEvent.READIED,
-        *_REPEATED,
-        SupervisorEvent.UNSAFE,
-        SupervisorEvent.REJECT,
-        SupervisorEvent.REVERT,
-        SupervisorEvent.PAUSE,
-        SupervisorEvent.STOP,
-        SupervisorEvent.ENDED,
-    }
-)
-"""Events that take effect even if they cannot be written: none makes other gains than stored ones
-live, or claims that any were accepted."""
 
 _log = logging.getLogger(__name__)
 
@@ -256,7 +215,7 @@ class SupervisedRig:
             except EstuneError as error:
                 _log.debug("%s", error)
                 raise Preempted from None
-            is_repeated = event in _REPEATED and reason in (state.trouble, state.paused)
+            is_repeated = event in REPEATED and reason in (state.trouble, state.paused)
             told = "" if is_repeated else sentence or reason
             self._change(event, reason, told, write, **facts)
 
@@ -387,7 +346,7 @@ class SupervisedRig:
         A full disk must not keep a rig from being made safe: such an event takes effect all the
         same, and the state is written with the next.
         """
-        before, logged, kind = self._state, None, _KINDS.get(event)
+        before, logged, kind = self._state, None, KINDS.get(event)
         after = next_state(before, event, reason)
         try:
             with self.store.transaction():
@@ -397,7 +356,7 @@ class SupervisedRig:
                 if kind is not None and sentence:
                     logged = self.store.add_event(kind, sentence, facts)
         except JournalError as error:
-            if event not in _WITHOUT_DISK:
+            if event not in WITHOUT_DISK:
                 raise
             logged = self._unwritten(error, kind or EventKind.FAILED, sentence or reason, facts)
         self._state = after

@@ -29,8 +29,9 @@ from estune.errors import (
 )
 from estune.run import archived_run, loop
 from estune.run.disk_space import DiskForecast
-from estune.run.loop import Progress, TuningRun
+from estune.run.loop import Progress
 from estune.run.phase import Phase
+from estune.run.tuning_run import TuningRun
 
 _POLL_S = 0.5
 _JITTER = 0.5

@@ -14,7 +14,6 @@ from estune.errors import EstuneError, RigError
 from estune.run import loop
 from estune.run.journal import FILE_NAME, Journal
 from estune.run.limit_verdict import LimitState
-from estune.run.loop import TuningRun
 from estune.run.planning import (
     description_from_json,
     description_to_json,
@@ -24,6 +23,7 @@ from estune.run.planning import (
 )
 from estune.run.results.summary import summarise
 from estune.run.robustness import Verdict, verdict_on
+from estune.run.tuning_run import TuningRun
 from estune.trial import RigDescription
 
 _log = logging.getLogger(__name__)

@@ -15,13 +15,13 @@ from estune.core.gains import Gains
 from estune.errors import EstuneError, JournalError
 from estune.run import loop
 from estune.run.journal import Journal, JournalEntry
-from estune.run.loop import TuningRun
 from estune.run.phase import Phase
 from estune.run.plan import Plan
 from estune.run.planning import description_from_json, plan_from_json
 from estune.run.results.summary import summarise
 from estune.run.session import Session, new_session
 from estune.run.tally import is_safe
+from estune.run.tuning_run import TuningRun, adopt_first, read_kept_records
 from estune.support.garbage import collection_paused
 from estune.trial import Outcome
 from estune.tuners import Observation, Point, SearchSpace, tuner_name, tuner_space
@@ -64,9 +64,9 @@ def load_finished(journal: Journal) -> TuningRun:
     tuning.intervals = tuple((n, low, high) for n, low, high in journal.fact("intervals") or ())
     if journal.fact("status") != "finished" or tuning.session.phase is not None:
         raise JournalError(f"{journal.folder}: the run was not finished, and {_REMEDY}")
-    loop.read_kept_records(tuning, journal)
+    read_kept_records(tuning, journal)
     if tuning.first_record is not None:
-        loop.adopt_first(tuning, tuning.first_record)
+        adopt_first(tuning, tuning.first_record)
     return tuning
 
 

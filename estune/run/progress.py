@@ -22,7 +22,8 @@ from rich.text import Text
 
 from estune.loop_model.optimum import RobustnessLimits
 from estune.run.disk_space import DiskForecast
-from estune.run.loop import Progress, ProgressListener, TuningRun
+from estune.run.loop import Progress, ProgressListener
+from estune.run.tuning_run import TuningRun
 
 _REDRAW_S = 0.25
 """Minimum time between two drawings."""

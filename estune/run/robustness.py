@@ -23,9 +23,9 @@ from estune.loop_model.optimum import RobustnessLimits
 from estune.loop_model.prediction import expected_response
 from estune.loop_model.records import LoopRecord
 from estune.run.limit_verdict import LimitVerdict, limit_verdict
-from estune.run.loop import TuningRun
 from estune.run.plan import Plan
 from estune.run.planning import step_trial
+from estune.run.tuning_run import TuningRun
 from estune.support.blas import one_blas_thread
 from estune.trial import Outcome, RigDescription, TrialRecord
 from estune.trial.loop_records import loop_signals

@@ -19,6 +19,7 @@ from estune.run.journal import Journal, JournalEntry, being_written
 from estune.run.planning import description_from_json, plan_from_json
 from estune.run.session import Session, predict_next
 from estune.run.tally import Tally
+from estune.run.tuning_run import TuningRun
 from estune.trial import RigDescription
 from estune.tuners import tuner_space
 from estune.web import history
@@ -101,7 +102,7 @@ class _FollowedRun:
         self._rows = self._latest = 0
         self._latest_at_s = -LATEST_S
         self._best: JournalEntry | None = None
-        self._tuning: loop.TuningRun | None = None
+        self._tuning: TuningRun | None = None
         self._live: LivePrediction | None = None
         self._status = ""
         self._changes = -1
@@ -222,7 +223,7 @@ class _FollowedRun:
         else:
             self._board.put("expected", _expected(tuning.session))
 
-    def _restored(self) -> loop.TuningRun | None:
+    def _restored(self) -> TuningRun | None:
         plan = plan_from_json(self._plan)
         replayed, _ = snapshot.read(self.journal, plan, self._entries)
         if len(self._entries) - replayed > REPLAYED_MAX:

@@ -9,11 +9,12 @@ import numpy as np
 from estune.core.gains import Gains
 from estune.run.ending import RunEnding
 from estune.run.journal import JournalEntry
-from estune.run.loop import TuningRun, keep_record, start
+from estune.run.loop import start
 from estune.run.phase import Phase
 from estune.run.planning import make_plan
 from estune.run.results.result import from_tuning
 from estune.run.session import after_trial, next_request, with_excitation
+from estune.run.tuning_run import TuningRun, keep_record
 from estune.trial import Rig, TrialRecord
 from estune.trial.loop_records import loop_signals
 from estune.trial.scoring import constraint_margin, cost_of

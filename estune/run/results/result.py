@@ -8,18 +8,22 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from estune.core.gain_forms import GainForm, gain_forms
+from estune.core.gains import Gains
 from estune.errors import InvalidInput
+from estune.loop_model.optimum import SENSITIVITY_MAX
 from estune.run.ending import RunEnding
-from estune.run.loop import TuningRun
 from estune.run.results.run_result import RunResult
 from estune.run.results.summary import not_robust_summary, summarise, within_limits_summary
 from estune.run.robustness import verdict_on
+from estune.run.tuning_run import TuningRun
 from estune.support.notebook_card import card
 
 if TYPE_CHECKING:
     from control import StateSpace
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+
+    from estune.run.results.frequency_figures import PlantResponse
 
 
 _TITLE_WIDTH = 100
@@ -60,6 +64,76 @@ class TuneResult(RunResult):
                 "result.loop(control.tf([1], [1, 1]))"
             )
         return closed_loop(plant, self.gains, self.rig.controller, dead_time_s)
+
+    def plot_cost(self, ax: "Axes | None" = None) -> "Axes":
+        """Draws the cost per trial with the best so far, on `ax` or a figure of its own."""
+        from estune.run.results import figures  # noqa: PLC0415  slow to import
+
+        costs = self.verdict.start_cost, self.session.eta_max
+        return figures.draw_cost(ax, self.columns(), *costs)
+
+    @property
+    def loops(self) -> "list[tuple[str, Gains]]":
+        """The gains whose loops are compared, by what they are."""
+        tuned = [("tuned gains", self.gains)] if self.success else []
+        return [("initial gains", self.start_gains), *tuned]
+
+    @property
+    def sensitivity_limit(self) -> float:
+        """Limit of Ms by which the result was judged; the usual one where there was none."""
+        limits = self.plan.limits
+        return (limits and limits.max_sensitivity) or SENSITIVITY_MAX
+
+    def plot_bode(self, ax: "Axes | None" = None) -> "Axes":
+        """Draws gain and phase of the loop before and after, on `ax` or a figure of its own.
+
+        Raises:
+            InvalidInput: neither the records nor the rig give a model of the loop.
+        """
+        from estune.run.results import frequency_figures  # noqa: PLC0415  slow to import
+
+        response = self._loop_response()
+        return frequency_figures.draw_bode(response, self.rig.controller, self.loops, ax)
+
+    def plot_nyquist(self, ax: "Axes | None" = None) -> "Axes":
+        """Draws the loop gain in the complex plane, on `ax` or a figure of its own.
+
+        Raises:
+            InvalidInput: as of `plot_bode`.
+        """
+        from estune.run.results import frequency_figures  # noqa: PLC0415  slow to import
+
+        response, limit = self._loop_response(), self.sensitivity_limit
+        return frequency_figures.draw_nyquist(response, self.rig.controller, self.loops, limit, ax)
+
+    def _loop_response(self) -> "PlantResponse":
+        from estune.run.results.frequency_figures import PlantResponse  # noqa: PLC0415  as above
+
+        found = PlantResponse.of_loop(self.claim, self.identified.fit, self.rig)
+        if found is None:
+            raise InvalidInput(
+                f"there is no model of the loop to draw: {self.claim.reason}; plot_step() draws "
+                "what was measured"
+            )
+        return found
+
+    def plot_step(self, ax: "Axes | None" = None) -> "Axes":
+        """Draws the step response before and after, on `ax` or a figure of its own."""
+        from estune.run.results import figures  # noqa: PLC0415  slow to import
+
+        after = self.tuned_record if self.success else None
+        return figures.draw_response(
+            ax, self.plan.step, self.first_record, after, self.rig.measurement
+        )
+
+    def plot_gains(self, ax: "Axes | None" = None) -> "Axes":
+        """Draws the gains over the trials, on `ax` or a figure of its own."""
+        from estune.run.results import figures  # noqa: PLC0415  slow to import
+
+        intervals = self.tuned.intervals if self.tuned else {}
+        units = self.rig.gain_units
+        gains = self.start_gains, self.gains
+        return figures.draw_gains(ax, self.columns(), *gains, intervals=intervals, units=units)
 
     def plot(self, ax: "Axes | None" = None) -> "Axes":
         """Draws the step response on `ax`; without one, all three figures on one page."""
