@@ -15,7 +15,12 @@ import numpy as np
 from estune.core.quantities import FloatArray
 from estune.loop_model.friction_motion import FrictionMotion, forces_of, less_friction, two_poles
 from estune.loop_model.friction_score import SHARES, grid_of_poles, shows_friction
-from estune.loop_model.identification import PoleFit, by_cost, search_dead_time
+from estune.loop_model.identification import (
+    PoleFit,
+    by_cost,
+    remembered,
+    search_dead_time,
+)
 from estune.loop_model.least_squares import Solution, search_vector
 from estune.loop_model.loop_fit import NUISANCE, LoopFit, Residuals, summarise
 from estune.loop_model.model import LoopModel
@@ -25,6 +30,10 @@ SCREENED = 2
 STARTS = 3
 """Records by which the starts of a search are compared and improved, which with few reversals has
 fewer local minima, and number of those that all records then improve."""
+
+EVALUATIONS, FEW_EVALUATIONS = 25, 5
+"""Evaluations of a search, and of one by which starts are compared: all of 54 fits, of reels with
+0.002 to 0.05 N m and of plants without friction, ended at the cost that 25 lead to, to 0.1 %."""
 
 DIFFERENCE = 1e-4
 """Half the distance of the points of a numerical slope, in each coordinate."""
@@ -72,7 +81,8 @@ def fit_with_friction(
     motion, screened = FrictionMotion.of(records, two), FrictionMotion.of(records[:SCREENED], two)
     if all(record.at_rest for record in records):
         few = sorted(
-            (_search(screened, one, one.dead) for one in _starts(screened, two)), key=by_cost
+            (_search(screened, f, f.dead, FEW_EVALUATIONS) for f in _starts(screened, two)),
+            key=by_cost,
         )
     elif shows_friction(screened, linear):
         few = _starts(screened, two)[:SERVICE_STARTS]
@@ -110,9 +120,11 @@ def _starts(motion: FrictionMotion, linear: LoopFit) -> list[PoleFit]:
     return [PoleFit(cost, grid[i], dead) for cost, i, dead in sorted(best)]
 
 
-def _search(motion: FrictionMotion, start: PoleFit, dead: int) -> PoleFit:
+def _search(
+    motion: FrictionMotion, start: PoleFit, dead: int, evaluations: int = EVALUATIONS
+) -> PoleFit:
     """Least squares from a start, by Levenberg and Marquardt."""
-    from scipy.optimize import least_squares  # noqa: PLC0415  slow to import
+    from scipy.optimize import leastsq  # noqa: PLC0415  slow to import
 
     def residual_of(x: FloatArray, forces: list[FloatArray]) -> FloatArray:
         # Without a reversal only the change of the friction shows: then it holds nothing at rest.
@@ -120,6 +132,7 @@ def _search(motion: FrictionMotion, start: PoleFit, dead: int) -> PoleFit:
         left = _solution(motion, x, forces, dead).residual
         return np.append(left, friction * math.tanh(held))
 
+    @remembered
     def jacobian(x: FloatArray) -> FloatArray:
         about = _about(motion, x)
         ends = [
@@ -129,13 +142,21 @@ def _search(motion: FrictionMotion, start: PoleFit, dead: int) -> PoleFit:
         pairs = zip(ends[::2], ends[1::2], strict=True)
         return np.stack([(up - down) / (2.0 * DIFFERENCE) for up, down in pairs], axis=1)
 
+    @remembered
     def residual(x: FloatArray) -> FloatArray:
         return residual_of(x, [force[0] for force in _about(motion, x)])
 
-    found = least_squares(
-        residual, start.coordinates, jac=jacobian, method="lm", xtol=1e-5, ftol=1e-6, max_nfev=25
+    x, *_ = leastsq(
+        residual,
+        start.coordinates,
+        Dfun=jacobian,
+        full_output=True,
+        xtol=1e-5,
+        ftol=1e-6,
+        maxfev=evaluations,
     )
-    return PoleFit(float(found.cost), found.x, dead)
+    left = residual(x)
+    return PoleFit(0.5 * float(left @ left), x, dead)
 
 
 def _solution(

@@ -7,7 +7,7 @@ several starts, the dead time, a whole number of samples, beside the best one fo
 import math
 from collections.abc import Callable, Iterable, Sequence
 from operator import attrgetter
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 
@@ -19,6 +19,8 @@ from estune.loop_model.least_squares import (
     split_vector,
 )
 from estune.loop_model.noise_model import WHITE, NoiseModel
+
+T = TypeVar("T")
 
 START_FREQUENCIES = (0.1, 0.5, 1.5)
 START_DAMPINGS = (0.2, 1.0)
@@ -112,6 +114,20 @@ def search_dead_time(
             step = max(1, step // 3)
 
 
+def remembered(f: Callable[[FloatArray], T]) -> Callable[[FloatArray], T]:
+    """The function with its last value: a search asks for its first point twice."""
+    known: dict[bytes, T] = {}
+
+    def value(x: FloatArray) -> T:
+        key = x.tobytes()
+        if key not in known:
+            known.clear()
+            known[key] = f(x.copy())
+        return known[key]
+
+    return value
+
+
 def improve(signals: FitSignals, start: PoleFit, tolerance: float = FINE) -> PoleFit:
     """Poles and noise of least squares from a start, by Levenberg and Marquardt.
 
@@ -123,16 +139,13 @@ def improve(signals: FitSignals, start: PoleFit, tolerance: float = FINE) -> Pol
     from scipy.optimize import leastsq  # noqa: PLC0415  slow to import
 
     first = Solution.at(signals, start.coordinates, start.dead, start.noise)
-    known = {search_vector(first.coordinates, first.noise).tobytes(): first}
 
+    @remembered
     def at(x: FloatArray) -> Solution:
-        key = x.tobytes()
-        if key not in known:
-            known.clear()
-            coordinates, noise = split_vector(x.copy(), first)
-            known[key] = Solution.at(signals, coordinates, start.dead, noise)
-        return known[key]
+        coordinates, noise = split_vector(x, first)
+        return Solution.at(signals, coordinates, start.dead, noise)
 
+    @remembered
     def jacobian(x: FloatArray) -> FloatArray:
         # The numerator follows the poles, as by Kaufman (BIT 15, 1975).
         here = at(x)
