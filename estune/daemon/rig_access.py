@@ -157,6 +157,7 @@ class RigAccess:
             self._rig.apply(gains, original)
         else:
             self._rig.apply(gains)
+        # A rig that clamps them would be watched by the baseline of gains that it does not run.
         live = self.describe().gains
         if live != gains:
             raise RigError(
@@ -289,10 +290,11 @@ def apply_nominal_gains(
         Why not, and the fault, where an operator is needed.
     """
     description, store = access.acquire(), rig.store
+    # The gains of one reel may make another unstable.
     if mismatch := _identity_mismatch(rig, description):
         return mismatch, FaultCode.OTHER_RIG
     left = access.original if shared else None
-    if not store.gains():
+    if not store.gains():  # before any others are applied, or the way back is lost
         _back_up(rig, description, left)
     if description.gains not in store.all_gain_sets() and not store.fact("overrule"):
         fellow = store.fact("fellow") or (left and "another daemon")

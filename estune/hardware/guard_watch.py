@@ -44,6 +44,7 @@ class GuardWatch:
             error_N = self._memory.setpoint_N[k] - sample.tension_N
             self._cost += self._memory.weights[k] * error_N**2
             sample = sample._replace(cost=self._cost)
+            # Travel and time of the hold before it would be counted against the trial.
             if k == 0:
                 state = state._replace(start_s=sample.time_s, start_rad=sample.angle_rad)
         limits = self._limits

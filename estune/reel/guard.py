@@ -119,6 +119,7 @@ class Limits:
             value = getattr(self, field.name)
             if value is self.words:
                 continue
+            # Every comparison with it is false: the limit would never trip, and nobody would know.
             if math.isnan(value):
                 raise InvalidInput(f"guard limit {field.name} is not a number")
             if field.name.endswith(("_s", "_A", "_row", "travel_max_rad")) and value < 0.0:
@@ -247,6 +248,7 @@ def _fault(  # noqa: PLR0911  a return for each fault, the most severe first
 ) -> GuardTrip | None:
     """A fault around the reel. Comparisons are written so that a NaN fails them."""
     now, gap = sample.time_s, sample.time_s - watch.time_s
+    # Beyond the calibration: the controller would pull against a tension that is not there.
     if not math.isfinite(sample.tension_N):
         return GuardTrip(
             Reason.READING,
@@ -255,10 +257,13 @@ def _fault(  # noqa: PLR0911  a return for each fault, the most severe first
         )
     if not math.isfinite(sample.angle_rad):
         return GuardTrip(Reason.READING, f"the encoder's angle is {sample.angle_rad} rad")
+    # With a clock that stands still no time limit below would ever be reached.
     if not gap > 0.0:
         return GuardTrip(
             Reason.CLOCK, f"the driver's time stamp went from {watch.time_s:.6f} to {now:.6f} s"
         )
+    # Between samples the last effort stays: a stalled computer drives the reel blindly. The first
+    # sample has none before it, and its gap is infinite.
     if math.inf > gap > limits.gap_s:
         return GuardTrip(Reason.LATE, f"{_ms(gap)} between two samples; limit {_ms(limits.gap_s)}")
     if following.late_in_a_row > limits.late_in_a_row:
@@ -266,12 +271,14 @@ def _fault(  # noqa: PLR0911  a return for each fault, the most severe first
             Reason.LATE,
             f"{following.late_in_a_row} late samples in a row; limit {limits.late_in_a_row:g}",
         )
+    # A gauge that hangs repeats a plausible tension, and the integral winds up against it.
     if not now - following.changed_s <= limits.frozen_s:
         return GuardTrip(
             Reason.FROZEN,
             f"the gauge has read exactly {sample.gauge_counts:g} counts for "
             f"{_ms(now - following.changed_s)}; limit {_ms(limits.frozen_s)}",
         )
+    # The rig's program has died, or hangs: nobody is left to pass an abort on.
     if not sample.silence_s <= limits.heartbeat_s:
         return GuardTrip(
             Reason.HEARTBEAT,
@@ -319,9 +326,11 @@ def _crossed(  # noqa: PLR0911  a return for each limit, the most severe first
             f"angle {angle:.4g} rad; limits {limits.angle_min_rad:g} to "
             f"{limits.angle_max_rad:g} rad",
         )
+    # A cable that slips through its clamp lets the drum turn without end at a fair tension.
     travel = angle - watch.start_rad
     if abs(travel) > limits.travel_max_rad:
         return _over(Reason.TRAVEL, "rotation so far", travel, limits.travel_max_rad, "rad")
+    # A slow instability shows in the cost before the tension reaches its limit.
     if not sample.cost <= limits.cost_max:
         return _over(Reason.COST, "cost so far", sample.cost, limits.cost_max, "")
     return None

@@ -105,12 +105,14 @@ class _RigFacts:
 
         Does not fail.
         """
+        # Gains set without an original end what was noted: it belonged to the gains before them.
         if original is not None or self._facts.get("original"):
             noted = None if original is None else [live.as_tuple(), original.as_tuple()]
             self._set_fact("original", json.dumps(noted))
 
     def original_of(self, live: Gains) -> Gains | None:
         """The gains that were noted when these became the live ones, if any were."""
+        # Only while those gains still run: somebody may have set others at the rig itself.
         noted = json.loads(self._facts.get("original") or "null")
         return Gains(*noted[1]) if noted and live == Gains(*noted[0]) else None
 
@@ -229,6 +231,7 @@ class FileLedger(_RigFacts):
         if not rows:
             return NOTHING
         digest, state, frame, error, sentence = rows[0]
+        # A deleted frame is None, and the state stays ENDED: the id never runs again.
         return LedgerEntry(digest, TrialState(state), frame, error, sentence)
 
     @property
@@ -264,6 +267,7 @@ class FileLedger(_RigFacts):
 
         What cannot be written now is kept in memory, and written before the next trial.
         """
+        # The trial has run: with an error from a full disk its record would be lost, too.
         with self._writing:
             self._unwritten[trial_id] = self.find(trial_id).ended(outcome)
             self._try_to_write()
@@ -296,6 +300,7 @@ class FileLedger(_RigFacts):
                         change = "INSERT OR REPLACE INTO rig VALUES (?, ?)"
                         self._file.write(change, key, self._facts[key])
             except BaseException:
+                # What was rolled back had been counted, and good frames would be deleted for it.
                 self._frame_bytes = self._count()
                 raise
         self._unwritten.clear()
@@ -349,11 +354,13 @@ def _prepare(file: SqliteFile, rig: str) -> None:
         file.write_many("INSERT INTO rig VALUES (?, ?)", facts)
         return
     ((name,),) = file.rows("SELECT value FROM rig WHERE key='name'")
+    # Ids of another rig would answer for trials that this one never ran.
     if name != rig:
         raise RigError(
             f"ledger {file.path} is that of rig {name!r}, not of {rig!r}; "
             "choose another file, or the rig's former name"
         )
+    # A trial whose process has died can no longer end: its client would wait for it for ever.
     for state in (TrialState.ACCEPTED, TrialState.RUNNING):
         booted = after(state, TrialEvent.BOOT).value
         for (trial_id,) in file.rows(

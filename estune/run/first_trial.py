@@ -64,10 +64,12 @@ def check_answer(record: TrialRecord, plan: Plan, rig: RigDescription) -> None:
     before_load = slice(None if load is None else load.sample)
     effort = record.current_A[before_load] * rig.newtons_per_ampere
     measurement = record.tension_N[before_load]
+    # Too few samples on one side for a mean and its error: no rig is refused for that.
     if not 1 < index < effort.size - MEANS:
         return
     moved, moved_error = _change(effort, index)
     answer, error = _change(measurement, index)
+    # An effort that ends where it began asks nothing of the plant: no answer is no fault then.
     if not abs(moved) > ANSWERED * moved_error:
         return
     what = f"trial {record.trial_id}: the {rig.measurement_name}"

@@ -105,6 +105,7 @@ def replay(plan: Plan, description: RigDescription, journal: Journal) -> TuningR
         _extend_where_due(tuning, extensions)
         recorded = entry.trial_id, entry.gain_values
         requested = _requested(tuning.session)
+        # The last digits of a fit differ between processors: the trial that ran is what counts.
         if requested != recorded:
             tuning.session = with_recorded(tuning.session, entry.gains)
             requested = _requested(tuning.session)
@@ -134,6 +135,7 @@ def extend(tuning: TuningRun, trials: int) -> None:
         raise InvalidInput(
             f"trials is {trials}; the search of run {run} took {session.search_trials}: give more"
         )
+    # The repeats are of gains chosen from this search: more of it could change the choice.
     if session.phase in (Phase.CHOOSE, Phase.CONFIRM):
         raise InvalidInput(
             f"run {run} is confirming its gains; resume it without trials first, so that it ends"
@@ -252,6 +254,7 @@ def _check_void(tuning: TuningRun, record: TrialRecord, consecutive: int) -> Non
     if folder:
         resume = f"continue with: estune resume {shlex.quote(str(folder))}"
     what = f"trial {record.trial_id} on rig {record.rig}"
+    # After a fault nobody knows how the machine stands; a late computer is none of its faults.
     interrupted = record.outcome is Outcome.INTERRUPTED and not record.ended_late
     if interrupted and not tuning.description.simulated:
         raise Interrupted(

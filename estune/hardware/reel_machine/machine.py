@@ -89,6 +89,7 @@ class ReelStateMachine:
 
     def reset(self) -> None:
         """Clears a latched stop; the next good reading is then believed, wherever it is."""
+        # A drum that was turned by hand meanwhile is no jump of the encoder.
         self._bridge = self._bridge._replace(last=None)
         self._without_power = False
         self._apply(MotionEvent.CLEAR)

@@ -65,6 +65,7 @@ def set_gains_later(reel: ReelState, live: Coefficients) -> None:
 
 def clear(reel: ReelState) -> None:
     """Take trials again, unless the emergency stop is still pressed."""
+    # Its reason would be gone while it still holds the reel.
     if not reel.memory.words[Word.ESTOP]:
         reel.latched = False
         reel.memory.words[Word.LATCHED] = False
@@ -135,6 +136,7 @@ def trip_in_trial(reel: ReelState, trip: GuardTrip, time_s: float, tension_N: fl
         reel.setpoint.start_at(tension_N)
         reel.control.rest(tension_N, reel.setpoint.tension_N)
         return
+    # What a person must look at first; a limit crossed by the trial's gains is over with them.
     reel.latched = trip.reason in _SENSOR_FAULTS
     reel.begin_ramp()
 
@@ -178,6 +180,7 @@ def rest(_reel: ReelState, _time_s: float, _tension_N: float) -> float:
 def take_up(reel: ReelState, time_s: float, tension_N: float) -> float:
     """A constant effort until the cable is taut; then hold."""
     motion = reel.plan.motion
+    # Closed on a slack cable, the loop would speed the drum up until the cable jerks taut.
     if not tension_N >= motion.taut_N:
         return motion.take_up_N
     reel.phase = MotionPhase.HOLD

@@ -53,6 +53,8 @@ def _move(state: RigState, event: events.Event, now_s: float) -> Transition:
 def lease(state: RigState, event: events.Acquire, now_s: float) -> Transition:
     """Grant the lease, unless another client holds it."""
     current = state.lease
+    # Two commanders would each restore what the other has just set. The own token passes: a client
+    # whose reply was lost asks again.
     if current is not None and current.token != event.token:
         return Transition(state, ReplyCode.HELD, _held(current))
     if state.closed:
@@ -117,6 +119,7 @@ def accept(state: RigState, event: events.SubmitEvent, _now_s: float) -> Transit
 
 def submit_while_busy(state: RigState, event: events.SubmitEvent, _now_s: float) -> Transition:
     """Reply with the state in the ledger; busy without an entry."""
+    # Who asks again for a trial that has ended learns so even while another one runs.
     if event.known is not TrialState.UNKNOWN:
         return Transition(state, OF_TRIAL[event.known])
     return _busy(state) if _owns(state, event.token) else _without_lease(state)
@@ -145,6 +148,7 @@ def cancel(state: RigState, event: events.CancelEvent, _now_s: float) -> Transit
     """Stop the trial, if the lease is right and the command names it or none; else accept."""
     if not _owns(state, event.token):
         return _without_lease(state)
+    # A cancel that was delayed must not stop the trial after the one that it names.
     if state.trial is None or event.trial_id not in ("", state.trial.trial_id):
         return Transition(state)
     return _stopping(state, "stopped by its client")
@@ -157,6 +161,7 @@ def cancel_again(state: RigState, event: events.CancelEvent, _now_s: float) -> T
 
 def void(state: RigState, event: events.VoidEvent, _now_s: float) -> Transition:
     """Note in the ledger that the trial must never run, if it has no entry."""
+    # What has run, or may have, cannot be undone: the client learns which.
     if event.known is not TrialState.UNKNOWN:
         return Transition(state, OF_TRIAL[event.known])
     if not _owns(state, event.token):

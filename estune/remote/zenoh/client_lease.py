@@ -16,7 +16,7 @@ from estune.remote.state_machine.state import LEASE_S, RENEW_S
 from estune.remote.zenoh.rig_connection import RigConnection
 from estune.remote.zenoh.zenoh_session import AGAIN_S
 
-_RENEWED_WITHIN_S = 0.3
+_RENEWED_WITHIN_S = 0.3  # by then the next renewal is on its way
 _HELD_WITHIN_S = 1.5 * LEASE_S
 _END_WITHIN_S = 2.0
 
@@ -162,7 +162,7 @@ class ClientLease:
             return
         if answer.verdict is ReplyCode.ACCEPTED:
             self.renewed_s = max(self.renewed_s, sent_s)
-        elif token == self.token:
+        elif token == self.token:  # a late refusal of an earlier lease is not of this one
             name = self._connection.name
             _log.warning("lease of rig %r lost: no renewal arrived for %g s", name, LEASE_S)
             self.drop(token)

@@ -41,7 +41,7 @@ from estune.trial import (
 )
 
 _ABORT_AGAIN_S = 0.05
-_RIG_WITHIN_S = 0.2
+_RIG_WITHIN_S = 0.2  # below the client's timeout: it hears "occupied", not silence
 
 _log = logging.getLogger(__name__)
 
@@ -174,6 +174,7 @@ class TrialExecutor:
 
     def describe(self) -> RigDescription:
         """Current description; during a trial that of the rig before it."""
+        # A description must not wait for a trial of minutes: clients would take the rig for dead.
         if self._rig_free.acquire(blocking=False):
             try:
                 self.description = self._rig.describe()
@@ -191,6 +192,7 @@ class TrialExecutor:
         Raises:
             EstuneError: they are outside its bounds, the rig refuses them, or is occupied.
         """
+        # Else gains that cannot be restored are noticed when nobody is there to choose others.
         for live in filter(None, (gains, original)):
             self.description.check_gains(live)
         with self._changing():
@@ -276,7 +278,9 @@ class TrialExecutor:
             with self._rig_free:
                 if not begun:
                     begun = self._shared.may_begin()
-                    if begun:
+                    if (
+                        begun
+                    ):  # on disk before anything moves, or a power cut would let it run twice
                         self._ledger.note(request.trial_id, trial.digest, TrialEvent.START)
                 record = self._rig.run(request) if begun else self._never_begun(request)
             if record.outcome is Outcome.CANCELLED:
@@ -330,6 +334,7 @@ def reply_from_ledger(trial_id: str, entry: LedgerEntry) -> Answer | bytes:
 
 def digest_conflict(trial_id: str, entry: LedgerEntry, digest: str) -> Answer | None:
     """Refusal of a request, if the ledger holds another request under its id."""
+    # The old record would pass for that of the new gains.
     if entry.state is TrialState.UNKNOWN or entry.digest == digest:
         return None
     return refusal(
