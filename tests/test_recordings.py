@@ -293,6 +293,20 @@ def test_units_of_the_heading_are_used_and_contradictions_refused(tmp_path):
         read_recording(path, AS_NAMED.with_options(sources, {"tension": "N"}, {}))
 
 
+def test_speed_in_place_of_the_angle_is_integrated_and_told(tmp_path):
+    c = columns()
+    turned = 1.0 - np.cos(40.0 * c["time_s"])
+    rpm = 40.0 * np.sin(40.0 * c["time_s"]) * 30.0 / np.pi
+    write_csv(
+        tmp_path / "log.csv", {n: c[n] for n in ("time_s", "current_A")} | {"speed_rpm": rpm}
+    )
+    with pytest.raises(Unusable, match="a speed is integrated, as in --map"):
+        read_recording(tmp_path / "log.csv", drum=Drum(0.02, 40.0))
+    read = read_recording(tmp_path / "log.csv", names(angle="speed_rpm"))
+    assert read.parts[0]["angle_rad"] == pytest.approx(turned, abs=1e-3)
+    assert any("a speed, and integrated" in issue.sentence for issue in read.issues)
+
+
 @pytest.mark.parametrize(
     ("ending", "factor", "unit", "taken"),
     [

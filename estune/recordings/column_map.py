@@ -24,6 +24,8 @@ from estune.support.toml_file import TomlTable, read_toml, validate
 
 _OWN_UNITS = ("setpoint_N", "tension_N", "reference_N", "current_A")
 """Columns that hold input and output of any plant, in units of its own."""
+RATES = ("speed", "velocity")
+"""Dimensions of an angle's rate, which is integrated."""
 _MECHANICAL = ("time", "force", "current", "angle", "length", "torque", "frequency")
 """Dimensions that are converted, or refused, wherever they stand."""
 _STEMS = {name.partition("_")[0]: name for name in TABLE_COLUMNS} | SYNONYMS
@@ -32,6 +34,10 @@ _DAYS = (*("%Y/%m/%d", "%d.%m.%Y", "%d/%m/%Y", "%m/%d/%Y"), "%d.%m.%y", "%d/%m/%
 _TIMES = ("%H:%M:%S", "%H:%M:%S.%f", "%H:%M", "%I:%M:%S %p", "%I:%M %p")
 DATES = ("ISO8601", *(f"{day} {time}" for day in _DAYS for time in _TIMES))
 """Forms of dates that are read."""
+
+
+LARGEST = 1e50
+"""Greatest value of a column, and one over the least: fourth powers stay within a float."""
 
 
 class ColumnTable(TomlTable):
@@ -139,6 +145,7 @@ class Mapped(NamedTuple):
         factor: Factor from the values of the file to SI units.
         values: In SI units, shape (samples,).
         time_s: Stamps of the channel's own, or None.
+        is_rate: Whether the values are the rate of the column, as a speed in place of an angle.
     """
 
     source: str
@@ -146,6 +153,7 @@ class Mapped(NamedTuple):
     factor: float
     values: FloatArray
     time_s: FloatArray | None
+    is_rate: bool = False
 
 
 def map_column(name: str, table: ColumnTable, channel: Channel, drum: Drum) -> Mapped | None:
@@ -164,16 +172,23 @@ def map_column(name: str, table: ColumnTable, channel: Channel, drum: Drum) -> M
     unit = _unit(stem, table, channel, si or "") or unit_by_name(table, channel, si, drum)
     if name == "time_s" and is_bare(table, channel):
         unit = epoch_unit(channel.values) or unit
+    is_rate = name == "angle_rad" and unit in UNITS and UNITS[unit].dimension in RATES
     try:
         own = not (si and unit) or is_own_unit(name, unit, drum)
-        factor = 1.0 if own else si_factor(unit, si, drum)
+        factor = 1.0 if own else si_factor(unit, "rad/s" if is_rate else si, drum)
     except InvalidInput as error:
         raise Unusable(str(error), name) from error
     if table.scale != 1.0 or table.offset != 0.0:
         values = values * table.scale + table.offset
     if factor != 1.0:
         values = values * factor
-    return Mapped(channel.name, unit, factor * table.scale, values, channel.time_s)
+    largest = float(np.abs(values).max(initial=0.0))
+    if largest > LARGEST or 0.0 < largest < 1.0 / LARGEST:
+        said = (
+            f"its greatest value is {largest:.3g}, which no quantity has in {unit or 'SI units'}"
+        )
+        raise Unusable(f"{said}; correct its unit or scale", name)
+    return Mapped(channel.name, unit, factor * table.scale, values, channel.time_s, is_rate)
 
 
 def _unit(stem: str, table: ColumnTable, channel: Channel, si: str) -> str:
@@ -219,7 +234,7 @@ def unit_by_name(table: ColumnTable, channel: Channel, si: str, drum: Drum) -> s
     if not unit or not si or table.scale != 1.0 or table.offset != 0.0:
         return si
     try:
-        si_factor(unit, si, drum)
+        si_factor(unit, "rad/s" if si == "rad" and UNITS[unit].dimension in RATES else si, drum)
     except InvalidInput:
         return si
     return unit
@@ -293,7 +308,8 @@ def _numbers(name: str, cells: NDArray[Any]) -> FloatArray | None:
     if bad.size:
         row, cell = int(bad[0]) + 1, column.iloc[int(bad[0])]
         missing = "the cell is empty or NaN"
-        what = missing if column.isna().iloc[row - 1] else f"{cell!r} is not a finite number"
+        shown = repr(cell) if isinstance(cell, str) else str(cell)
+        what = missing if column.isna().iloc[row - 1] else f"{shown} is not a finite number"
         more = f" (and {bad.size - 1} more)" if bad.size > 1 else ""
         raise Unusable(f"{what}{more}; remove or correct the row", name, row)
     return values

@@ -1,9 +1,13 @@
 """Issues found in recorded data."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Literal
 
 from estune.errors import InvalidInput
+
+LISTED = 6
+"""Refusals that a message lists."""
 
 Level = Literal["refused", "warning", "doubt"]
 
@@ -32,6 +36,13 @@ class DataIssue:
         row = "" if self.row is None else f", row {self.row}"
         column = f", column {self.column}" if self.column else ""
         return f"{self.source}{row}{column}: {self.sentence}"
+
+
+def refusals(issues: Iterable[DataIssue]) -> str:
+    """The refusals among some issues, the first of them in full; empty where there is none."""
+    refused = [str(issue) for issue in issues if issue.level == "refused"]
+    more = f"; and {len(refused) - LISTED} more" if len(refused) > LISTED else ""
+    return "; ".join(refused[:LISTED]) + more
 
 
 class Unusable(InvalidInput):

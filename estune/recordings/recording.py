@@ -94,11 +94,28 @@ def read_recording(
         grid = evened(values, one, stated_Hz)
     else:
         grid = resampled(values, clocks, stated_Hz)
-    parts = tuple(p for p in grid.parts if p["time_s"].size >= FEWEST_SAMPLES)
+    rates = [name for name in columns if mapped[name].is_rate]
+    parts = tuple(
+        {**p, **{name: _integrated(p[name], grid.sampling_Hz) for name in rates}}
+        for p in grid.parts
+        if p["time_s"].size >= FEWEST_SAMPLES
+    )
+    warning += [_said_of_rate(name, mapped[name]) for name in rates]
     if not parts:
         few = f"no {FEWEST_SAMPLES} samples in a row are without a gap"
         raise Unusable(f"{few}; record the stamps of the device", "time_s")
     return Recording(grid.sampling_Hz, parts, metadata, mapped, (*issues, *warning, *grid.issues))
+
+
+def _integrated(rate: FloatArray, sampling_Hz: float) -> FloatArray:
+    """A column from its rate by the trapezoidal rule, from zero on."""
+    areas = 0.5 * (rate[1:] + rate[:-1]) / sampling_Hz
+    return np.concatenate([[0.0], np.cumsum(areas)])
+
+
+def _said_of_rate(name: str, found: Mapped) -> DataIssue:
+    said = f"{found.source} is in {found.unit}, a speed, and integrated; its noise adds up"
+    return DataIssue("warning", f"{said}: record the position where a sensor has it", name)
 
 
 def _mapped(
@@ -221,7 +238,8 @@ def _check_present(columns: dict[str, Mapped], raw: RawFile) -> None:
         raise Unusable(
             f"there is none of the columns {', '.join(MEASURED)}; {_listed(raw)}: name what was "
             "measured, the output of a plant, the angle or position of a drive or the tension of "
-            f"a cable, as in {option('output', _nearest(raw, columns, *MEASUREMENTS))}"
+            f"a cable, as in {option('output', _nearest(raw, columns, *MEASUREMENTS))}; a speed "
+            "is integrated, as in --map angle=NAME --unit angle=rad/s"
         )
     if not {"setpoint_N", "current_A"} & set(columns):
         raise Unusable(
@@ -231,7 +249,7 @@ def _check_present(columns: dict[str, Mapped], raw: RawFile) -> None:
     for name, m in columns.items():
         if m.values.size < FEWEST_SAMPLES:
             what = f"the file has {m.values.size} rows"
-            raise Unusable(f"{what}; {FEWEST_SAMPLES} or more are needed", name)
+            raise Unusable(f"{what}; record {FEWEST_SAMPLES} or more", name)
 
 
 def _nearest(raw: RawFile, columns: dict[str, Mapped], *names: str) -> str:

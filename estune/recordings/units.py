@@ -164,6 +164,7 @@ class Drum(NamedTuple):
         R, N_A = self.radius_m, self.newtons_per_ampere
         through: dict[tuple[str, str], tuple[str, float | None]] = {
             ("length", "angle"): ("drum radius", R and 1.0 / R),
+            ("velocity", "speed"): ("drum radius", R and 1.0 / R),
             ("torque", "force"): ("drum radius", R and 1.0 / R),
             ("force", "current"): ("force per ampere", N_A and 1.0 / N_A),
             ("current", "force"): ("force per ampere", N_A),

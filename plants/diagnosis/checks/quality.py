@@ -45,7 +45,7 @@ def issues(
     yield from _static(m)
     if b is None:
         return
-    for look in (_too_short, _mislabelled, _at_limit):
+    for look in (_too_short, _too_slow, _mislabelled, _at_limit):
         yield from look(m, b)
     inside = list(inner_loop(m, b))
     # A setpoint of another kind is in no unit of a torque, and has no sign of one.
@@ -76,6 +76,18 @@ def _too_short(m: MeasuredRecord, b: BaseNumbers) -> Iterator[DataIssue]:
             "warning",
             f"{m.duration_s:.3g} s are less than the time constant of the model's slowest mode, "
             f"{b.slowest_s:.3g} s: what is slow cannot be told from an offset",
+        )
+
+
+def _too_slow(m: MeasuredRecord, b: BaseNumbers) -> Iterator[DataIssue]:
+    """Samples so far apart that every motion of the model is over within one of them."""
+    sample_s = 1.0 / m.sampling_Hz
+    if not b.is_free and b.natural_rad_s * sample_s > CONSTANTS.clear:
+        yield DataIssue(
+            "refused",
+            f"its samples are {sample_s:.3g} s apart, and the model's slowest mode is over after "
+            f"{CONSTANTS.clear / b.natural_rad_s:.3g} s; give the time in s, or record faster",
+            "time_s",
         )
 
 

@@ -1,5 +1,6 @@
 """Columns whose sign is the other one: what the command drives then moves against it."""
 
+from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
@@ -25,7 +26,10 @@ def reversed_signs(
     Records of one rig have one sign: where some say that it is reversed and none says the
     contrary, those that say nothing are refused, too.
     """
-    columns = [reversed_column(*pair) for pair in zip(measurements, numbers, strict=True)]
+    columns = _of_files(
+        measurements,
+        [reversed_column(*pair) for pair in zip(measurements, numbers, strict=True)],
+    )
     why = "it moves the other way than the model says"
     issues = [None if name is None else _issue(name, why) for name in columns]
     names = {name for name in columns if name is not None}
@@ -39,6 +43,21 @@ def reversed_signs(
     shown = measurements[columns.index(name)]
     other = _issue(name, f"its sign is not to be seen here, but in {shown.source or shown.name}")
     return [issue or (other if used else None) for issue, used in zip(issues, uses, strict=True)]
+
+
+def _of_files(
+    measurements: Sequence[MeasuredRecord], columns: Sequence[str | None]
+) -> list[str | None]:
+    """The columns, without those of parts between gaps that are the lesser part of their file."""
+    said: dict[tuple[str, str | None], float] = defaultdict(float)
+    whole: dict[str, float] = defaultdict(float)
+    for m, name in zip(measurements, columns, strict=True):
+        said[m.file, name] += m.duration_s
+        whole[m.file] += m.duration_s
+    return [
+        name if said[m.file, name] > 0.5 * whole[m.file] else None
+        for m, name in zip(measurements, columns, strict=True)
+    ]
 
 
 def reversed_column(m: MeasuredRecord, b: BaseNumbers | None) -> str | None:
@@ -100,8 +119,9 @@ def _brakes(angle_rad: FloatArray, effort: FloatArray, b: BaseNumbers, smoother:
 
     A load that drives the motor, a cogging torque or a record that begins in motion may make one
     of them negative, but not both, and gravity of a link both; so it is beside them, the inertia
-    has to have the size of the model's, and each part of the record has to say so. Motion in one
-    direction cannot tell friction from an offset: such a part says nothing.
+    has to have the size of the model's, they have to explain half of what gravity leaves, and each
+    part of the record has to say so. Motion in one direction cannot tell friction from an offset:
+    such a part says nothing.
     """
     velocity = smoother.sampled(angle_rad, 0.0, 1.0)
     terms = np.column_stack(
@@ -118,8 +138,17 @@ def _brakes(angle_rad: FloatArray, effort: FloatArray, b: BaseNumbers, smoother:
     for part in _parts(known, velocity):
         v = velocity[part]
         if part.size > terms.shape[1] and min(np.mean(v > 0), np.mean(v < 0)) >= CONSTANTS.small:
-            a, viscous, dry, *_ = np.linalg.lstsq(terms[part], effort[part], rcond=1e-9)[0]
+            sizes, left = _fit(terms[part], effort[part])
+            a, viscous, dry, *_ = sizes
             times = -a * b.drum_radius_m / b.drum_inertia_kg_m2
             of_size = 1.0 / CONSTANTS.range < times < CONSTANTS.range
-            said.append(bool(of_size and np.mean(viscous * v**2 + dry * np.abs(v)) < 0.0))
+            explained = left < CONSTANTS.law_left * _fit(terms[part, 3:], effort[part])[1]
+            brakes = np.mean(viscous * v**2 + dry * np.abs(v)) < 0.0
+            said.append(bool(of_size and explained and brakes))
     return bool(said) and all(said)
+
+
+def _fit(terms: FloatArray, effort: FloatArray) -> tuple[FloatArray, float]:
+    """Sizes of terms by least squares, and the power that they leave."""
+    sizes = np.asarray(np.linalg.lstsq(terms, effort, rcond=1e-9)[0], np.float64)
+    return sizes, float(np.mean(np.square(effort - terms @ sizes)))

@@ -86,6 +86,11 @@ class MeasuredRecord:
         return self.samples / self.sampling_Hz
 
     @property
+    def file(self) -> str:
+        """The file it was read from, of which it may be a part between gaps."""
+        return (self.source or self.name).partition(" part ")[0]
+
+    @property
     def outputs(self) -> tuple[str, ...]:
         """Names of the measured channels that a model predicts."""
         return tuple(name for name in OUTPUTS if self.channel(name) is not None)

@@ -9,7 +9,7 @@ import numpy as np
 
 from estune.errors import InvalidInput, JournalError
 from estune.recordings.column_map import AS_NAMED, ColumnMap
-from estune.recordings.issue import DataIssue, Unusable
+from estune.recordings.issue import DataIssue, Unusable, refusals
 from estune.recordings.metadata import Metadata
 from estune.recordings.raw_file import formats, is_readable
 from estune.recordings.recording import FEWEST_SAMPLES, Recording, read_recording
@@ -72,8 +72,7 @@ def read_measurements(
             name = f"{result.name} ({result.source})"
             records[name] = replace(result, name=name)
     if not records:
-        listed = "; ".join(str(f) for f in findings if f.level == "refused")
-        what = listed or f"it holds no {', '.join(formats())} or run"
+        what = refusals(findings) or f"it holds no {', '.join(formats())} or run"
         raise InvalidInput(f"{folder} has no record that can be used: {what}")
     by_name = tuple(records[name] for name in sorted(records))
     return FolderContents(by_name, tuple(findings), tuple(sources))

@@ -60,7 +60,8 @@ class _Sampled:
         A = np.zeros((n + 1, n + 1))
         A[:n, :n], A[:n, n] = local.A, local.B
         self._held = expm(A / sampling_Hz)
-        self._back = np.linalg.inv(self._held)
+        # A mode that dies away within a sample leaves nothing to go back by.
+        self._back = np.linalg.pinv(self._held)
         self._C = np.append(local.C, 0.0)
         self._to_placed = local.to_placed
         self._input = (

@@ -6,9 +6,10 @@ from dataclasses import replace
 from typing import Any
 
 from estune.errors import InvalidInput
-from estune.recordings.issue import DataIssue
+from estune.recordings.issue import DataIssue, refusals
 from plants.diagnosis.checks.quality import issues
 from plants.diagnosis.checks.sign import reversed_signs
+from plants.diagnosis.constants import CONSTANTS
 from plants.diagnosis.data.measured_record import MeasuredRecord
 from plants.diagnosis.data.noise import step_of
 from plants.diagnosis.data.records import FolderContents
@@ -25,6 +26,8 @@ def check(logged: FolderContents, model: Any) -> FolderContents:
         InvalidInput: none is left; the message says why for each.
     """
     kept, listed = _of_one_rig(logged.measurements)
+    kept, short = _long_enough(kept)
+    listed += short
     rate_Hz = PlantScale.of(model).sampling_Hz
     # A record in which the drum hardly turns does not show the encoder's step.
     step_rad = max((step_of(m.angle_rad) for m in kept if m.angle_rad is not None), default=0.0)
@@ -37,9 +40,35 @@ def check(logged: FolderContents, model: Any) -> FolderContents:
         if not any(issue.level == "refused" for issue in own):
             usable.append(m)
     if not usable:
-        why = "; ".join(map(str, listed)) or "there is none"
-        raise InvalidInput(f"no record can be used: {why}")
+        raise InvalidInput(f"no record can be used: {refusals(listed) or 'there is none'}")
     return FolderContents(tuple(usable), (*logged.findings, *listed))
+
+
+def _long_enough(
+    measurements: Sequence[MeasuredRecord],
+) -> tuple[list[MeasuredRecord], list[DataIssue]]:
+    """The records but parts between gaps that are too short; these are told once for each file."""
+    parts: dict[str, list[MeasuredRecord]] = defaultdict(list)
+    for m in measurements:
+        parts[m.file].append(m)
+    short = {
+        source: [m for m in of_file if m.samples < CONSTANTS.fewest]
+        for source, of_file in parts.items()
+        if len(of_file) > 1
+    }
+    issues = [
+        DataIssue(
+            "refused" if len(few) == len(parts[source]) else "warning",
+            f"{len(few)} of {len(parts[source])} parts between gaps are shorter than "
+            f"{CONSTANTS.fewest:g} samples and left out; record without gaps",
+            "time_s",
+            source=source,
+        )
+        for source, few in short.items()
+        if few
+    ]
+    left_out = {id(m) for few in short.values() for m in few}
+    return [m for m in measurements if id(m) not in left_out], issues
 
 
 def _of_one_rig(

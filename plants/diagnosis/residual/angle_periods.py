@@ -33,7 +33,7 @@ def per_turn(
         fewest: Fewest periods in all the turning there is.
     """
     extent = max((float(np.ptp(t.angle_rad)) for t in turnings), default=0.0)
-    if extent == 0.0:
+    if extent <= 2.0 * read_rad:
         return []
     step = max(read_rad, extent / 8192)
     # Eight periods are tried for each that the widest turning tells apart.

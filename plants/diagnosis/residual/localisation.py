@@ -78,7 +78,8 @@ class Block:
     @property
     def ratio(self) -> float:
         """Residual relative to that of noise and allowance alone."""
-        return self.rms / self.noise_rms
+        # Of records in which nothing is commanded and nothing moves both are zero.
+        return self.rms / self.noise_rms if self.rms > 0.0 else 0.0
 
     @property
     def is_above_noise(self) -> bool:
@@ -207,9 +208,7 @@ def _dependence(
     stride = max(1, int(inside.sum() // CONSTANTS.screened))
     chosen = np.flatnonzero(inside)[::stride]
     known = (part[np.isfinite(part)] for part in np.split(fitted.residual, ends))
-    loose = float(
-        np.mean([independent_share(part) for part in known if part.size >= CONSTANTS.fewest])
-    )
+    loose = [independent_share(part) for part in known if part.size >= CONSTANTS.fewest]
 
     def spread(columns: FloatArray) -> FloatArray:
         split = np.split(columns, ends)
@@ -221,7 +220,8 @@ def _dependence(
         basis=np.linalg.qr(fitted.columns[chosen])[0],
         chosen=chosen,
         spread=spread if equation.smooth else np.asarray,
-        independent=max(2.0, min(1.0, stride * loose) * chosen.size),
+        # Parts between gaps may all be too short to show it: then nothing is proven by them.
+        independent=max(2.0, min(1.0, stride * float(np.mean(loose or [0.0]))) * chosen.size),
     )
 
 

@@ -151,8 +151,7 @@ def torque_waves(
     first = numbers[0]
     if first is None or not first.is_free:
         return None
-    moved = [_motion(m, first) for m in measurements if m.angle_rad is not None]
-    motions = [motion for motion in moved if motion.angle_rad.size]
+    motions = _motions(measurements, first)
     if not motions:
         return None
     orders = _orders(motions)
@@ -169,7 +168,7 @@ def torque_waves(
     if law.accelerating:
         by_inertia = fitted - law._replace(accelerating=False).fitted(parts)
         error = np.hypot(error, CONSTANTS.inertia_sd * by_inertia)
-    aside = [_motion(m, first) for m in held if m.angle_rad is not None]
+    aside = _motions(held, first)
     apart = None
     if aside:
         alone = plain.fitted(parts)
@@ -196,17 +195,23 @@ def _best(orders: tuple[float, ...], parts: list[TorqueMotion]) -> tuple[float, 
     return min((law.left_out(parts), law) for law in laws)
 
 
-def _motion(m: MeasuredRecord, b: BaseNumbers) -> TorqueMotion:
-    assert m.angle_rad is not None  # noqa: S101  only such records are taken
+def _motions(measurements: Sequence[MeasuredRecord], b: BaseNumbers) -> list[TorqueMotion]:
+    """The motion of each record that is longer than what smooths it."""
+    angles = [(m, m.angle_rad) for m in measurements if m.angle_rad is not None]
+    motions = [_motion(m, angle, b) for m, angle in angles]
+    return [motion for motion in motions if motion.angle_rad.size]
+
+
+def _motion(m: MeasuredRecord, angle_rad: FloatArray, b: BaseNumbers) -> TorqueMotion:
     smoother = Smoother(CONSTANTS.slow / m.sampling_Hz, m.sampling_Hz)
     command = m.command_A(b.newtons_per_ampere) * b.newtons_per_ampere * b.drum_radius_m
     torque = smoother.held(command, b.dead_time_s, 1.0)
     orders = (1.0,), (0.0, 1.0), (0.0, 0.0, b.drum_inertia_kg_m2)
-    angle, velocity, inertial = (smoother.sampled(m.angle_rad, *c) for c in orders)
+    angle, velocity, inertial = (smoother.sampled(angle_rad, *c) for c in orders)
     inside = np.isfinite(torque) & np.isfinite(angle)
     speed = np.abs(velocity[inside])
     # Motion far above the usual speed is a start or a jump.
-    slow = speed <= CONSTANTS.clear * max(float(np.median(speed)), 1e-300)
+    slow = speed <= CONSTANTS.clear * max(float(np.median(speed)) if speed.size else 0.0, 1e-300)
     v = velocity[inside][slow]
     terms = np.column_stack([v, np.sign(v)])
     torque, inertial, angle = (column[inside][slow] for column in (torque, inertial, angle))

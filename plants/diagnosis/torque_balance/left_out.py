@@ -95,6 +95,8 @@ class BalanceFits:
         if loaded:
             columns, fitted = [*columns, LOAD], np.column_stack([fitted, shares])
             error /= np.square(1.0 - shares[:-1] * self._loaded(sizes))
+        # Of terms that fit to the last digit rounding leaves less than nothing.
+        error = np.maximum(error, 0.0)
         whole = dict(zip(columns, fitted[-1].tolist(), strict=True))
         return LeftOut(tuple(laws), error, whole, tuple(columns), fitted[:-1])
 

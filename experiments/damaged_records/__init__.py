@@ -1,0 +1,1 @@
+"""Records of measured and simulated machines, damaged in the ways in which records are."""

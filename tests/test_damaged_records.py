@@ -1,0 +1,53 @@
+"""Damaged records: a diagnosis, or a refusal that says what to do."""
+
+import numpy as np
+import pytest
+
+from estune.errors import EstuneError
+from experiments.damaged_records.__main__ import VERDICTS, answers, is_helpful
+from experiments.damaged_records.damages import DAMAGES
+from experiments.damaged_records.machines import joint, process, reel, stage
+from plants.diagnosis.data.records import drum_of, read_measurements
+from plants.diagnosis.pipeline.check import check
+from plants.diagnosis.residual.angle_periods import ResidualOverAngle, per_turn
+
+
+@pytest.fixture(scope="module")
+def kinds():
+    return [reel(), joint(), stage(), process()]
+
+
+@pytest.mark.parametrize("damage", DAMAGES)
+def test_damaged_records_are_checked_or_refused_with_a_remedy(damage, kinds, tmp_path):
+    for seed, machine in enumerate(kinds):
+        table = DAMAGES[damage](machine.tables[0], np.random.default_rng(seed))
+        rows = np.column_stack(list(table.values()))
+        np.savetxt(tmp_path / "r.csv", rows, "%.10g", ",", header=",".join(table), comments="")
+        try:
+            read = read_measurements(tmp_path, machine.columns, drum_of(machine.model))
+            refused = [str(f) for f in check(read, machine.model).findings if f.level == "refused"]
+        except EstuneError as error:
+            refused = [str(error)]
+        assert all(map(is_helpful, refused)), refused
+
+
+def test_time_in_another_unit_is_refused_of_a_plant_too(kinds, tmp_path):
+    machine = kinds[-1]
+    table = machine.tables[0] | {"time_s": 1e3 * machine.tables[0]["time_s"]}
+    rows = np.column_stack(list(table.values()))
+    np.savetxt(tmp_path / "r.csv", rows, "%.10g", ",", header=",".join(table), comments="")
+    with pytest.raises(EstuneError, match=r"column time_s.*give the time in s"):
+        check(read_measurements(tmp_path, machine.columns, drum_of(machine.model)), machine.model)
+
+
+def test_angle_that_turns_by_less_than_its_cells_shows_no_period():
+    still = ResidualOverAngle(np.full(100, 1e-14) * np.arange(100), np.ones(100))
+    assert per_turn([still], 0.1, 2.0) == []
+
+
+@pytest.mark.slow
+def test_damaged_records_are_diagnosed_or_refused(kinds):
+    for answer in answers(40, 0, kinds):
+        assert answer.ending in (*VERDICTS, "refused"), answer
+        assert all(map(is_helpful, answer.said)), answer
+        assert answer.cpu_s < 30.0, answer
