@@ -10,6 +10,8 @@ from experiments.damaged_records.machines import joint, process, reel, stage
 from plants.diagnosis.data.records import drum_of, read_measurements
 from plants.diagnosis.pipeline.check import check
 from plants.diagnosis.residual.angle_periods import ResidualOverAngle, per_turn
+from plants.diagnosis.residual.residuals import of_usual_rate
+from tests.support_measurements import open_loop
 
 
 @pytest.fixture(scope="module")
@@ -43,6 +45,13 @@ def test_time_in_another_unit_is_refused_of_a_plant_too(kinds, tmp_path):
 def test_angle_that_turns_by_less_than_its_cells_shows_no_period():
     still = ResidualOverAngle(np.full(100, 1e-14) * np.arange(100), np.ones(100))
     assert per_turn([still], 0.1, 2.0) == []
+
+
+def test_records_whose_rates_differ_a_little_are_of_one_controller():
+    rates_Hz = [187.2, 400.0, 184.9, 188.4, 186.0]
+    t = np.arange(100)
+    records = [open_loop(0, rate, t / rate, angle_rad=t / rate) for rate in rates_Hz]
+    assert of_usual_rate(records) == [0, 2, 3, 4]
 
 
 @pytest.mark.slow

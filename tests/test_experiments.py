@@ -42,6 +42,7 @@ NIGHTLY = {
     "benchmark_trials",
     "chaos",
     "compensation",
+    "damaged_records",
     "device_faults",
     "diagnosis_constants",
     "diagnosis_numbers",

@@ -1,7 +1,6 @@
 """Frequencies and periods suggested by the base model's residual, before any fit."""
 
 import math
-from collections import Counter
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -10,6 +9,7 @@ from plants.diagnosis.data.measured_record import MeasuredRecord
 from plants.diagnosis.data.noise import step_of
 from plants.diagnosis.residual.angle_periods import ResidualOverAngle, per_turn
 from plants.diagnosis.residual.localisation import Block, ResidualLocation
+from plants.diagnosis.residual.residuals import of_usual_rate
 from plants.diagnosis.search.model_fitter import ModelFitter
 from plants.effects import RecordScale
 
@@ -49,9 +49,7 @@ def _per_turn(
     turnings: list[ResidualOverAngle] = []
     read = 0.0
     # Spectra are of one grid: records of another sampling rate have no residual.
-    rate = Counter(m.sampling_Hz for m in measurements).most_common(1)[0][0]
-    kept = [n for n, m in enumerate(measurements) if m.sampling_Hz == rate]
-    for n, residual in zip(kept, block.residual, strict=True):
+    for n, residual in zip(of_usual_rate(measurements), block.residual, strict=True):
         m, inside = measurements[n], np.isfinite(residual)
         if m.angle_rad is None or not inside.any():
             continue
@@ -63,5 +61,8 @@ def _per_turn(
         return per_turn(turnings, read)
     joined = ResidualOverAngle(*map(np.concatenate, zip(*common, strict=True)))
     # Friction may hide a wave in the balance that predictions show.
-    turn = 2.0 * math.pi / float(np.ptp(joined.angle_rad))
+    turned = float(np.ptp(joined.angle_rad))
+    if not turned > 0.0:
+        return per_turn(turnings, read)
+    turn = 2.0 * math.pi / turned
     return [*per_turn([*turnings, joined], read), *(n * turn for n in (1.0, 1.5, 2.0, 3.0, 4.0))]
