@@ -278,9 +278,8 @@ class TrialExecutor:
             with self._rig_free:
                 if not begun:
                     begun = self._shared.may_begin()
-                    if (
-                        begun
-                    ):  # on disk before anything moves, or a power cut would let it run twice
+                    if begun:
+                        # On disk before anything moves: after a power cut it runs no second time.
                         self._ledger.note(request.trial_id, trial.digest, TrialEvent.START)
                 record = self._rig.run(request) if begun else self._never_begun(request)
             if record.outcome is Outcome.CANCELLED:
