@@ -13,6 +13,8 @@ from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
 
+from estune.support.garbage import collection_paused
+
 ROOT = Path(__file__).parents[1]
 TABLE = ROOT / "docs" / "reference" / "equations.md"
 FOLDERS = ("estune", "plants", "experiments/paper")
@@ -29,6 +31,7 @@ Written by `./dev python -m tests.equations` from the docstrings and the tests.
 
 
 @cache
+@collection_paused()
 def implementations() -> dict[int, list[str]]:
     """Modules, classes or functions that implement each equation; there must be one for each."""
     places = defaultdict(list)
@@ -42,6 +45,7 @@ def implementations() -> dict[int, list[str]]:
 
 
 @cache
+@collection_paused()
 def checks() -> dict[int, list[str]]:
     """The tests marked with each equation."""
     tests = defaultdict(list)

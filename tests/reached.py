@@ -15,6 +15,7 @@ from pathlib import Path
 
 import estune.cli
 import plants.commands
+from estune.support.garbage import collection_paused
 
 ROOT = Path(__file__).parents[1]
 PACKAGES = ("estune", "plants")
@@ -90,6 +91,7 @@ def _read(path: Path) -> Module:
 
 
 @cache
+@collection_paused()
 def modules() -> dict[str, Module]:
     """All modules of the product by name."""
     paths = (p for package in PACKAGES for p in sorted((ROOT / package).rglob("*.py")))
@@ -227,6 +229,7 @@ def shown() -> Iterator[Definition]:
 
 
 @cache
+@collection_paused()
 def reached() -> frozenset[Definition]:
     """All definitions that are reached."""
     found: set[Definition] = set()

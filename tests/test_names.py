@@ -4,6 +4,8 @@ import ast
 from collections import defaultdict
 from pathlib import Path
 
+from estune.support.garbage import collection_paused
+
 ROOT = Path(__file__).parents[1]
 
 SHARED = {
@@ -19,6 +21,7 @@ SHARED = {
 """Names of several public classes, and why each is kept."""
 
 
+@collection_paused()
 def class_names():
     """Files of each public class, by its name."""
     files = defaultdict(list)

@@ -9,10 +9,12 @@ import ast
 import sys
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from functools import cache
 from pathlib import Path
 from typing import NamedTuple
 
 import plants.diagnosis
+from estune.support.garbage import collection_paused
 from plants.diagnosis.constants import CONSTANTS
 
 FOLDER = Path(plants.diagnosis.__file__).parent
@@ -63,6 +65,8 @@ class _Source(NamedTuple):
         return str(self.path), min([around[-1].lineno, *decorators])
 
 
+@cache
+@collection_paused()
 def _sources() -> list[_Source]:
     paths = sorted(FOLDER.rglob("*.py"))
     return [_Source.of(p) for p in paths if p.relative_to(FOLDER).parts[0] not in SHOWN]
@@ -73,9 +77,8 @@ def numbers() -> list[Number]:
     uses: dict[str, set[tuple[str, int]]] = {name: set() for name in CONSTANTS._fields}
     for source in _sources():
         for node in ast.walk(source.tree):
-            function = source.function(node)
-            if function is not None and isinstance(node, ast.Attribute) and _of_table(node):
-                uses[node.attr].add(function)
+            if isinstance(node, ast.Attribute) and _of_table(node):
+                uses[node.attr].update(filter(None, [source.function(node)]))
     return [Number(n, getattr(CONSTANTS, n), frozenset(uses[n])) for n in CONSTANTS._fields]
 
 
