@@ -293,6 +293,17 @@ def test_units_of_the_heading_are_used_and_contradictions_refused(tmp_path):
         read_recording(path, AS_NAMED.with_options(sources, {"tension": "N"}, {}))
 
 
+def test_duty_of_a_drive_without_a_torque_constant_is_taken_as_it_is_and_told(tmp_path):
+    c = columns()
+    foreign = {"time_s": c["time_s"], "PWM (%)": c["current_A"], "angle_rad": c["angle_rad"]}
+    write_csv(tmp_path / "log.csv", foreign)
+    read = read_recording(tmp_path / "log.csv", names(current="PWM"), Drum(1.0, 1.0))
+    np.testing.assert_allclose(read.parts[0]["current_A"], c["current_A"])
+    assert any("is in % and taken as it is" in issue.sentence for issue in read.issues)
+    with pytest.raises(Unusable, match="share is not current"):
+        read_recording(tmp_path / "log.csv", names(current="PWM"), Drum(0.02, 40.0))
+
+
 def test_speed_in_place_of_the_angle_is_integrated_and_told(tmp_path):
     c = columns()
     turned = 1.0 - np.cos(40.0 * c["time_s"])
@@ -300,9 +311,10 @@ def test_speed_in_place_of_the_angle_is_integrated_and_told(tmp_path):
     write_csv(
         tmp_path / "log.csv", {n: c[n] for n in ("time_s", "current_A")} | {"speed_rpm": rpm}
     )
-    with pytest.raises(Unusable, match="a speed is integrated, as in --map"):
-        read_recording(tmp_path / "log.csv", drum=Drum(0.02, 40.0))
+    taken = read_recording(tmp_path / "log.csv", drum=Drum(0.02, 40.0))
+    assert any("is taken as the position" in issue.sentence for issue in taken.issues)
     read = read_recording(tmp_path / "log.csv", names(angle="speed_rpm"))
+    np.testing.assert_array_equal(taken.parts[0]["angle_rad"], read.parts[0]["angle_rad"])
     assert read.parts[0]["angle_rad"] == pytest.approx(turned, abs=1e-3)
     assert any("a speed, and integrated" in issue.sentence for issue in read.issues)
 

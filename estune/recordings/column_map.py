@@ -208,10 +208,14 @@ def _unit(stem: str, table: ColumnTable, channel: Channel, si: str) -> str:
 
 
 def is_own_unit(name: str, unit: str, drum: Drum) -> bool:
-    """Whether values are taken as they are, in a unit of the plant: that of no reel."""
+    """Whether values are taken as they are, in a unit of the plant: that of no reel.
+
+    So is the duty or voltage of a drive of which no torque constant is known.
+    """
     known = UNITS.get(unit)
     foreign = known is None or known.dimension not in _MECHANICAL
-    return foreign and name in _OWN_UNITS and drum.radius_m is None
+    of_drive = name == "current_A" and drum.newtons_per_ampere == 1.0
+    return foreign and name in _OWN_UNITS and (drum.radius_m is None or of_drive)
 
 
 def is_bare(table: ColumnTable, channel: Channel) -> bool:

@@ -1,5 +1,6 @@
 """One file of recorded data as the columns of a record, in SI units on an even grid."""
 
+from contextlib import suppress
 from pathlib import Path
 from typing import NamedTuple
 
@@ -139,8 +140,7 @@ def _mapped(
         else:
             mapped[name] = found
             issues += _by_name(name, table, channel, found, drum)
-    if drum.radius_m is None:
-        issues += _as_plant(raw, mapped, drum)
+    issues += _by_usual_names(raw, mapped, drum)
     used = {m.source for m in mapped.values()}
     left = frozenset(c.name for c in raw.channels) - used
     present = left | mapped.keys()
@@ -168,27 +168,32 @@ def _channel(raw: RawFile, name: str, table: ColumnTable) -> Channel | None:
     return named[0] if len(named) == 1 else None
 
 
-def _as_plant(raw: RawFile, mapped: dict[str, Mapped], drum: Drum) -> list[DataIssue]:
-    """Output, input and setpoint of a plant by the usual names of a loop, added to the mapped.
+def _by_usual_names(raw: RawFile, mapped: dict[str, Mapped], drum: Drum) -> list[DataIssue]:
+    """What a plant or a drive measures and is commanded, by the usual names, added to the mapped.
 
     Only where nothing measured was found otherwise; it is said, for a name may mislead.
     """
     issues = list[DataIssue]()
     if any(name in mapped for name in MEASURED):
         return issues
+    of_plant = drum.radius_m is None
     wanted = (
         ("setpoint_N", "setpoint", "setpoint", SETPOINTS),
-        ("tension_N", "output", "measurement", MEASUREMENTS),
-        ("current_A", "input", "effort", EFFORTS),
+        ("tension_N", "output", "measurement", MEASUREMENTS)
+        if of_plant
+        else ("angle_rad", "position", "measurement", MEASUREMENTS),
+        ("current_A", "input" if of_plant else "torque", "effort", EFFORTS),
     )
-    for name, word, kind, usual in wanted:
+    for name, word, kind, usual in wanted if of_plant else wanted[1:]:
         taken = {m.source for m in mapped.values()}
         left = [c for c in raw.channels if c.name not in taken]
         channel = None if name in mapped else by_usual_name(left, kind, usual)
-        found = channel and map_column(name, ColumnTable(), channel, drum)
+        found = None
+        with suppress(Unusable):  # of another quantity
+            found = channel and map_column(name, ColumnTable(), channel, drum)
         if channel and found:
             mapped[name] = found
-            said = f"{channel.name} is taken as the {word} of the plant"
+            said = f"{channel.name} is taken as the {word}"
             other = f"--map {word}=NAME names another"
             issues.append(DataIssue("warning", f"{said}; {other}", name))
     return issues
