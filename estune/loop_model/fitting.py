@@ -24,6 +24,7 @@ from estune.loop_model.order import (
     at_least_two,
     criterion,
     criterion_of,
+    is_enough,
     is_resolved,
     select_order,
     solution_of,
@@ -302,6 +303,10 @@ def _fit(
 ) -> LoopFit:
     """The model of all records: of low order if that explains them, else by the criterion."""
     signals = signals_of(records, settling, round(settling))
+    if last is not None and last.order == 1 and not last.noise.load:
+        single = searched_dead_time(signals, [_start_of(last, least=1)])
+        if is_enough(signals, single):
+            return _summarised(records, signals, single)
     first = searched_dead_time(signals, starts)
     first = without_slowest_pole(signals, first)
     begun = _begun(signals, first) if again else [first]
@@ -384,9 +389,10 @@ def _criterion(fit: LoopFit, signals: FitSignals) -> float:
     return criterion(signals, squares, fit.order, fit.noise, further)
 
 
-def _start_of(last: LoopFit) -> PoleFit:
-    """The fit that a search begins from where there is an earlier one."""
-    poles = at_least_two(np.array(last.model.coordinates))
+def _start_of(last: LoopFit, least: int = 2) -> PoleFit:
+    """The fit that a search of so many poles at least begins from where there is an earlier one."""
+    poles = np.array(last.model.coordinates)
+    poles = at_least_two(poles) if least == 2 else poles
     return PoleFit(0.0, poles, last.model.dead_samples, last.noise)
 
 

@@ -227,6 +227,22 @@ def without_spare_pole(signals: FitSignals, fit: PoleFit) -> PoleFit:
     return min(_judged(signals, two), _judged(signals, one), key=lambda it: it.criterion).fit
 
 
+def is_enough(signals: FitSignals, fit: PoleFit) -> bool:
+    """Whether a fit of trials from rest is white and resolved, and no further pole promises more.
+
+    A further one is judged where it begins, without a search.
+    """
+    solution = solution_of(signals, fit)
+    in_motion = any(group.history for group in signals.groups)
+    if in_motion or not is_white(signals, solution.residual):
+        return False
+    if not is_resolved(signals, fit.coordinates):
+        return False
+    # As that of a further pole where it begins: without the price of dead time.
+    own = criterion(signals, solution.squares, fit.coordinates.size, fit.noise)
+    return all(one.criterion >= own for one in _further(signals, solution))
+
+
 def _judged(signals: FitSignals, fit: PoleFit) -> Selected:
     """A fit with its criterion, infinite where it failed; a load or a drift of no size is none."""
     load, drift = (k if k >= NOISE_LEAST else 0.0 for k in fit.noise.sizes)
