@@ -390,7 +390,7 @@ def _criterion(fit: LoopFit, signals: FitSignals) -> float:
 
 
 def _start_of(last: LoopFit, least: int = 2) -> PoleFit:
-    """The fit that a search of so many poles at least begins from where there is an earlier one."""
+    """The fit that a search begins from where there is an earlier one, of so many poles."""
     poles = np.array(last.model.coordinates)
     poles = at_least_two(poles) if least == 2 else poles
     return PoleFit(0.0, poles, last.model.dead_samples, last.noise)

@@ -134,8 +134,9 @@ class ClosedLoop(NamedTuple):
         to_output: From the filtered setpoint to the output, over the characteristic.
         to_effort: From the filtered setpoint to the effort.
         noise_to_effort: From measurement noise to the effort.
-        load_to_output: From a load at the plant's input to the output.
-        load_to_effort: From it to the effort.
+        numerator: q^-(d+1) B.
+        denominator: R.
+        feedback: q^-(d+1) B S.
         filter_numerator: Of the setpoint filter.
         filter_denominator: Of it.
     """
@@ -145,8 +146,9 @@ class ClosedLoop(NamedTuple):
     to_output: FloatArray
     to_effort: FloatArray
     noise_to_effort: FloatArray
-    load_to_output: FloatArray
-    load_to_effort: FloatArray
+    numerator: FloatArray
+    denominator: FloatArray
+    feedback: FloatArray
     filter_numerator: FloatArray
     filter_denominator: FloatArray
 
@@ -161,8 +163,8 @@ class ClosedLoop(NamedTuple):
     def load_response(self, load: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Output and effort for a load at the plant's input, without limits, shape (samples,)."""
         return (
-            lfilter(self.load_to_output, self.characteristic, load),
-            lfilter(self.load_to_effort, self.characteristic, load),
+            lfilter(np.convolve(self.numerator, self.denominator), self.characteristic, load),
+            -lfilter(self.feedback, self.characteristic, load),
         )
 
     def noise_response(self, noise: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -204,8 +206,9 @@ def close_loop(model: LoopModel, gains: Gains, settings: ControllerSettings) -> 
         to_output=np.convolve(B, law.setpoint),
         to_effort=np.convolve(A, law.setpoint),
         noise_to_effort=-np.convolve(A, law.measurement),
-        load_to_output=np.convolve(B, law.denominator),
-        load_to_effort=-feedback,
+        numerator=B,
+        denominator=law.denominator,
+        feedback=feedback,
         filter_numerator=law.filter_numerator,
         filter_denominator=law.filter_denominator,
     )

@@ -167,6 +167,10 @@ each. No slope leads from gains whose derivative is too small to matter to those
 does: on eight lags of 1 s the others ended 29 % above the optimum. On a double integrator a slow
 filter with a large P costs 7 % less than a fast one with a small P."""
 
+DESCENDED = 1e-4
+"""Decrease of the log cost at which a descent ends: with a tenth of it the tuned gains
+of 13 plants cost at most 0.04 % less, and runs take 6 % longer."""
+
 SAME_START = 0.05
 """Largest difference in a logarithm between two starts of which one search is enough."""
 
@@ -277,7 +281,7 @@ class RegionSearch:
                 "fun": lambda x: -self._excess(x),
                 "jac": lambda x: -self._slopes(x, self._excess),
             },
-            options={"maxiter": iterations, "ftol": 1e-5},
+            options={"maxiter": iterations, "ftol": DESCENDED},
         )
         x = np.clip(found.x, self.low, self.high)
         kept = bool(self._excess(x).max() < TOLERANCE)
