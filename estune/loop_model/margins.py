@@ -73,13 +73,16 @@ class FrequencyGrid(NamedTuple):
     @classmethod
     def at(cls, models: Sequence[LoopModel], theta: FloatArray) -> "FrequencyGrid":
         """The responses of models of one order and dead time at some angles of each."""
-        later, difference = np.exp(-1j * theta), -np.expm1(-1j * theta)
+        # By sines of real angles, which take a third of the time of complex exponentials.
+        half, turned = np.sin(0.5 * theta), (models[0].dead_samples + 1) * theta
+        difference = 2.0 * half * half + 1j * np.sin(theta)
+        later, late = 1.0 - difference, np.cos(turned) - 1j * np.sin(turned)
         poles = np.ones_like(later)
         for sections in zip(*(model.sections for model in models), strict=True):
             powers = np.array([section.powers for section in sections])
             poles = poles * _polynomial_at(powers, difference)
         numerator = np.array([model.numerator for model in models])
-        zeros = later ** (models[0].dead_samples + 1) * _polynomial_at(numerator, difference)
+        zeros = late * _polynomial_at(numerator, difference)
         return cls(theta, later, zeros, poles)
 
 
@@ -262,7 +265,8 @@ def _lowest_in_bands(
     near = middle + share * np.where(share < 0.0, middle - begin, end - middle)
     zoom = FrequencyGrid.at(models, near.reshape(count, -1))
     S, R = laws.at(zoom.later)
-    zoomed = np.abs(1.0 + zoom.zeros * S / (zoom.poles * R)).reshape(-1, ZOOMED)
+    forward = zoom.poles * R
+    zoomed = (np.abs(forward + zoom.zeros * S) / np.abs(forward)).reshape(-1, ZOOMED)
     refined = _refined(zoomed).reshape(count, BANDS)
     return np.where(inner == lowest, refined, size[rows, lowest])
 
