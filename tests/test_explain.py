@@ -13,7 +13,10 @@ import plants
 from estune.errors import InvalidInput, PlantError
 from experiments import hidden_machines
 from experiments.measured_data import cut
-from plants.effects import EFFECTS, Effect, Port, parameter
+from experiments.paper.identify.excitation import Band, multisine
+from experiments.paper.identify.open_loop import open_loop_record
+from plants.diagnosis.data.measured_record import MeasuredRecord
+from plants.effects import EFFECTS, Effect, GaugeOffset, Port, parameter
 from tests.support_hidden import drawn, skip_without_compiler
 
 FEW = ("viscous_damping", "gain_error", "gauge_offset", "dead_time", "rate_limit")
@@ -127,6 +130,28 @@ def test_wrong_base_parameter_is_named_only_where_it_alone_explains_the_error(
     found = plants.explain(*drawn(seed, variant, hidden_), effects=numbers)
     assert [effect.name for effect in found.effects] == named
     assert found.verdict == ("named" if named else "none")
+
+
+def test_calibrations_that_moved_are_the_finding_and_not_a_part_of_none():
+    reel = plants.reference_reel()
+    sines = multisine(reel.sampling_Hz, Band(1.0, 60.0, periods=2), 4.0)
+    read = replace(reel, effects=(GaugeOffset(1.0),))
+    m = MeasuredRecord.of(open_loop_record(read, sines, seed=0))
+    # The current is known, and not what torque it makes.
+    driven = replace(m, loop="closed", setpoint_N=None)
+    given = replace(reel, torque_constant_Nm_A=1.09 * reel.torque_constant_Nm_A)
+    numbers = ["gain_error", "viscous_damping", "gauge_offset"]
+    found = plants.explain(given, [driven], effects=numbers)
+    assert (found.verdict, [e.name for e in found.effects]) == (
+        "named",
+        ["gain_error", "gauge_offset"],
+    )
+    for effect, truth in zip(found.effects, (1.0 / 1.09 - 1.0, 1.0), strict=True):
+        (at,) = effect.parameters.values()
+        assert at.low <= truth <= at.high
+        assert at.high - at.low < 0.2 * abs(truth)
+    assert "gauge_offset_N was 0 N and is 1" in found.sentence
+    assert "torque_gain was 1 and is 0.91" in found.sentence
 
 
 def test_candidates_have_probabilities_in_json(rubbing):

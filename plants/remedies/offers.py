@@ -25,6 +25,7 @@ from plants.effects.parameter import Role
 from plants.effects.plant_scale import PlantScale
 from plants.effects.remedy import SAFE_FRACTION, Place, Remedy
 from plants.remedies.behaviour import MEASURES, behaviour
+from plants.remedies.calibration import has_moved
 from plants.remedies.margins import sensitivity
 from plants.simulation.compensation import TrialCompensation, compensation_of
 
@@ -38,10 +39,6 @@ at 1.3 of the friction and 0.8 of it fed forward, a tenth too much is fed at the
 REVERSAL_MARGIN = 0.1
 """What reversals are predicted too well by on machines whose friction is not the model's: 0.10 on
 average over 20 of `experiments.hidden_machines`. The upper end of their interval has it."""
-GAIN_MOVED = 0.05
-OFFSET_NOISES = 10.0
-"""Changes of a calibration from which it comes first: a curve of the gauge for which no effect was
-found has moved the torque's gain by 17 % and the offset by 34 noises."""
 
 
 class FittedNumber(Protocol):
@@ -123,13 +120,7 @@ def _calibrations(diagnosis: Any) -> tuple[Offer, ...]:
     noise = getattr(diagnosis.noise, "channels", {}).get("tension_N")
     for c in diagnosis.calibrations:
         fitted = (c.with_effects if diagnosis.effects else c.base).value
-        by_gain = c.name == "torque_gain" and abs(fitted / (c.given or 1.0) - 1.0) > GAIN_MOVED
-        by_offset = (
-            c.name == "gauge_offset_N"
-            and noise is not None
-            and abs(fitted - c.given) > OFFSET_NOISES * noise.rms
-        )
-        if by_gain or by_offset:
+        if has_moved(c.name, c.given, fitted, noise and noise.rms):
             title = (
                 f"hang weights and calibrate C2 and C1 first: the records move {c.name} from "
                 f"{c.given:.4g} to {fitted:.4g} {c.unit}".rstrip()

@@ -29,7 +29,7 @@ from plants.diagnosis.search.more_records import AllRecords, on_all_records
 from plants.diagnosis.search.screening import Screening
 from plants.diagnosis.search.search import search
 from plants.diagnosis.search.validation import ModelStage, free_run_rms, moved_rms, stage
-from plants.diagnosis.search.wrong_parameter import find_wrong_parameter
+from plants.diagnosis.search.wrong_parameter import find_wrong_parameter, settle_calibrations
 from plants.diagnosis.torque_balance.agreement import (
     SILENT,
     VISIBLE,
@@ -106,6 +106,13 @@ def compare(
     wrong = None
     if conclusion.verdict == "none" and every.line is None:
         wrong = find_wrong_parameter(every.fitter, every.models, choices.calibrations)
+        if wrong is None:
+            settled = settle_calibrations(every.fitter, every.models, choices.calibrations)
+            if settled.effects:
+                wrong = settled
+            else:
+                every = every._replace(models=replace(every.models, base=settled))
+                conclusion = conclusion._replace(stages=(settled,))
     progress("refitting with parts left out", 0.95)
     stages = _stages(every, conclusion.stages if wrong is None else (every.models.given, wrong))
     if wrong is None:

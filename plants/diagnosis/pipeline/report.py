@@ -6,6 +6,7 @@ from typing import Any
 
 from estune.core.gains import Gains
 from estune.trial import RigDescription
+from plants.diagnosis.constants import CONSTANTS
 from plants.diagnosis.data.measured_record import OUTPUTS
 from plants.diagnosis.data.records import FolderContents
 from plants.diagnosis.declared_effects import declared_effects
@@ -14,6 +15,7 @@ from plants.diagnosis.experiments.next_recording import next_recording
 from plants.diagnosis.interval import Interval
 from plants.diagnosis.models.base import BaseNumbers
 from plants.diagnosis.models.diagnosed_model import DiagnosedModel
+from plants.diagnosis.models.free_parameters import BASE
 from plants.diagnosis.pipeline.compare import EffectComparison
 from plants.diagnosis.pipeline.intervals import StatedIntervals
 from plants.diagnosis.recording_plan import NextRecording
@@ -69,7 +71,7 @@ def report(
     following = _next(compared, rig)
     return Diagnosis(
         verdict=compared.verdict,
-        sentence=_sentence(compared, effects, limits, written_unit(plant.output, plant.model)),
+        sentence=_sentence(compared, effects, limits, stated),
         effects=tuple(effects),
         ambiguous=compared.conclusion.tied if compared.verdict == "ambiguous" else (),
         candidates=candidates(compared.screening, compared.models, compared.conclusion),
@@ -108,10 +110,11 @@ def _sentence(
     compared: EffectComparison,
     effects: Sequence[NamedEffect],
     limits: Sequence[Limitation],
-    unit: str,
+    stated: StatedIntervals,
 ) -> str:
-    """Limits of the records, then the verdict; the unit is that of prediction errors."""
-    scale = PlantScale.of(compared.fitter.model.model)
+    """Limits of the records, then the verdict."""
+    plant = compared.fitter.model
+    scale, unit = PlantScale.of(plant.model), written_unit(plant.output, plant.model)
     judged, together = compared.judged, compared.together
     if compared.waves is not None:
         verdict = f"{effects[-1].sentence} {compared.waves.sentence(scale)}"
@@ -128,9 +131,46 @@ def _sentence(
         verdict = verdict_sentence(
             compared.verdict, compared.conclusion, effects, compared.steps, unit
         )
+        verdict += _numbers_corrected(compared, stated)
         if judged is not None:
             verdict = f"{verdict} {of_balance(judged, together, scale)}".rstrip()
     return " ".join([*(f"{limit.sentence}." for limit in limits), verdict])
+
+
+def _numbers_corrected(compared: EffectComparison, stated: StatedIntervals) -> str:
+    """What numbers of the model were and are: those of the effects found, or of a sound model."""
+    scale = PlantScale.of(compared.fitter.model.model)
+    given = {f.name: f for f in compared.fitter.base.free}
+    corrected = {e.base_parameter: e for e in compared.effects if e.base_parameter in given}
+    moved = {} if compared.verdict != "none" else _moved(compared, stated)
+    for name, effect in corrected.items():
+        (size,) = effect.parameters()
+        by, start = stated.believed[f"{effect.name}.{size}"], given[name].start
+        value, low, high = (
+            start + x * (1.0 if by.unit else start) for x in (by.value, by.low, by.high)
+        )
+        moved[name] = Interval(value, low, high, given[name].unit)
+    said = []
+    for name, now in moved.items():
+        unit = f" {scale.unit(now.unit)}".rstrip()
+        was = f"{scale.name(name)} was {given[name].start:.5g}{unit}"
+        said.append(f"{was} and is {now.value:.4g} [{now.low:.4g}, {now.high:.4g}]{unit}")
+    remedy = (
+        "calibrate it anew" if corrected else "an effect that acts alike would be hidden in it"
+    )
+    return f" {'; '.join(said)}: {remedy}." if said else ""
+
+
+def _moved(compared: EffectComparison, stated: StatedIntervals) -> dict[str, Interval]:
+    """Numbers of the base model that are clearly others than those given."""
+    moved = {}
+    for f in compared.fitter.base.free:
+        now = stated.believed.get(f.name)
+        if now is None or f.owner != BASE or f.start <= 0.0 or now.low <= f.start <= now.high:
+            continue
+        if abs(now.value / f.start - 1.0) > CONSTANTS.small:
+            moved[f.name] = now
+    return moved
 
 
 def _named(effect: type[Effect], believed: Mapping[str, Interval], model: Any) -> NamedEffect:

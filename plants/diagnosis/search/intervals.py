@@ -55,8 +55,11 @@ def intervals(
     """
     fitted = model.fitted
     moves = fitter.moves(fitted.predictor)
+    # A number that is wrong as an effect says is not wrong besides: both are one.
+    held = {effect.base_parameter for effect in model.effects}
     if not PlantScale.of(fitter.model.model).has_cable:
-        moves = moves[[fitted.predictor.free[n].name != FIRST_ZERO for n in moves]]
+        held.add(FIRST_ZERO)
+    moves = moves[[fitted.predictor.free[n].name not in held for n in moves]]
     free = [fitted.predictor.free[n] for n in moves]
     values = fitted.values[moves]
     prior = np.array([prior_deviation(f, v) for f, v in zip(free, values.tolist(), strict=True)])

@@ -1,4 +1,4 @@
-"""Whether one wrong number of the model as it was given explains all there is."""
+"""Numbers of the model as it was given that are wrong: one alone, or its calibrations."""
 
 from collections.abc import Sequence
 
@@ -6,6 +6,7 @@ from plants.diagnosis.constants import CONSTANTS
 from plants.diagnosis.search.fitted_models import FittedModels
 from plants.diagnosis.search.model_fitter import CandidateFit, ModelFitter
 from plants.effects import Effect
+from plants.remedies.calibration import has_moved
 
 
 def find_wrong_parameter(
@@ -41,3 +42,40 @@ def find_wrong_parameter(
     others_alone = (fitter.fit((), fitter.base.start, owners=frozenset({n})).J for n in others)
     most = CONSTANTS.floor * best.J
     return best if all(most < J for J in others_alone) else None
+
+
+def settle_calibrations(
+    fitter: ModelFitter, models: FittedModels, effects: Sequence[type[Effect]]
+) -> CandidateFit:
+    """The refitted model whose calibrations are as given, or moved as effects that are found.
+
+    A calibration that moves by more than its tolerance hides what acts alike: it is a finding
+    where the records need it, and as given where the other numbers explain as much without it.
+    """
+    base, noise = models.base, fitter.floor.channels.get("tension_N")
+    given = {f.name: f.start for f in fitter.base.free}
+    moved = [
+        e
+        for e in effects
+        if e.base_parameter in given
+        and has_moved(
+            e.base_parameter,
+            given[e.base_parameter],
+            base.values[e.base_parameter],
+            None if noise is None else noise.rms,
+        )
+    ]
+    if not moved or CONSTANTS.nothing >= models.given.J:
+        return base
+    held = [e.base_parameter for e in moved]
+    as_given = fitter.fit((), fitter.base.start, 40, held=held)
+    if max(CONSTANTS.nothing, CONSTANTS.floor * base.J) >= as_given.J:
+        return as_given
+    predictor = fitter.predictor(tuple(moved))
+    sizes = {}
+    for effect in moved:
+        name, (size,) = effect.base_parameter, effect.parameters()
+        by = base.values[name] / given[name] if name == "torque_gain" else base.values[name]
+        sizes[f"{effect.name}.{size}"] = by - (1.0 if name == "torque_gain" else given[name])
+    others = {f.name: base.values[f.name] for f in fitter.base.free if f.name not in held}
+    return fitter.fit(tuple(moved), predictor.row(others | sizes), 40, held=held)
