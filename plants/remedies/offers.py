@@ -25,7 +25,7 @@ from plants.effects.parameter import Role
 from plants.effects.plant_scale import PlantScale
 from plants.effects.remedy import SAFE_FRACTION, Place, Remedy
 from plants.remedies.behaviour import MEASURES, behaviour
-from plants.remedies.calibration import has_moved
+from plants.remedies.calibration import OFFSET_NOISES, has_moved
 from plants.remedies.margins import sensitivity
 from plants.simulation.compensation import TrialCompensation, compensation_of
 
@@ -120,7 +120,7 @@ def _calibrations(diagnosis: Any) -> tuple[Offer, ...]:
     noise = getattr(diagnosis.noise, "channels", {}).get("tension_N")
     for c in diagnosis.calibrations:
         fitted = (c.with_effects if diagnosis.effects else c.base).value
-        if has_moved(c.name, c.given, fitted, noise and noise.rms):
+        if has_moved(c.name, c.given, fitted, noise and OFFSET_NOISES * noise.rms):
             title = (
                 f"hang weights and calibrate C2 and C1 first: the records move {c.name} from "
                 f"{c.given:.4g} to {fitted:.4g} {c.unit}".rstrip()

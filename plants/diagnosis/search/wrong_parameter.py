@@ -6,7 +6,7 @@ from plants.diagnosis.constants import CONSTANTS
 from plants.diagnosis.search.fitted_models import FittedModels
 from plants.diagnosis.search.model_fitter import CandidateFit, ModelFitter
 from plants.effects import Effect
-from plants.remedies.calibration import has_moved
+from plants.remedies.calibration import OFFSET_NOISES, OFFSET_SHARE, has_moved
 
 
 def find_wrong_parameter(
@@ -53,6 +53,9 @@ def settle_calibrations(
     where the records need it, and as given where the other numbers explain as much without it.
     """
     base, noise = models.base, fitter.floor.channels.get("tension_N")
+    tolerance_N = None
+    if noise is not None:
+        tolerance_N = max(OFFSET_NOISES * noise.rms, OFFSET_SHARE * fitter.scale.reading_max_N)
     given = {f.name: f.start for f in fitter.base.free}
     moved = [
         e
@@ -62,7 +65,7 @@ def settle_calibrations(
             e.base_parameter,
             given[e.base_parameter],
             base.values[e.base_parameter],
-            None if noise is None else noise.rms,
+            tolerance_N,
         )
     ]
     if not moved or CONSTANTS.nothing >= models.given.J:
