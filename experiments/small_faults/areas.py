@@ -61,6 +61,7 @@ AREAS: dict[str, Area] = {
         ),
         (
             "machine",
+            "machine_readings",
             "tuning",
             "request_handler",
             "request_handler_stops",
@@ -71,7 +72,7 @@ AREAS: dict[str, Area] = {
     ),
     "guard": Area(
         ("estune/reel/guard.py", "estune/hardware/guard_watch.py"),
-        ("guard", "machine"),
+        ("guard", "machine", "machine_readings"),
     ),
     "verdict": Area(
         ("plants/diagnosis/search/decide.py", "plants/diagnosis/search/conclusion.py"),
