@@ -164,6 +164,21 @@ def rate_limit(effect):
         assert moved == pytest.approx(ramp.mean(axis=1), abs=1e-6)
 
 
+def sticking_actuator(effect):
+    """He's valve in whole numbers, where it breaks away at 4 and stops 2 short; a dead band."""
+    commands = np.array([0.0, 4.0, 5.0, 6.0, 7.0, 8.0, 3.0, 0.0, -1.0])
+    positions = np.array([0.0, 0.0, 3.0, 3.0, 3.0, 6.0, 6.0, 2.0, 2.0])
+    for weight in (0.0, 0.5, 1.0):
+        law = Law(effect(weight=weight, band_A=6.0, slip=1.0 / 3.0))
+        law.settle(0.0)
+        found = [law.pass_(command) for command in commands]
+        assert found == pytest.approx(commands + weight * (positions - commands))
+    play = Law(effect(band_A=2.0, slip=0.0))
+    play.settle(0.0)
+    found = [play.pass_(command) for command in (0.5, 3.0, 2.0, 1.0, 0.0)]
+    assert found == pytest.approx([0.0, 2.0, 2.0, 2.0, 1.0])
+
+
 def gain_error(effect):
     """Less command holds the same tension."""
     assert rest(REEL + effect(error=0.25))[1] == pytest.approx(15.0 / 1.25)

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import plants
+from experiments.sticking_actuators import draw
 from plants.diagnosis.interval import Interval
 from plants.diagnosis.report.plant_units import in_own_units
 from plants.effects import CoulombFriction
@@ -109,3 +110,17 @@ def test_horizon_of_a_free_stage_exceeds_its_noise(friction_N, verdict):
     assert [effect.name for effect in found.effects] == ["coulomb_friction"] * bool(friction_N)
     for effect in found.effects:
         assert effect.parameters["torque_Nm"].value == pytest.approx(friction_N, rel=0.01)
+
+
+@pytest.mark.parametrize("sticks", [True, False])
+def test_sticking_actuator_of_a_linear_plant_is_named_with_its_band(sticks):
+    believed, logs, loop = draw(6, sticks=sticks)
+    found = plants.explain(believed, logs)
+    if not sticks:
+        assert found.verdict == "none"
+        return
+    (effect,) = found.effects
+    assert (found.verdict, effect.name) == ("named", "sticking_actuator")
+    band = effect.parameters["band_A"]
+    assert band.low <= loop.band <= band.high
+    assert band.value == pytest.approx(loop.band, rel=0.1)

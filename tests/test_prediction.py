@@ -22,7 +22,7 @@ from plants.effects import (
 from tests.support_prediction import LINES, PROFILES, REEL, SMALL, floor, measure, sweep, truth
 from tests.test_prediction_of_plants import swinging
 
-OF_REELS = [name for name, effect in EFFECTS.items() if not effect.without_cable]
+OF_REELS = [n for n, one in EFFECTS.items() if not one.without_cable and not one.of_process]
 
 
 @pytest.mark.usefixtures("interpreted")

@@ -69,6 +69,7 @@ from plants.effects.parameter import parameter as parameter
 from plants.effects.parameter import phase as phase
 from plants.effects.quantisation import Quantisation as Quantisation
 from plants.effects.rate_limit import RateLimit as RateLimit
+from plants.effects.sticking_actuator import StickingActuator as StickingActuator
 from plants.effects.stribeck_friction import StribeckFriction as StribeckFriction
 from plants.effects.string_mode import StringMode as StringMode
 from plants.effects.structural_mode import StructuralMode as StructuralMode

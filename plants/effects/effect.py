@@ -127,6 +127,8 @@ class Effect(ABC):
             an offset of the torque can be told from one of the gauge.
         in_torque: Whether it is found in the balance of torques, not by fitting predictions.
         without_cable: Whether it is looked for only on drives without a cable.
+        of_process: Whether it is looked for only on plants known by input and output: what moves
+            a reel or a drive is a motor's torque.
         smooth: Whether the trial has a derivative by the parameters that is worth following.
         form_error: Relative standard error of its values for the ways in which machines are
             unlike its law, where it is more than of other laws.
@@ -153,6 +155,7 @@ class Effect(ABC):
     by_tension: ClassVar[bool] = False
     in_torque: ClassVar[bool] = False
     without_cable: ClassVar[bool] = False
+    of_process: ClassVar[bool] = False
     smooth: ClassVar[bool] = True
     form_error: ClassVar[float] = 0.0
 

@@ -62,6 +62,10 @@ def _may_push(base: LinearBase, effect: type[Effect]) -> bool:
     return bool(np.allclose(moved[0], moved[1], rtol=1e-6, atol=1e-9))
 
 
+MOVED_BY_TORQUE = (
+    "it is of an actuator that has a position, and a motor's torque moves the machine"
+)
+
 _COMMON_NAMES = ("torque_unit", "angle_unit", "viscous_friction_Nms")
 _ABSENT = {
     True: "which a drive without a cable does not have",

@@ -20,6 +20,7 @@ from plants.diagnosis.models.free_parameters import (
 )
 from plants.diagnosis.models.initial_states import shifted
 from plants.effects import Effect
+from plants.models.effect_applicability import MOVED_BY_TORQUE
 from plants.models.path_structure import GRAVITY_M_S2
 from plants.models.reel import Reel
 from plants.models.reel_equations import (
@@ -119,7 +120,9 @@ class DiagnosedReel(DiagnosedModel):
         return self.model.tension_N
 
     def unavailable(self, effect: type[Effect]) -> str | None:
-        """Every effect but those of a load on the axis."""
+        """Every effect but those of a load on the axis or of an actuator that has a position."""
+        if effect.of_process:
+            return MOVED_BY_TORQUE
         return "it is of a load on the axis, not of a cable" if effect.without_cable else None
 
     def structure(self, effects: tuple[type[Effect], ...]) -> ReelStructure:

@@ -19,7 +19,7 @@ from plants.diagnosis.models.free_parameters import (
     positive,
 )
 from plants.effects import Effect, Role
-from plants.models.effect_applicability import unavailable
+from plants.models.effect_applicability import MOVED_BY_TORQUE, unavailable
 from plants.models.linear_structures import DrumStructure
 from plants.models.linear_with_effects import LinearEffectStructure
 from plants.models.unloaded_reel import UnloadedReel
@@ -47,7 +47,9 @@ class DiagnosedDrum(DiagnosedModel):
         return 0.0
 
     def unavailable(self, effect: type[Effect]) -> str | None:
-        """Effects of cable, eyelet and gauge have no place."""
+        """Effects of cable, eyelet and gauge have no place, nor one of an actuator's position."""
+        if effect.of_process:
+            return MOVED_BY_TORQUE
         return unavailable(DrumStructure(), effect)
 
     def structure(self, effects: tuple[type[Effect], ...]) -> LinearEffectStructure:

@@ -18,6 +18,11 @@ from plants.diagnosis.search.model_fitter import CandidateFit, ModelFitter
 from plants.diagnosis.search.screening import ScreeningResult
 from plants.effects import Effect, Role
 
+FINER, NEAR = (0.7, 0.2, 0.05), 31
+"""Spreads about a fit within which shapes of a law with leaps are tried again, and values of each.
+No derivative shows a leap that comes a sample later: a band 7 % off leaves 5.6 noise floors where
+the true one leaves 0.8, and fits stayed at 2 to 4."""
+
 SHAPES = (Role.SHAPE, Role.FREQUENCY, Role.PERIODS)
 
 
@@ -46,13 +51,42 @@ def fit_added(
             beside = _beside(fitter, screened, simpler, current, rests=rests)
             pools.append([predictor.row(v) for v in beside])
     shapes = [f"{screened.effect.name}.{n}" for n in screened.effect.named(*SHAPES)]
+    sizes = screened.effect.named(Role.SIZE)
     most = max(1, (2, 4, 8)[min(len(shapes), 2)] // min(len(pools), 2))
     starts = []
     for pool in pools:
         rows = fitter.best_starts(predictor, np.array(pool), 2 * most)
         starts.append(fitter.best_starts(predictor, fitter.placed(effects, rows), most))
     rows = np.concatenate(starts)
-    return halved(fitter, effects, rows, shapes, least)
+    found = halved(fitter, effects, rows, shapes, least)
+    if screened.effect.smooth or not shapes:
+        return found
+    usual = {f"{screened.effect.name}.{n}": getattr(screened.effect(), n) for n in sizes}
+    for spread in FINER:
+        rows = _about(found, shapes, usual, spread)
+        near = fitter.best_starts(predictor, rows, 2 * most)
+        found = min(found, halved(fitter, effects, near, shapes, least), key=lambda fit: fit.J)
+    return found
+
+
+def _about(
+    found: CandidateFit, shapes: Sequence[str], usual: Mapping[str, float], spread: float
+) -> FloatArray:
+    """Rows about a fit: shapes up to a share of them or their range away, sizes as usual."""
+    rows, free = [], found.fitted.predictor.free
+    places = [n for n, one in enumerate(free) if one.name in shapes]
+    steps = np.linspace(-spread, spread, NEAR).tolist()
+    for by in itertools.product(steps, repeat=len(places)):
+        row = found.fitted.values.copy()
+        for n, one in enumerate(free):
+            row[n] = usual.get(one.name, row[n])
+        for n, step in zip(places, by, strict=True):
+            one = free[n]
+            grown = one.scale == "log"
+            moved = row[n] * math.exp(step) if grown else row[n] + step * (one.high - one.low)
+            row[n] = min(max(moved, one.low), one.high)
+        rows.append(row)
+    return np.array(rows)
 
 
 def halved(
