@@ -158,6 +158,10 @@ def _numbers_corrected(compared: EffectComparison, stated: StatedIntervals) -> s
     remedy = (
         "calibrate it anew" if corrected else "an effect that acts alike would be hidden in it"
     )
+    factors = [now.value / given[name].start for name, now in moved.items() if given[name].start]
+    if any(not 1.0 / CONSTANTS.range < factor < CONSTANTS.range for factor in factors):
+        # Torques in mN m gave a friction of 19 200 N m s/rad, to be calibrated.
+        remedy = "a column in another unit looks like that; check them, else calibrate it anew"
     return f" {'; '.join(said)}: {remedy}." if said else ""
 
 
