@@ -170,6 +170,9 @@ def test_cost_of_a_batch_is_that_of_its_members(move_weight):
     assert np.shape(batch) == (2, 7)
     assert isinstance(one_by_one[0][0], float)
     np.testing.assert_allclose(batch, one_by_one, rtol=1e-12)
+    setpoints = np.broadcast_to(setpoint, measurements.shape)
+    again = cost.evaluate(SAMPLING_Hz, SHAPE, setpoints, measurements, efforts)
+    np.testing.assert_array_equal(again, batch)
 
 
 @pytest.mark.parametrize("where", [STEP_INDEX, SAMPLES // 2, SAMPLES - 1])

@@ -2,6 +2,7 @@
 
 import math
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -46,6 +47,15 @@ def test_zero_gain_is_held_at_zero():
     space_around = SearchSpace.around(Gains(1.0, 10.0, 0.0, 0.0))
     assert space_around.names == ("P", "I")
     assert space_around.gains((2.0, 20.0)) == Gains(2.0, 20.0, 0.0, 0.0)
+
+
+@pytest.mark.parametrize("form", ["parallel", "standard"])
+def test_directions_are_the_slopes_of_the_logarithms_of_the_gains(form):
+    space = SearchSpace.around(GAINS, form=form)
+    for n, direction in enumerate(space.directions):
+        moved = [x * (np.e if i == n else 1.0) for i, x in enumerate(space.start)]
+        ratios = np.divide(space.gains(tuple(moved)).as_tuple(), GAINS.as_tuple())
+        assert np.log(ratios) == pytest.approx(direction)
 
 
 def test_standard_form_gives_the_gains_of_the_parallel_form():
