@@ -209,6 +209,13 @@ def test_stabilised_unstable_plant_has_margins():
     assert result.phase_margin_deg > 40.0
 
 
+def test_rest_of_an_integrating_plant_is_no_crossing():
+    controller = settings(1000.0, 0.0)
+    result = margins(linear_model(1 / s), Gains(0.01, 0.0, 0.0, 0.0), controller)
+    # P h/(z - 1) is -P h/2 at half the sampling rate.
+    assert result.gain_margin == pytest.approx(2.0 * 1000.0 / 0.01, rel=1e-3)
+
+
 @pytest.mark.parametrize("system", [0.2 / (s + 1), control.tf([0.0], [1.0, 1.0])])
 def test_loop_below_one_has_no_crossover(system):
     result = margins(linear_model(system), Gains(0.5, 0.0, 0.0, 0.0), settings(100.0, 0.0))
