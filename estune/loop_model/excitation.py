@@ -33,10 +33,10 @@ from estune.loop_model.plant_error import (
 )
 from estune.loop_model.records import LoopRecord
 
-SHARE_WANTED = 0.02
-"""Largest share of |1 + L| that the noise may hide after an excitation: it adds 2 % to Ms."""
+SHARE_WANTED = 0.005
+"""Largest share of |1 + L| that the noise may hide after an excitation: it adds 0.5 % to Ms."""
 
-ENOUGH = 0.05
+ENOUGH = 0.02
 """Share by which the end of Ms may exceed the model's before an excitation is worth a trial."""
 
 

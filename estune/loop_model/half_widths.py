@@ -24,10 +24,10 @@ not predicted. The peak of a record is 0.4 times its noise too high on average a
 times (15 random loops, noise of 0.2 to 2 % of the step), so that of two records the upper end of
 the interval lies 1.4 times higher on average, and 2 times higher in one of ten."""
 
-REPEATS, MOVES = 2, 1.25
+REPEATS, MOVES = 2, 1.5
 """Trials of a confirmation at least, and the half width of the overshoot then over that before,
 with what its estimate moves by: with 1 the upper end lay 0.01 to 0.14 % of the step above the
-limit on 3 of 14 plants of `experiments.batch` whose overshoot is limited."""
+limit on 3 of 14 plants of `experiments.batch` whose overshoot is limited, with 1.25 on 2."""
 
 PHASE_MARGIN_deg = 2.0
 """Half width of the phase margin before it is known: they are 1 to 2 degrees."""
@@ -45,6 +45,11 @@ class HalfWidths(NamedTuple):
     sensitivity: float
     overshoot: float
     phase_margin_deg: float
+
+    @property
+    def is_wide(self) -> bool:
+        """Whether the search aims outside of what the interval of Ms asks for."""
+        return self.sensitivity >= LARGEST
 
     @classmethod
     def assumed(cls, noise: float) -> "HalfWidths":

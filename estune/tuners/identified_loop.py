@@ -413,7 +413,7 @@ class IdentifiedLoopTuner:
         """Remaining improvement within the limits, by draws from the posterior of the model."""
         best = log_of_cost(self._at(state, fit, state.base))
         close = best - math.log(optimum.prediction.cost) < WORTH_DRAWING
-        if len(state.costs) < CLOSE_FROM or not (close and optimum.feasible):
+        if beside is None or beside.is_wide or not (close and optimum.feasible):
             return None
         if self._at_edge(state, fit, optimum):
             return None
