@@ -20,6 +20,7 @@ from estune.loop_model.intervals import (
     predict_with_intervals,
 )
 from estune.loop_model.loop_fit import LoopFit
+from estune.loop_model.peak import shown_overshoot
 from estune.loop_model.plant_error import ErrorMargin, error_margin, plant_error, unknown_band
 from estune.loop_model.prediction import StepTrial, cost_deviation, predict
 from estune.loop_model.records import LoopRecord
@@ -127,6 +128,8 @@ def claim(
         if not reason:
             others = contradicting_sensitivities(fit, records, gains, settings)
             margins = _widened(margins_by_records(fit, records, trial, gains), margin, others)
+            overshoot = shown_overshoot(fit, records, trial, gains, margins.overshoot)
+            margins = margins._replace(overshoot=overshoot)
             if math.isfinite(margins.sensitivity.high):
                 return Claim(margins, "", misfit, fit.is_white)
             reason = "the records leave open whether the loop is stable with these gains"
