@@ -156,6 +156,8 @@ def test_nominal_gains_are_restored_on_a_restarted_rig(tmp_path):
         with zenoh.serve(again, where):
             it.until_mode("watching")
             assert again.describe().gains == accepted_status.gains["accepted"] != ORIGINAL
+            it.service.stop()  # while its rig is there: it waits for one that is gone
+            it.thread.join(WITHIN_S)
 
 
 def test_single_outlying_check_is_repeated_and_starts_no_tuning(tmp_path):
