@@ -118,11 +118,11 @@ def measure(process: Process, at: Conditions) -> Row:
         return row | {"estune": [run for run, *_ in runs], "rules": {}}
     rules = {} if process.family == UNSTABLE else {n: rule(loop) for n, rule in RULES.items()}
     filtered = {n: with_best_filter(loop, scored, gains) for n, gains in rules.items() if gains}
-    best_rule = sorted(filtered.values(), key=lambda gains: loop.judged(gains, scored)[0])[:1]
+    tried = [list(filtered.values()), [gains for _, gains, _ in runs]]
+    nearest = [min(some, key=lambda g: loop.judged(g, scored)[0]) for some in tried if some]
     poor = start_of(process)
     slow = replace(poor, setpoint_filter_s=SLOW_FILTER * process.settling_time_s)
-    starts = [poor, slow, *best_rule, *(gains for _, gains, _ in runs)]
-    best = optimum(loop, scored, starts)
+    best = optimum(loop, scored, [poor, slow, *nearest])
     least = loop.at(best, scored)
     row["optimum"] = figures_of(least, least.cost) | {"gains": list(best.as_tuple())}
     row["rules"] = {n: figures_of(loop.at(g, scored), least.cost) for n, g in filtered.items()}
