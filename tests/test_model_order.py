@@ -13,7 +13,7 @@ from estune.core.gains import Gains
 from estune.loop_model.drawn_models import drawn_models, white_factor
 from estune.loop_model.fitting import fit_loop
 from estune.loop_model.hum import hum_of
-from estune.loop_model.identification import PoleFit, improve
+from estune.loop_model.identification import PoleFit, improve, search_dead_time
 from estune.loop_model.intervals import predict_with_intervals
 from estune.loop_model.least_squares import signals_of
 from estune.loop_model.margins import robustness
@@ -81,6 +81,30 @@ def test_dead_time_is_searched_again_with_the_poles_that_were_added():
 
     dead = fit.model.dead_samples
     assert squares(dead) <= min(squares(dead - 1), squares(dead + 1)) * (1.0 + 1e-6)
+
+
+@pytest.mark.parametrize("least", [0, 3, 40])
+def test_search_fits_each_dead_time_once_and_ends_at_the_least(least):
+    fitted_at = list[int]()
+
+    def fit(beside, dead):
+        fitted_at.append(dead)
+        return PoleFit((dead - least) ** 2, beside.coordinates, dead)
+
+    start = PoleFit((20 - least) ** 2, np.zeros(1), 20)
+    assert search_dead_time(fit, start, step=4).dead == least
+    assert len(fitted_at) == len({20, *fitted_at}) - 1
+
+
+@pytest.mark.parametrize(("count", "order"), [(1, 1), (2, 2)])
+def test_earlier_fit_of_one_pole_is_kept_only_where_the_records_ask_for_no_more(count, order):
+    gains = Gains(0.6, 1.6, 0.01, 0.03)
+    last = fitted(lags(1, 0.085), gains, range(3))
+    assert last.order == 1
+    records = [record_of(lags(count, 0.085), gains, number) for number in range(3, 6)]
+    fit = fit_loop(records, SAMPLING_HZ, 0.5, last)
+    assert fit.order == order
+    assert fit.is_white
 
 
 @pytest.mark.parametrize(
