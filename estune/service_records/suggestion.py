@@ -18,7 +18,7 @@ from estune.loop_model.optimum import RobustnessLimits
 from estune.loop_model.prediction import StepTrial
 from estune.recordings.loop_log import LoopLog
 from estune.service_records.advice import advise
-from estune.service_records.cause.judge import Cause, judge_cause, with_margins
+from estune.service_records.cause.judge import Cause, judge_logs, with_margins
 from estune.service_records.gain_sets import cut, gain_sets
 from estune.service_records.identification import (
     ServiceLoop,
@@ -108,7 +108,7 @@ def suggest(
 
     Raises:
         InvalidInput: there is no usable log.
-        GainsUnknown: no gains are known; it has the cause of what the last log shows.
+        GainsUnknown: no gains are known; it has the cause that the logs show.
 
     Example::
 
@@ -120,7 +120,7 @@ def suggest(
     settings = logs.controller or ControllerSettings(
         logs.logs[0].sampling_Hz, derivative_filter_s or 0.0, -math.inf, math.inf, form
     )
-    cause = judge_cause(logs.logs[-1])
+    cause = judge_logs(logs.logs)
     parts, left_out, replays = _usable(logs, gains, settings, cause)
     decides = _deciding(replays)
     if decides is not None and decides.explained and decides.controller is not None:

@@ -87,20 +87,20 @@ def sensitivity(plant: Lags, pid: Pid) -> float:
     return float(np.max(1.0 / np.abs(1.0 + L)))
 
 
-def plant_of(random: Random) -> Lags:
-    """First to third order, a third of them integrating, 1.5 to 20 samples a response."""
+def plant_of(random: Random, fastest: float = 1.5) -> Lags:
+    """First to third order, a third of them integrating, some samples to 20 a response."""
     integrating = bool(random.random() < 0.35)
     count = int(random.integers(0, 3) if integrating else random.integers(1, 4))
     lags = [random.uniform(0.3, 1.0) for _ in range(count)]
     dead_time = random.uniform(0.1, 1.0) * (sum(lags) or 1.0)
-    scale = math.exp(random.uniform(math.log(1.5), math.log(20.0))) / (dead_time + sum(lags))
+    scale = math.exp(random.uniform(math.log(fastest), math.log(20.0))) / (dead_time + sum(lags))
     gain = random.choice([-1.0, 1.0]) * 10.0 ** random.uniform(-1.0, 1.0)
     scaled = tuple(sorted((lag * scale for lag in lags), reverse=True))
     return Lags(scaled, integrating, max(dead_time * scale, 0.3), gain)
 
 
-def sound(random: Random, plant: Lags) -> Pid:
-    """P, PI or PID by the SIMC rules (Skogestad 2003), one to four times their slowest pole."""
+def sound(random: Random, plant: Lags, slowest: float = 4.0) -> Pid:
+    """P, PI or PID by the SIMC rules (Skogestad 2003), one to `slowest` times their dead time."""
     kinds = ("P", "PI", "PI", "PID") if plant.integrating else ("PI", "PI", "PID")
     kind = random.choice(kinds)
     lags = [*plant.lags, 0.0, 0.0]
@@ -109,7 +109,7 @@ def sound(random: Random, plant: Lags) -> Pid:
     first, rest = (0.0, lags) if plant.integrating else (lags[0], lags[1:])
     second = rest[0] if derivative else 0.0
     late += sum(rest) - second
-    closed = late * math.exp(random.uniform(0.0, math.log(4.0)))
+    closed = late * math.exp(random.uniform(0.0, math.log(slowest)))
     if plant.integrating:
         P, integral = 1.0 / (plant.gain * (closed + late)), 4.0 * (closed + late)
     else:
@@ -118,7 +118,8 @@ def sound(random: Random, plant: Lags) -> Pid:
     return Pid(P, 0.0 if kind == "P" else P / integral, P * second)
 
 
-def _wander(random: Random, count: int, correlation: float, deviation: float) -> FloatArray:
+def wander(random: Random, count: int, correlation: float, deviation: float) -> FloatArray:
+    """A signal of a correlation time in samples, shape (count,)."""
     keep = math.exp(-1.0 / correlation)
     white, x, level = random.normal(size=count), np.zeros(count), deviation * random.normal()
     for k in range(count):
@@ -127,7 +128,8 @@ def _wander(random: Random, count: int, correlation: float, deviation: float) ->
     return x
 
 
-def _setpoint(random: Random, count: int, pace: float, kind: str) -> FloatArray:
+def setpoint_of(random: Random, count: int, pace: float, kind: str) -> FloatArray:
+    """A setpoint of some kind, shape (count,), for a loop of a pace in samples."""
     r = np.zeros(count)
     if kind == "steps":
         for at in range(int(8 * pace), count, int(random.uniform(15.0, 30.0) * pace) + 15):
@@ -136,14 +138,14 @@ def _setpoint(random: Random, count: int, pace: float, kind: str) -> FloatArray:
         for at in random.integers(count // 8, count, random.integers(1, 4)):
             r[at:] += random.choice([-1.0, 1.0]) * random.uniform(0.1, 0.5)
     elif kind == "cascade":
-        r = _wander(random, count, random.uniform(2.0, 10.0) * pace, random.uniform(0.05, 0.2))
+        r = wander(random, count, random.uniform(2.0, 10.0) * pace, random.uniform(0.05, 0.2))
     elif kind == "ramps":
         times = np.sort(random.integers(0, count, 6))
         r = np.interp(np.arange(count), times, np.repeat(random.uniform(-0.4, 0.4, 3), 2))
     return r
 
 
-class _Run(NamedTuple):
+class LoopRun(NamedTuple):
     """What acts on a loop while it runs."""
 
     setpoint: FloatArray
@@ -153,7 +155,7 @@ class _Run(NamedTuple):
     sensor: Callable[[int, float], float] | None = None
 
 
-def _run(random: Random, plant: Lags, pid: Pid, what: _Run) -> tuple[FloatArray, FloatArray]:
+def run(random: Random, plant: Lags, pid: Pid, what: LoopRun) -> tuple[FloatArray, FloatArray]:
     """Measurement and output of a loop with a valve of static and sliding friction, and spread."""
     count, step = what.setpoint.size, 1.0 / SUBSTEPS
     y, u = np.zeros(count), np.zeros(count)
@@ -180,19 +182,19 @@ def _run(random: Random, plant: Lags, pid: Pid, what: _Run) -> tuple[FloatArray,
             late.append(at + float(what.load[k]))
             z = plant.gain * late.pop(0)
             for i, lag in enumerate(plant.lags):
-                lags[i] += step / lag * (z - lags[i])
+                lags[i] += min(step / lag, 1.0) * (z - lags[i])
                 z = lags[i]
             level = level + step * z if plant.integrating else z
     return y, u
 
 
-def _tight(random: Random, plant: Lags, pid: Pid) -> Pid:
-    """More gain, or more integral, up to an Ms of 3 to 9 on the stable side."""
+def tight(random: Random, plant: Lags, pid: Pid, by: float = 1.02) -> Pid:
+    """More gain, or more integral, in steps up to an Ms of 3 to 9 on the stable side."""
     wanted, factor = random.uniform(3.0, 9.0), 1.0
     integral = random.choice([1.0, 1.0, 3.0]) if pid.I else 1.0
     while sensitivity(plant, pid.scaled(factor, integral)) < wanted and factor < 50.0:
-        factor *= 1.02
-    return pid.scaled(factor / 1.02, integral)
+        factor *= by
+    return pid.scaled(factor / by, integral)
 
 
 def _sensor(random: Random, kind: str, count: int, pace: float) -> Callable[[int, float], float]:
@@ -218,15 +220,15 @@ def _with_fault(
     random: Random,
     what: tuple[str, str],
     loop: tuple[Lags, Pid],
-    usual: _Run,
+    usual: LoopRun,
     facts: dict[str, Any],
-) -> tuple[_Run, Pid]:
+) -> tuple[LoopRun, Pid]:
     """What acts on a loop with a fault, and its gains."""
     (cause, detail), (plant, pid) = what, loop
     count, pace = usual.load.size, max(plant.pace, 1.0)
     if cause == "tuning":
         if detail == "tight":
-            return usual, _tight(random, plant, pid)
+            return usual, tight(random, plant, pid)
         return usual, pid.scaled(1.0 / random.uniform(8.0, 20.0))
     if cause == "sticking":
         band = plant.effort * math.exp(random.uniform(math.log(0.05), math.log(1.0)))
@@ -280,23 +282,23 @@ def _drawn(random: Random, cause: str, noise_most: float) -> DrawnLog | None:
     detail = str(random.choice(kinds.get(cause, ("",))))
     moves = ("still", "still", "steps", "few", "cascade", "ramps")
     move = str(random.choice(moves)) if detail not in ("slow", "noise") else "steps"
-    r = _setpoint(random, count, pace, move)
+    r = setpoint_of(random, count, pace, move)
     noise = 10.0 ** random.uniform(-3.0, math.log10(noise_most))
     slow = random.uniform(2.0, 20.0) * pace if random.random() < 0.7 else count / 5.0
-    load = _wander(random, count, slow, plant.effort * random.uniform(0.02, 0.1))
+    load = wander(random, count, slow, plant.effort * random.uniform(0.02, 0.1))
     readings = noise * random.normal(size=count)
     if random.random() < 0.3:
-        readings += _wander(random, count, math.exp(random.uniform(0.0, 3.0)), 0.7 * noise)
-    usual = _Run(r, load, readings)
+        readings += wander(random, count, math.exp(random.uniform(0.0, 3.0)), 0.7 * noise)
+    usual = LoopRun(r, load, readings)
     facts: dict[str, Any] = {"noise": noise, "move": move, "integrating": plant.integrating}
     faulty, gains = _with_fault(random, (cause, detail), (plant, pid), usual, facts)
     state = random.bit_generator.state
-    y, u = _run(random, plant, gains, faulty)
+    y, u = run(random, plant, gains, faulty)
     if not np.isfinite(y).all() or np.ptp(y) > 30.0:
         return None
     if cause != "none":
         random.bit_generator.state = state
-        quiet, _ = _run(random, plant, pid, usual)
+        quiet, _ = run(random, plant, pid, usual)
         if np.std(r - y) < MATERIAL * np.std(r - quiet) and cause != "sensor":
             return None
     facts |= {"Ms": sensitivity(plant, gains), "P": gains.P, "I": gains.I, "D": gains.D}

@@ -50,12 +50,17 @@ class CauseEvidence(NamedTuple):
 NAMES = (
     "gain", "informed", "slow linear", "slow sticking", "curved", "moving", "offset", "together",
     "returns", "later", "line", "sharp", "line of error", "beside peak", "Ms", "room", "jump",
-    "noise", "integrating", "band",
+    "noise", "integrating", "band", "blocks",
 )  # fmt: skip
 
 CLIP = (-6.0, 12.0)
 """Least and greatest gain in likelihood of one block of forty that counts: one setpoint step whose
 model is a sample late would else outvote the rest of the log."""
+
+BETTER = 0.5
+"""Gain in log likelihood by which one law foretells a block better than the other. A load step is
+in two or three blocks of forty; an actuator that sticks shows in most of them, with swings of the
+same shape whatever their size."""
 
 
 def evidence(log: JudgedSignals) -> CauseEvidence:
@@ -96,6 +101,7 @@ def evidence(log: JudgedSignals) -> CauseEvidence:
         min(white / (float(np.std(signals.measurement)) or 1.0), 1.0),
         float(predicted.linear.pole == 1.0),
         math.log(band + 1e-3),
+        float(np.mean(predicted.blocks > BETTER) - np.mean(predicted.blocks < -BETTER)),
     )
     return CauseEvidence(
         signals,

@@ -1,7 +1,8 @@
 """The cause of what a log shows, with its probability and its numbers."""
 
 import math
-from collections.abc import Mapping
+from collections import defaultdict
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -10,7 +11,7 @@ import numpy as np
 from estune.core.quantities import FloatArray
 from estune.recordings.loop_log import LoopLog
 from estune.service_records.cause import margins
-from estune.service_records.cause.evidence import CLIP, CauseEvidence, evidence
+from estune.service_records.cause.evidence import CauseEvidence, evidence
 from estune.service_records.cause.loop_signals import JudgedSignals
 from estune.service_records.cause.predictors import around
 from estune.service_records.cause.probability import CauseName, probabilities
@@ -31,11 +32,6 @@ BAND_FACTOR, SLIP_SHARE = 1.25, 0.75
 """What the interval of a band is widened by, and that of a slip, over the band: of 170 simulated
 actuators the likelihood alone holds 64 % of the bands and 49 % of the slips; 1.2 times as wide it
 holds 94 % of the bands, and half a band wider 80 % of the slips."""
-
-MATERIAL = 0.4
-"""Least gain in likelihood by a sticking actuator over that by the output in a linear loop. Of
-simulated sound loops 2.7 % are called sticking without it, 2.0 % with it; of sticking ones 65 and
-62 % are told."""
 
 TIGHT = 1.8
 """Ms above which the tuning is called too tight, below it too slow: sound loops lie below."""
@@ -114,6 +110,26 @@ def judge_cause(log: LoopLog) -> Cause:
     return judge_signals(between_limits(signals), log.name)
 
 
+def judge_logs(logs: Sequence[LoopLog]) -> Cause:
+    """The cause that most logs of a loop show, as the log has it that shows it best.
+
+    Logs that show another one are named: a sensor that froze in one of ten is still to be seen to.
+    """
+    judged = [judge_cause(log) for log in logs]
+    told = [cause for cause in judged if cause.name != "unknown"]
+    if len(judged) == 1 or not told:
+        return judged[-1]
+    weight = defaultdict[CauseName, float](float)
+    for cause in told:
+        weight[cause.name] += cause.probability
+    name = max(weight, key=lambda one: weight[one])
+    best = max((c for c in told if c.name == name), key=lambda c: c.probability)
+    count = sum(c.name == name for c in told)
+    others = [f"{_WORDS[c.name]} in {c.log}" for c in told if c.name != name]
+    shown = f"{best.words} ({best.log}; {count} of {len(judged)} logs)"
+    return replace(best, words="; ".join([shown, *others]))
+
+
 def between_limits(signals: JudgedSignals) -> JudgedSignals:
     """The longest part in which the output is not held at its least or greatest value.
 
@@ -179,11 +195,6 @@ def judge_signals(signals: JudgedSignals, name: str = "") -> Cause:
     if shown.faults:
         return _of(shown, "sensor", {"sensor": 1.0}, name)
     weighed: dict[CauseName, float] = probabilities(shown.numbers)
-    gain = float(np.clip(shown.predicted.blocks, *CLIP).sum())
-    if gain < MATERIAL * shown.predicted.informed:
-        # What it takes from sticking is for the others to share.
-        rest = 1.0 - weighed["sticking"]
-        weighed = {cause: p / rest for cause, p in weighed.items()} | {"sticking": 0.0}
     likeliest = max(weighed, key=lambda cause: weighed[cause])
     told = weighed[likeliest] >= TOLD.get(likeliest, SURE)
     return _of(shown, likeliest if told else "unknown", weighed, name)

@@ -3,6 +3,7 @@
 from collections.abc import Iterator
 
 import numpy as np
+from matplotlib.axes import Axes
 
 from estune.core.quantities import FloatArray
 from estune.service_records.cause.judge import Cause
@@ -35,38 +36,51 @@ def sections(cause: Cause | None) -> tuple[Section, ...]:
 
 
 def _pictures(cause: Cause, signals: JudgedSignals) -> Iterator[Block]:
-    time_s = np.arange(signals.samples) * signals.interval_s
-    figure, (above, below) = stacked(2, 4.4)
-    above.plot(time_s, signals.setpoint, color=GREY, lw=1.0, label="setpoint")
-    above.plot(time_s, signals.measurement, color=BLUE, lw=0.8, label="measurement")
-    below.plot(time_s, signals.output, color=ORANGE, lw=0.8)
-    finish(above, "measurement")
-    finish(below, "output", "time, s")
-    legend(above)
+    figure, panels = stacked(2, 4.4)
+    draw_time(signals, *panels)
     yield Drawing(
         figure, "cause-time", "Setpoint, measurement and output over time", f"{cause.heading()}"
     )
     figure = new_figure(7.2, 3.4)
-    ax = figure.add_subplot()
-    ax.plot(signals.output, signals.measurement, color=BLUE, lw=0.6)
-    finish(ax, "measurement", "output")
+    draw_plane(signals, figure.add_subplot())
     yield Drawing(
         figure, "cause-plane", "Measurement over output as one curve", _SIGNS[cause.name]
     )
     figure = new_figure(7.2, 2.8)
-    ax = figure.add_subplot()
-    left = cause.disturbance if cause.disturbance is not None else signals.error
-    for x, color, label in ((signals.error, BLUE, "error"), (left, ORANGE, "disturbance")):
-        periods, power = _spectrum(x, signals.interval_s)
-        ax.loglog(periods, power, color=color, lw=0.8, label=label)
-    finish(ax, "share of variance", "period, s")
-    legend(ax)
+    draw_spectrum(cause, signals, figure.add_subplot())
     yield Drawing(
         figure,
         "cause-spectrum",
         "Share of the variance of error and disturbance over the period",
         "The disturbance is what a linear plant behind the output leaves of the measurement.",
     )
+
+
+def draw_time(signals: JudgedSignals, above: Axes, below: Axes) -> None:
+    """Setpoint and measurement over time, and the output below."""
+    time_s = np.arange(signals.samples) * signals.interval_s
+    above.plot(time_s, signals.setpoint, color=GREY, lw=1.0, label="setpoint")
+    above.plot(time_s, signals.measurement, color=BLUE, lw=0.8, label="measurement")
+    below.plot(time_s, signals.output, color=ORANGE, lw=0.8)
+    finish(above, "measurement")
+    finish(below, "output", "time, s")
+    legend(above)
+
+
+def draw_plane(signals: JudgedSignals, ax: Axes) -> None:
+    """Measurement over output as one curve."""
+    ax.plot(signals.output, signals.measurement, color=BLUE, lw=0.6)
+    finish(ax, "measurement", "output")
+
+
+def draw_spectrum(cause: Cause, signals: JudgedSignals, ax: Axes) -> None:
+    """Share of the variance of error and disturbance over the period."""
+    left = cause.disturbance if cause.disturbance is not None else signals.error
+    for x, color, label in ((signals.error, BLUE, "error"), (left, ORANGE, "disturbance")):
+        periods, power = _spectrum(x, signals.interval_s)
+        ax.loglog(periods, power, color=color, lw=0.8, label=label)
+    finish(ax, "share of variance", "period, s")
+    legend(ax)
 
 
 def _spectrum(x: FloatArray, interval_s: float) -> tuple[FloatArray, FloatArray]:
