@@ -3,30 +3,33 @@
 Command: `python -m experiments.service_records.cause_pictures --out docs/images`.
 Target: none; it draws `cause_NAME.png` for `docs/how-to/logs.md`.
 
-Of simulated loops of each cause the first that is told with `CLEAR` or more.
+Of simulated loops of each cause the first that is told clearly.
 """
 
 import sys
 
 from estune.service_records.cause.judge import Cause, judge_signals
-from estune.service_records.cause.loop_signals import JudgedSignals
+from estune.service_records.cause.loop_signals import JudgedSignals, swings
 from estune.service_records.cause.page import draw_plane, draw_spectrum, draw_time
 from estune.support.plot_style import new_figure, to_png
 from experiments.results import command_line
 from experiments.service_records.loops import CAUSES, draw
 
-CLEAR = 0.9
+CLEAR, SWINGS = 0.7, 6
+"""Least probability of a cause, and swings of the output of one that swings."""
 
 
 def clear(cause: str) -> Cause:
     """The first simulated loop of a cause that is told clearly."""
-    for seed in range(100):
+    for seed in range(300):
         log = draw(seed, cause)
         signals = JudgedSignals(log.setpoint, log.measurement, log.output, 1.0)
         found = judge_signals(signals)
-        if found.name == cause and found.probability >= CLEAR:
+        few = cause not in ("sensor", "none") and len(swings(log.output)) < SWINGS
+        few |= found.numbers.get("direction") == "slow"
+        if found.name == cause and found.probability >= CLEAR and not few:
             return found
-    raise RuntimeError(f"no loop of seeds 0 to 99 shows {cause} clearly")
+    raise RuntimeError(f"no loop of seeds 0 to 299 shows {cause} clearly")
 
 
 def picture(cause: Cause) -> bytes:

@@ -23,10 +23,12 @@ SHORTEST = 100
 """Samples of a log whose cause is judged: five swings of twenty samples."""
 
 TOLD = {"sticking": 0.5}
-"""Probability from which a cause is told, `SURE` of the others."""
+"""Probability from which a cause is told, `SURE` of the others. Of 25 logs of a plant, which took
+no part, the nine that stick are at 0.55 or more, the sixteen sound ones at 0.44 or less."""
 
 SURE = 0.65
-"""Of 960 simulated loops, left out in turn, 76 % are told from there, 92 % of those rightly."""
+"""Of 350 simulated loops that the weights have not seen, 77 % are told from there, 90 % of those
+rightly, and 2.9 % of the others are called sticking; from 0.6 of sticking, 76, 91 and 1.8 %."""
 
 BAND_FACTOR, SLIP_SHARE = 1.25, 0.75
 """What the interval of a band is widened by, and that of a slip, over the band: of 170 simulated
@@ -231,18 +233,26 @@ _Told = tuple[dict[str, Number], str]
 
 
 def _tuning(shown: CauseEvidence, _weighed: Mapping[CauseName, float]) -> _Told:
-    tight = shown.room < 1.0 or shown.sensitivity > TIGHT or shown.shapes.returns > 0.5
+    tight = shown.room < 1.0 or shown.sensitivity > TIGHT
+    factor = shown.room
+    lead = f"to Ms {margins.SENSITIVITY:g}"
     numbers: dict[str, Number] = {
         "direction": "tight" if tight else "slow",
         "sensitivity": shown.sensitivity,
-        "gain_factor": shown.room,
+        # At either end none of the tried factors leads there: an integral before an integrating
+        # plant, or a plant that the output hardly shows.
+        "gain_factor": factor if 1.01 < factor / margins.LEAST < 0.99 / margins.LEAST**2 else None,
     }
-    if not tight:
-        words = f"too slow; {shown.room:.1f} times the gains lead to Ms {margins.SENSITIVITY:g}"
-        return numbers, f"{words}, if the output of the log shows the plant"
-    less = f"gains times {min(shown.room, 1.0):.2f} lead to Ms {margins.SENSITIVITY:g}"
-    Ms = f"Ms {shown.sensitivity:.1f}" if shown.sensitivity < margins.UNSTABLE else "no margin"
-    return numbers, f"too tight, {Ms}; {less}"
+    if tight:
+        Ms = f"Ms {shown.sensitivity:.1f}" if shown.sensitivity < margins.UNSTABLE else "no margin"
+        less = f"gains times {min(factor, 1.0):.2f} lead {lead}"
+        if numbers["gain_factor"] is None:
+            less = f"no factor of all gains leads {lead}: take from I first"
+        return numbers, f"too tight, {Ms}; {less}"
+    more = f"{factor:.1f} times the gains lead {lead}"
+    if numbers["gain_factor"] is None:
+        more = f"{factor:.0f} times the gains do not yet lead {lead}"
+    return numbers, f"too slow; {more}, if the output of the log shows the plant"
 
 
 def _sticking(shown: CauseEvidence, _weighed: Mapping[CauseName, float]) -> _Told:

@@ -10,6 +10,9 @@ SENSITIVITY = 1.7
 """Ms that the stated factor of the gains leads to: between the 1.4 and 2 of textbooks."""
 
 _ANGLES = np.geomspace(1e-3, np.pi, 600)
+LEAST = 1.0 / 30.0
+"""Least factor of the gains that is tried, and the inverse of the greatest."""
+
 UNSTABLE = 50.0
 """Ms that stands for an unstable loop."""
 
@@ -23,8 +26,8 @@ def sensitivity(plant: FittedPredictor, controller: Controller, factor: float = 
 
 
 def room(plant: FittedPredictor, controller: Controller) -> float:
-    """Factor of all gains at which the loop has `SENSITIVITY`, between 1/30 and 30."""
-    low, high = -np.log(30.0), np.log(30.0)
+    """Factor of all gains at which the loop has `SENSITIVITY`; `LEAST` where none has."""
+    low, high = np.log(LEAST), -np.log(LEAST)
     for _ in range(20):
         middle = 0.5 * (low + high)
         tight = sensitivity(plant, controller, float(np.exp(middle))) > SENSITIVITY
