@@ -25,7 +25,7 @@ from plants.models.linear_plant import LinearPlant
 SAMPLES, LOGS, SUBSTEPS = 500, 4, 4
 
 
-class Loop(NamedTuple):
+class StickingLoop(NamedTuple):
     """A loop with an actuator of stick band and slip, the latter a share of the band.
 
     Attributes:
@@ -52,7 +52,7 @@ class Loop(NamedTuple):
         return plants.linear_plant(control.tf([1.1 * self.gain], lags), float(self.late), 1.0)
 
 
-def draw(seed: int, *, sticks: bool) -> tuple[LinearPlant, list[MeasuredRecord], Loop]:
+def draw(seed: int, *, sticks: bool) -> tuple[LinearPlant, list[MeasuredRecord], StickingLoop]:
     """The model that is given, the logs, and the truth."""
     random = np.random.default_rng([77, seed])
     slow = random.uniform(5.0, 20.0)
@@ -61,12 +61,12 @@ def draw(seed: int, *, sticks: bool) -> tuple[LinearPlant, list[MeasuredRecord],
     P = random.uniform(0.5, 1.2) * slow / (2.0 * gain * closed)
     band = random.uniform(0.15, 1.0) / gain if sticks else 0.0
     I = P / min(slow, 8.0 * closed)
-    loop = Loop((slow, fast), late, gain, P, I, band, random.uniform(0.0, 1.0))
+    loop = StickingLoop((slow, fast), late, gain, P, I, band, random.uniform(0.0, 1.0))
     records = [_log(loop, random, number) for number in range(LOGS)]
     return loop.believed(), records, loop
 
 
-def _log(loop: Loop, random: np.random.Generator, number: int) -> MeasuredRecord:
+def _log(loop: StickingLoop, random: np.random.Generator, number: int) -> MeasuredRecord:
     times = np.arange(SAMPLES)
     setpoint: FloatArray = np.zeros(SAMPLES)
     for begin in range(10, SAMPLES, int(random.uniform(4.0, 8.0) * loop.lags[0])):

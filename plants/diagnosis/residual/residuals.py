@@ -15,17 +15,14 @@ from plants.diagnosis.models.base import BaseNumbers
 from plants.diagnosis.residual.balance import Equation, Record
 from plants.diagnosis.residual.dependence import Variable, quantiles
 
-RATES_ALIKE = 0.05
-"""Relative difference of rates that are one controller's: twelve files of a measured servo have
-184.9 to 188.4 Hz. The lines of a spectrum are less than one in twenty off."""
-
 
 def of_usual_rate(measurements: Sequence[MeasuredRecord]) -> list[int]:
-    """Numbers of the records at the rate that most of them have, but for `RATES_ALIKE`."""
+    """Numbers of the records at the rate that most of them have, within `rates_alike`."""
     rates = [m.sampling_Hz for m in measurements]
 
     def alike(rate_Hz: float) -> list[int]:
-        return [n for n, other in enumerate(rates) if abs(other / rate_Hz - 1.0) <= RATES_ALIKE]
+        most = CONSTANTS.rates_alike
+        return [n for n, other in enumerate(rates) if abs(other / rate_Hz - 1.0) <= most]
 
     return max((alike(rate_Hz) for rate_Hz in rates), key=len, default=[])
 

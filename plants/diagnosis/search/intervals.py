@@ -35,10 +35,6 @@ from plants.diagnosis.models.free_parameters import BASE, Free
 from plants.diagnosis.search.model_fitter import CandidateFit, ModelFitter, record_of
 from plants.effects.plant_scale import PlantScale
 
-LEAPING = 0.03
-"""Least difference of the values of a law with leaps: under 0.1 % one leap came a sample later and
-all others did not, so that its record alone seemed to know the value."""
-
 FIRST_ZERO = "encoder_zero_rad[0]"
 """Zero of the first record's encoder. Phases of waves along a drive are known relative to it; of a
 reel they count from where the cable is taut."""
@@ -69,7 +65,7 @@ def intervals(
     prior = np.array([prior_deviation(f, v) for f, v in zip(free, values.tolist(), strict=True)])
     record = fitted.predictor.index.measurement[fitted.entries]
     leaping = {effect.name for effect in model.effects if not effect.smooth}
-    least = np.array([LEAPING if f.owner in leaping else 0.0 for f in free]) * prior
+    least = np.array([CONSTANTS.leaping if f.owner in leaping else 0.0 for f in free]) * prior
     widest = spread = 0.1 * prior
     for _ in range(3):
         residuals, jacobian = fitted.predictor.linearise(
