@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from plants.diagnosis.models.free_parameters import from_zero, positive
-from plants.diagnosis.search.intervals import greatest_shifts, jackknife, prior_deviation
+from plants.diagnosis.models.free_parameters import from_zero, positive, prior_deviation
+from plants.diagnosis.search.intervals import greatest_shifts, jackknife
 
 GROUPS, EACH = 40, 50
 

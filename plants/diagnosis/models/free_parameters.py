@@ -65,6 +65,13 @@ def informed(free: Free, deviation: float | None) -> Free:
     return replace(free, prior=deviation * (1.0 if free.scale == "log" else abs(free.start)))
 
 
+def prior_deviation(free: Free, value: float) -> float:
+    """Prior deviation of a value: itself where it is fitted on a log scale."""
+    if free.scale == "log":
+        return abs(value)
+    return max(abs(value), abs(free.start), 1e-3 * (free.high - free.low))
+
+
 def positive(name: str, unit: str, value: float, owner: str = BASE) -> Free:
     """A positive parameter, within a factor of its given value."""
     return Free(name, unit, value, value / CONSTANTS.range, value * CONSTANTS.range, "log", owner)

@@ -31,7 +31,7 @@ from numpy.typing import NDArray
 from estune.core.quantities import FloatArray
 from plants.diagnosis.constants import CONSTANTS
 from plants.diagnosis.interval import Interval
-from plants.diagnosis.models.free_parameters import BASE, Free
+from plants.diagnosis.models.free_parameters import BASE, Free, prior_deviation
 from plants.diagnosis.search.model_fitter import CandidateFit, ModelFitter, record_of
 from plants.effects.plant_scale import PlantScale
 
@@ -130,13 +130,6 @@ def greatest_shifts(columns: FloatArray) -> FloatArray:
     normal = columns @ columns.T + np.eye(len(columns))
     shifts: FloatArray = np.sqrt(np.diag(np.linalg.inv(normal)))
     return shifts
-
-
-def prior_deviation(free: Free, value: float) -> float:
-    """Prior deviation of a value: itself where it is fitted on a log scale."""
-    if free.scale == "log":
-        return abs(value)
-    return max(abs(value), abs(free.start), 1e-3 * (free.high - free.low))
 
 
 def jackknife(

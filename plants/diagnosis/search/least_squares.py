@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from estune.core.quantities import FloatArray
 from plants.diagnosis.constants import CONSTANTS
+from plants.diagnosis.models.free_parameters import prior_deviation
 from plants.diagnosis.prediction.prediction import Predictor
 
 Numbers = NDArray[np.int64]
@@ -153,6 +154,7 @@ def fit(
     *,
     tolerance: float = 1e-3,  # models are compared by tens of per cent
     informed: bool = True,
+    over: FloatArray | None = None,
 ) -> WhitenedFit:
     """Lowers the sum of squares of some residuals: Levenberg-Marquardt within the bounds.
 
@@ -167,6 +169,7 @@ def fit(
         rounds: Most rounds.
         tolerance: Share of the sum of squares that the last round lowers it by at most.
         informed: Whether what is known of values counts.
+        over: Least steps of the differences that are the derivative, shape (moves,).
     """
     scale = Coordinates.of(predictor, moves)
     values, residuals, converged, weight = scale.bounded(start), None, False, 0.0
@@ -180,7 +183,7 @@ def fit(
         return best if cost(*best) < cost(*otherwise) else otherwise
 
     for _ in range(rounds):
-        residuals, jacobian = predictor.linearise(values, moves, entries, residuals)
+        residuals, jacobian = predictor.linearise(values, moves, entries, residuals, over)
         begun = values, residuals
         mean_square = float(residuals @ residuals) / max(residuals.size, 1)
         weight = residuals.size * prior_weight(mean_square) if informed else 0.0
@@ -201,6 +204,29 @@ def fit(
     if residuals is None:
         residuals = predictor.residuals(values[None, :], entries)[0]
     return WhitenedFit(predictor, values, entries, residuals, moves, converged)
+
+
+def smoothing_steps(fitted: WhitenedFit) -> FloatArray:
+    """Differences over which residuals that jump have a slope, shape (moved,).
+
+    Where a drive sticks, over a millionth of a value the residuals' jumps are their slope, and a
+    fit ends where rounding sends it: of records multiplied by 1 + 1e-12 at a Stribeck velocity a
+    third of its interval away, leaving 9 % more power. Over 0.3 standard errors, and 0.03 of the
+    value at most, both are mended; 0.1, 0.5 and 1 standard errors agree less.
+    """
+    values = fitted.values[fitted.moved]
+    free = [fitted.predictor.free[n] for n in fitted.moved]
+    prior = np.array([prior_deviation(f, v) for f, v in zip(free, values.tolist(), strict=True)])
+    widest = spread = 0.1 * prior
+    for _ in range(2):
+        _, jacobian = fitted.predictor.linearise(
+            fitted.values, fitted.moved, fitted.entries, fitted.residuals, spread
+        )
+        columns = jacobian.T * prior[:, None]
+        known = np.linalg.inv(columns @ columns.T + np.eye(values.size))
+        error = prior * np.sqrt(np.diag(known) * max(fitted.mean_square, 1.0))
+        spread = np.minimum(error, widest)
+    return 0.3 * spread
 
 
 class _Slope(NamedTuple):

@@ -16,7 +16,7 @@ from plants.diagnosis.models.base import BaseNumbers
 from plants.diagnosis.models.diagnosed_model import DiagnosedModel
 from plants.diagnosis.models.free_parameters import Free
 from plants.diagnosis.prediction.prediction import Prediction, Predictor
-from plants.diagnosis.search.least_squares import WhitenedFit, fit
+from plants.diagnosis.search.least_squares import WhitenedFit, fit, smoothing_steps
 from plants.effects import Effect, Port, RecordScale, Role
 
 Effects = tuple[type[Effect], ...]
@@ -174,6 +174,10 @@ class ModelFitter:
         fitted = model.fitted
         moved = fitted.moved
         done = fit(fitted.predictor, fitted.values, moved, self.entries, 60, tolerance=1e-5)
+        if model.effects:
+            over = smoothing_steps(done)
+            begun = fitted.predictor, done.values, moved, self.entries
+            done = fit(*begun, 12, tolerance=1e-4, over=over)
         return CandidateFit(model.effects, done)
 
     def best_starts(self, predictor: Predictor, rows: FloatArray, most: int) -> FloatArray:
