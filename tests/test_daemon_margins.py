@@ -5,11 +5,13 @@ from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
+import control
 import pytest
 
 import plants
 from estune.core.gains import Gains
 from estune.daemon.config import config_from
+from estune.daemon.margin_watch import MarginWatch
 from estune.errors import InvalidInput
 from estune.remote import zenoh
 from estune.trial import Outcome
@@ -17,6 +19,7 @@ from estune.web.board import Board
 from estune.web.server import PageServer
 from estune.web.views import RemoteSupervision, View, daemon_view
 from experiments.loop_claims.truth import true_sensitivity
+from plants.effects import StickingActuator
 from tests.support_browser import browser, needs_browser, opened
 from tests.support_daemon import daemon, rig_table
 
@@ -139,3 +142,18 @@ def test_dither_of_the_command_line_is_that_of_all_rigs_within_its_budget():
     assert {rig.margins.dither for rig in config.with_dither(0.01).rig} == {0.01}
     with pytest.raises(InvalidInput, match=r"dither.*0\.1"):
         config.with_dither(0.5)
+
+
+def test_actuator_that_begins_to_stick_is_reported_and_no_gains_are_offered():
+    text = f"[service]\n{rig_table('flow', 'plants:reference_reel')}"
+    text += "margins = {dither = 0.1, every_s = 0.001, dither_time = 1.0}\n"
+    watch = MarginWatch(config_from(tomllib.loads(text), "test", Path()).rig[0], "test")
+    gains = Gains(0.1, 2.0, 0.0, 0.0)
+    valve = plants.linear_plant(control.tf([2.0], [0.02, 1.0]), 0.0, 100.0, gains=gains)
+    sticks = valve + StickingActuator(band_A=0.02, slip=0.5)
+    free, stuck = (plant.rig(name="flow", gains=gains, seed=3) for plant in (valve, sticks))
+    *quiet, told = (watch.take(None, rig, rig.describe(), gains) for rig in (free, free, stuck))
+    assert quiet == [[], []]
+    (report,) = told
+    assert "STICKING ACTUATOR" in report.sentence
+    assert (report.gains, report.is_machine) == (None, True)

@@ -44,11 +44,13 @@ class MarginReport(NamedTuple):
         kind: Kind of the event.
         sentence: What was found.
         gains: Recommended gains, whose limits hold by the upper ends of their intervals; or None.
+        is_machine: Whether the actuator or the sensor is at fault, which no tuning mends.
     """
 
     kind: EventKind
     sentence: str
     gains: Gains | None = None
+    is_machine: bool = False
 
 
 class MarginWatch:
@@ -70,7 +72,7 @@ class MarginWatch:
         self._number = 0
         self._due_s = self._shown_s = -np.inf
         self._taken_s = 0.0  # by multisines that followed each other at once
-        self._above = False
+        self._above = self._fault = False
 
     @property
     def bounds(self) -> tuple[float | None, ...] | None:
@@ -161,6 +163,13 @@ class MarginWatch:
             sentence = f"{self.sentence}: the whole interval is above {most:g}"
             reports.append(self._report(EventKind.MARGINS, sentence, found, description, gains))
         self._above = above
+        # A loop that sticks shows no margins: nothing else would say so.
+        fault = not found.judgement.can_tell and self._cause(settings.sampling_Hz).is_machine
+        if fault and not self._fault and not reports:
+            reports.append(
+                self._report(EventKind.MARGINS, self.sentence, found, description, gains)
+            )
+        self._fault = fault
         return reports
 
     def _report(
@@ -179,7 +188,7 @@ class MarginWatch:
         if cause.name != "unknown":
             sentence = f"{sentence}; {cause.heading().rstrip('.')}"
         if not found.judgement.can_tell or cause.is_machine:
-            return MarginReport(kind, sentence)
+            return MarginReport(kind, sentence, is_machine=cause.is_machine)
         limits = self._settings.tuning.limits or RobustnessLimits()
         better = recommend(found.loop, self._trial(description), gains, limits)
         if better is None:

@@ -285,11 +285,11 @@ class SupervisedRig:
             self.apply_event(SupervisorEvent.DRIFTED, sentence, fault=FaultCode.DRIFT)
 
     def handle_margins(self, reports: list[MarginReport]) -> None:
-        """Logs what the margins show, and tunes again as after a drift of the cost."""
-        for kind, sentence, gains in reports:
-            facts: EventFacts = {"gains": str(gains)} if gains is not None else {}
-            self.log_event(kind, sentence, **facts)
-        worse = [report for report in reports if report.kind is not EventKind.DITHER]
+        """Logs what the margins show, and tunes again as after a drift where gains may mend it."""
+        for report in reports:
+            facts: EventFacts = {"gains": str(report.gains)} if report.gains is not None else {}
+            self.log_event(report.kind, report.sentence, **facts)
+        worse = [r for r in reports if r.kind is not EventKind.DITHER and not r.is_machine]
         if worse and self.checks.is_cooldown_over:
             sentence = f"{worse[0].sentence}; tuning again"
             self.apply_event(SupervisorEvent.DRIFTED, sentence, fault=FaultCode.DRIFT)
