@@ -1,8 +1,10 @@
 """The lease of a client: acquired once, renewed in time, forgotten when the rig refuses it."""
 
 import time
+from contextlib import nullcontext
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 from estune.errors import RigError
@@ -82,6 +84,30 @@ def test_lease_is_acquired_once_and_renewed_once_in_a_period(held):
     assert {command for _, command, _ in held.connection.renewals} == {
         Lease("renew", held.lease.token)
     }
+
+
+def test_renewals_keep_their_period_whatever_each_takes_and_soon_follow_a_stall(
+    renewal, monkeypatch
+):
+    now_s, begun_s, takes = 0.0, [], [0.3, 0.3, 3.0, 0.3, 0.3]
+
+    class Virtual(nullcontext):
+        def wait(self, wait_s):
+            nonlocal now_s
+            now_s += wait_s
+
+    class Slow:
+        def renew(self):
+            nonlocal now_s
+            begun_s.append(now_s)
+            now_s += takes.pop(0) * PERIOD_S
+            if not takes:
+                renewal._leases.clear()
+
+    monkeypatch.setattr(client_lease, "time", SimpleNamespace(monotonic=lambda: now_s))
+    renewal._changed, renewal._leases = Virtual(), {Slow()}
+    renewal._run()
+    assert np.diff(begun_s) / PERIOD_S == pytest.approx([1.0, 1.0, 3.5, 1.0])
 
 
 def test_age_of_a_lease_counts_from_the_last_request_that_the_rig_granted(held):

@@ -37,7 +37,15 @@ AREAS: dict[str, Area] = {
             "estune/trial/record_checks.py",
             "estune/run/limit_verdict.py",
         ),
-        ("score", "profiles", "limit_verdict", "cost_presets", "daemon_service", "scaled_units"),
+        (
+            "score",
+            "profiles",
+            "limit_verdict",
+            "cost_presets",
+            "gain_bounds",
+            "daemon_service",
+            "scaled_units",
+        ),
     ),
     "lease": Area(
         (
@@ -115,6 +123,14 @@ UNCHANGED: dict[tuple[str, str], str] = {
         "if isinstance(event, events.Expire):",
         "guard dropped",
     ): "a lease that has expired does so once",
+    (
+        "sequence, size = oldest[0]",
+        "first and last exchanged",
+    ): "the query gives one row at most",
+    (
+        "parts = np.array_split(later, max(1, later.size * self.C.size**2 // 2**20))",
+        "power dropped",
+    ): "it decides the memory for a response, not its value",
     (
         "low = float(np.clip(1e-3 * slow, 1e-12, low))",
         "constant scaled",
