@@ -74,7 +74,8 @@ def test_member_too_small_to_matter_is_not_named():
 
 
 def test_effect_that_may_not_be_named_leads_where_no_other_explains_the_error():
-    decision = decide(base(20.0), [model("a", 1.1, eligible=False)])
+    worse = model("b", 9.0, eligible=False)
+    decision = decide(base(20.0), [worse, model("a", 1.1, eligible=False)])
     assert (decision.verdict, decision.best, decision.leading) == ("unknown", NOTHING, {"a"})
 
 

@@ -84,7 +84,7 @@ AREAS: dict[str, Area] = {
     ),
     "verdict": Area(
         ("plants/diagnosis/search/decide.py", "plants/diagnosis/search/conclusion.py"),
-        ("decide", "explain_report"),
+        ("decide", "explain_report", "explain_friction"),
     ),
     "intervals": Area(
         (
