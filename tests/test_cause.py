@@ -7,25 +7,25 @@ import numpy as np
 import pytest
 
 from estune.cli import main
-from estune.service_records.cause.judge import judge_signals, with_margins
+from estune.recordings.loop_log import LoopLog
+from estune.service_records.cause.judge import judge_logs, judge_signals, with_margins
 from estune.service_records.cause.loop_signals import JudgedSignals
 from estune.service_records.cause.valve import Valve, positions
 
 SAMPLES = 1200
 
 
-def flow_loop(band=0.0, slip=0.0, load=0.0, sensor=lambda _k, y: y):
+def flow_loop(band=0.0, slip=0.0, load=0.0, sensor=lambda _k, y: y, I=0.05):
     """Signals of a flow loop of gain 2 behind an actuator that may stick."""
     random = np.random.default_rng(3)
     setpoint = np.repeat([50.0, 51.0, 50.5, 50.0, 51.5, 50.5], SAMPLES // 6)
     y, u, flow, at, integral, slow = [], [], 50.0, 25.0, 25.0, 0.0
-    P, I = 0.1, 0.05
     for k, r in enumerate(setpoint.tolist()):
         slow += 0.01 * (random.normal() - slow)
         flow += 0.5 * (2.0 * at + 0.3 * slow + load * np.sin(2.0 * np.pi * k / 37.0) - flow)
         measured = sensor(k, flow + 0.03 * random.normal())
         integral += I * (r - measured)
-        output = P * (r - measured) + integral
+        output = 0.1 * (r - measured) + integral
         if abs(output - at) > 0.5 * (band + slip) or band == 0.0:
             at = output - np.sign(output - at) * 0.5 * (band - slip)
         y.append(measured)
@@ -38,6 +38,10 @@ def test_sticking_actuator_is_told_with_its_band_inside_the_interval():
     assert found.name == "sticking"
     assert found.numbers["band_low"] <= 1.5 <= found.numbers["band_high"]
     assert found.numbers["slip_low"] <= 0.9 <= found.numbers["slip_high"]
+
+
+def test_sticking_actuator_of_a_fast_loop_is_told():
+    assert judge_signals(flow_loop(band=1.5, slip=0.9, I=0.3)).name == "sticking"
 
 
 def test_sound_loop_has_nothing_wrong():
@@ -74,6 +78,24 @@ def test_log_too_short_to_judge_says_what_to_record():
     found = judge_signals(few)
     assert found.name == "unknown"
     assert "record 100 or more" in found.heading()
+
+
+def test_cause_of_several_logs_is_that_of_most_and_the_others_are_named():
+    sticks, freezes = flow_loop(band=1.5, slip=0.9), flow_loop(sensor=frozen)
+    names = {"a": sticks, "b": freezes, "c": sticks}
+    columns = ("setpoint", "measurement", "effort")
+    logs = [
+        LoopLog(name, 0.1, (loop_columns(columns, signals),), None, {}, {}, ())
+        for name, signals in names.items()
+    ]
+    found = judge_logs(logs)
+    assert found.name == "sticking"
+    assert "2 of 3 logs" in found.words
+    assert "SENSOR in b" in found.words
+
+
+def loop_columns(names, signals):
+    return {"time": 10.0 * np.arange(SAMPLES), **dict(zip(names, signals[:3], strict=True))}
 
 
 @pytest.mark.parametrize("scale", [1e-3, 1e3])

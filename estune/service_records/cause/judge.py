@@ -163,13 +163,12 @@ def with_margins(cause: Cause, sensitivity: tuple[float, float, float] | None) -
     if sensitivity is None or sensitivity[1] <= TIGHT or is_tight:
         return cause
     value = sensitivity[0]
+    Ms = f"Ms {value:.1f}" if math.isfinite(value) else "unstable"
     if cause.is_machine:
-        return replace(
-            cause, words=f"{cause.words}; the tuning is too tight as well, Ms {value:.1f}"
-        )
+        return replace(cause, words=f"{cause.words}; the tuning is too tight as well, {Ms}")
     numbers: dict[str, Number] = {
         "direction": "tight",
-        "sensitivity": value,
+        "sensitivity": value if math.isfinite(value) else None,
         "gain_factor": None,
     }
     return replace(
@@ -177,7 +176,7 @@ def with_margins(cause: Cause, sensitivity: tuple[float, float, float] | None) -
         name="tuning",
         probability=KNOWN,
         numbers=numbers,
-        words=f"too tight, Ms {value:.1f}, by the gains that ran",
+        words=f"too tight, {Ms}, by the gains that ran",
     )
 
 
