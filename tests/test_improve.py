@@ -13,6 +13,7 @@ import plants
 from estune.cli import run
 from estune.core.gains import Gains
 from estune.errors import InvalidInput
+from estune.run.trial_file import TrialFile, run_trial
 from estune.trial import Outcome, RigLimits
 from estune.trial.profiles import StepProfile
 from plants.diagnosis.data.records import read_measurements
@@ -149,6 +150,25 @@ def test_rig_known_by_its_linear_model_keeps_its_effort_per_ampere(tmp_path):
         assert one.error_improved < 0.05
     plants.save_model(found.model, tmp_path / "m.toml")
     assert plants.load_model(tmp_path / "m.toml").newtons_per_ampere == 20.0
+
+
+@pytest.mark.parametrize(
+    ("plant", "line"),
+    [
+        (plants.stage(95.0, 200.0), "current_limit_A"),
+        (
+            plants.linear_plant(control.tf([1.0], [1.0, 1.0]), gains=Gains(1.0, 1.0, 0.0, 0.0)),
+            "output_max_N",
+        ),
+    ],
+)
+def test_nothing_is_run_on_a_machine_without_limits(plant, line, tmp_path):
+    with pytest.raises(InvalidInput, match=rf"no limit of its .* add .*{line}"):
+        plants.improve(plant, folder=tmp_path / "x")
+    assert not (tmp_path / "x").exists()
+    step = TrialFile("step", plant.profile)
+    with pytest.raises(InvalidInput, match=f"nothing is run on it: add .*{line}"):
+        run_trial(plant.rig(), step)
 
 
 @pytest.mark.parametrize("plant", [PLANT_20_N_A, REEL, plants.unloaded_reel()])

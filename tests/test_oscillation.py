@@ -5,12 +5,14 @@ import pytest
 
 import estune
 import plants
+from estune.core.cost import default_cost
 from estune.core.gains import Gains
 from estune.core.oscillation import growing_oscillation
 from estune.errors import UnsafeStart
 from estune.interop import margins
 from estune.trial import TrialRequest
-from estune.trial.scoring import growing_oscillation_Hz
+from estune.trial.profiles import StepProfile
+from estune.trial.scoring import cost_of, growing_oscillation_Hz
 from experiments.growing_oscillations import trials
 from plants.effects import CoulombFriction, TorqueRipple
 from tests.support_binomial import least_hits
@@ -63,6 +65,24 @@ def test_reel_with_effects_has_no_oscillation_that_grows(effect):
     for trial, P in enumerate((0.3, 0.6, 1.0)):
         record = rig.run(TrialRequest("reel", trial, Gains(P, 30.0 * P, 0.017 * P, 0.002), step))
         assert growing_oscillation_Hz(record, step) is None
+
+
+@pytest.mark.parametrize(
+    ("friction_Nm", "P", "I", "step_N", "duration_s"),
+    [
+        (0.189, 0.092, 2.52, 5.0, 1.0),
+        (0.106, 0.494, 41.6, 10.0, 2.0),
+        (0.104, 0.154, 0.503, 5.0, 2.0),
+    ],
+)
+def test_loop_that_hunts_by_dry_friction_is_stable_and_has_a_cost(
+    friction_Nm, P, I, step_N, duration_s
+):
+    rig = (plants.reference_reel(0.8) + CoulombFriction(friction_Nm)).rig(seed=0)
+    step = StepProfile(15.0, step_N, 0.2, duration_s)
+    for trial in range(20):
+        record = rig.run(TrialRequest("hunts", trial, Gains(P, I, 0.02 * P, 0.03), step))
+        assert np.isfinite(cost_of(record, step, default_cost(0.2), 20.0))
 
 
 def test_start_whose_oscillation_grows_is_unsafe_and_says_so():

@@ -7,6 +7,7 @@ import ssl
 import subprocess
 import time
 from contextlib import ExitStack, contextmanager, suppress
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -45,7 +46,8 @@ def security(path: Path, text: str):
 
 @contextmanager
 def served(endpoint: str, **options):
-    rig = ScriptedRig(duration_s=0.02)
+    limited = replace(description().controller, output_max_N=100.0)
+    rig = ScriptedRig(duration_s=0.02, controller=limited)
     with zenoh.serve(rig, endpoint, **options) as server:
         yield rig, server
 

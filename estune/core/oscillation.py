@@ -5,7 +5,8 @@ The end of a response to one change of setpoint or load is fitted by
     y(t) = exp(s t) (a cos(w t) + b sin(w t)) + polynomial + noise,
 
 which is linear in a, b and the polynomial. The polynomial takes up the approach to the setpoint
-and a drift. The oscillation grows where s is above zero by more than its standard error explains.
+and a drift. The oscillation grows where s is above zero by more than its standard error explains,
+and a few periods are alike but for their growth: friction's limit cycle has unlike swings.
 """
 
 import math
@@ -50,6 +51,12 @@ same trials but four are named."""
 GROWTH_ERRORS = 3.0
 """Least growth, in its standard errors: at 5 three of 176 fewer are named, and 6 of 13 instead of
 11 where the amplitude grows by a few per cent in a trial."""
+
+SEVERAL, EXPLAINED_OF_FEW = 4.0, 0.98
+"""Periods below which an oscillation has to explain that share. Dry friction hunts in unlike
+swings: on 1 200 trials of stable reels with Coulomb or Stribeck friction and slow integral gains
+one to three of them looked like growth by 3 to 9 errors in 25, and explained 0.53 to 0.973. Where
+a loop is unstable so few periods explain 0.985 and more."""
 
 RESOLUTION = 1e-4
 """Least amplitude, as a share of the response: what rounding leaves of a steady state."""
@@ -100,8 +107,9 @@ def _growing(values: FloatArray, fit: OscillationFit) -> float | None:
             break
         x, left, slopes = x + step, moved, further
     explained = 1.0 - float(left @ left) / float(y @ y)
-    grows = explained > EXPLAINED_LEAST and x[0] > GROWTH_ERRORS * _growth_error(left, slopes)
     turns = float(x[1]) / (2.0 * math.pi)
+    least = EXPLAINED_LEAST if turns >= SEVERAL else EXPLAINED_OF_FEW
+    grows = explained > least and x[0] > GROWTH_ERRORS * _growth_error(left, slopes)
     return turns / (n - 1) if grows and fit.least <= turns <= fit.most else None
 
 

@@ -98,13 +98,15 @@ def run_trial(
     """Runs one trial on a rig, under an id with the time of day.
 
     Raises:
-        InvalidInput: the rig refuses the trial; nothing moved.
+        InvalidInput: the rig has no limits, or refuses the trial; nothing moved.
         RigError: the rig cannot be reached.
         Stopped: interrupted (a KeyboardInterrupt); the rig is back at its live gains.
     """
     run = f"{trial.name}-{now().astimezone():%Y%m%d-%H%M%S-%f}"
     try:
-        gains = trial.gains or rig.describe().gains
+        about = rig.describe()
+        about.check_limited()
+        gains = trial.gains or about.gains
         return rig.run(TrialRequest(run, 0, gains, trial.profile))
     except KeyboardInterrupt:
         raise Stopped(rig.abort(), None) from None

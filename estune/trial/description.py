@@ -18,6 +18,9 @@ from estune.trial.signals import EFFORT, TENSION, NamedSignals, Signals
 GAIN_MAX = 1e12
 """Static gain from which on a plant counts as an integrator: what rounding leaves of one."""
 
+UNLIMITED_N = 1e9
+"""Value for "no limit" in files, where there is no infinity."""
+
 
 @dataclass(frozen=True, slots=True)
 class LinearModel:
@@ -201,6 +204,31 @@ class RigDescription(NamedSignals):
             EXCESS_TRIAL if trial else EXCESS_LIVE,
         )
         return default if stated is None else stated.and_default(default)
+
+    def check_limited(self) -> None:
+        """Refuses a rig whose effort or setpoint has no limit: an experiment would ask for any.
+
+        Raises:
+            InvalidInput: a limit is missing; the message names the lines to add.
+        """
+        sides = {
+            self.command_name: (self.controller.output_min_N, self.controller.output_max_N),
+            "setpoint": (self.limits.tension_min_N, self.limits.tension_max_N),
+        }
+        missing = [
+            name for name, ends in sides.items() if not all(abs(end) < UNLIMITED_N for end in ends)
+        ]
+        if not missing:
+            return
+        lines = "output_min_N, output_max_N and limits to the table of the plant"
+        if self.step.loop == "open":
+            lines = "current_limit_A, the greatest current or effort, to the table of the drive"
+        raise InvalidInput(
+            f"rig {self.name} has no limit of its {' and its '.join(missing)}, and nothing is run "
+            f"on it: add {lines} in its model file, or to a rig's file the limits of its loop, as "
+            "in `current_limit_A = 2.0`, `output_max_N = 50.0` or `limits = { tension_min_N = "
+            "0.0, tension_max_N = 40.0, duration_max_s = 60.0 }`"
+        )
 
     def check_gains(self, gains: Gains, *, trial: bool = False) -> None:
         """Refuses gains outside the rig's bounds of a trial's gains, or of live ones.

@@ -1,5 +1,6 @@
 """`estune improve-model`: a rig's model improved by experiment, and the rig tuned with it."""
 
+import math
 import shlex
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -132,7 +133,9 @@ def improve_model(
     _show(improvement)
     facts: dict[str, object] = {"records": improvement.folder / "data"}
     tuning = improvement.tuning
-    if tuning is not None and tuning.ending.is_offered and is_endpoint(target):
+    # A cost that is not known is no reason to trust gains.
+    measured = all(math.isfinite(row.measured) for row in improvement.costs)
+    if measured and tuning is not None and tuning.ending.is_offered and is_endpoint(target):
         facts["make live"] = command_line("apply", tuning.folder, target)
     if save is not None:
         facts["model"] = save

@@ -143,10 +143,11 @@ def begin(rig: Rig, folder: Path, model: str, say: Say) -> ExperimentRunner:
         say: Callback for progress in words.
 
     Raises:
-        InvalidInput: the folder holds something else, or cannot be made.
+        InvalidInput: the rig has no limits, or the folder holds something else.
         RigError: the rig is not the one of the improvement that is continued.
     """
     about, file = rig.describe(), folder / PLAN
+    about.check_limited()
     try:
         folder.mkdir(parents=True, exist_ok=True)
         if file.exists():

@@ -6,6 +6,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from estune.trial.description import UNLIMITED_N
 from plants.effects import (
     CoulombFriction,
     CurrentLag,
@@ -16,7 +17,6 @@ from plants.effects import (
     ViscousDamping,
 )
 from plants.effects.plant_scale import PlantScale
-from plants.models.plant_model import UNLIMITED_N
 from plants.models.unloaded_reel import UnloadedReel
 
 

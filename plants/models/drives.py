@@ -10,8 +10,8 @@ from dataclasses import dataclass
 from typing import Any, ClassVar
 
 from estune.core.quantities import check_not_negative, check_positive
+from estune.trial.description import UNLIMITED_N
 from plants.effects.plant_scale import PlantScale
-from plants.models.plant_model import UNLIMITED_N
 from plants.models.unloaded_reel import UnloadedReel
 
 _MAY_BE_ZERO = ("viscous_friction_Nms", "dead_time_s")

@@ -15,12 +15,12 @@ from estune.errors import InvalidInput, PlantError
 from estune.interop import as_control, linear_model
 from estune.loop_model.cautious_gains import cautious_gains
 from estune.trial import LinearModel, RigDescription, RigLimits
+from estune.trial.description import UNLIMITED_N
 from estune.trial.profiles import StepProfile
 from plants.models.effect_applicability import unavailable
 from plants.models.linear_with_effects import LinearEffectStructure
 from plants.models.mounting import MountedModel, Mounting
 from plants.models.path_structure import squarings_for
-from plants.models.plant_model import UNLIMITED_N
 from plants.models.pole_zero_form import PoleZeroForm, factorise
 from plants.models.sampled_structure import SampledStructure
 from plants.simulation.plant import TrialSetpoint, split_dead_time

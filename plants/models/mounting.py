@@ -7,10 +7,11 @@ from estune.core.pidf import ControllerSettings
 from estune.core.quantities import check_not_negative, check_positive
 from estune.errors import UnsafeStart
 from estune.trial import LinearModel, RigDescription, RigLimits
+from estune.trial.description import UNLIMITED_N
 from estune.trial.profiles import StepProfile
 from estune.trial.signals import Signals
 from plants.effects.plant_scale import PlantScale
-from plants.models.plant_model import UNLIMITED_N, PlantModel
+from plants.models.plant_model import PlantModel
 from plants.simulation.plant import SOFTWARE
 
 HOW_TO_GIVE_GAINS = (

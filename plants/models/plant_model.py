@@ -14,6 +14,7 @@ from estune.core.gains import Gains
 from estune.core.quantities import FloatArray, check_not_negative, check_positive
 from estune.errors import InvalidInput
 from estune.support.quantity_text import time_text
+from estune.trial.description import UNLIMITED_N
 from estune.trial.signals import REEL, Signals
 from plants.effects import Effect
 from plants.effects.plant_scale import PlantScale
@@ -21,9 +22,6 @@ from plants.models.parameters import amend_parameters
 from plants.simulation.plant import Columns, Plant, TrialSetpoint, split_dead_time
 from plants.simulation.simulated_rig import SimulatedRig
 from plants.simulation.trial_loop import Batch, trial_loop
-
-UNLIMITED_N = 1e9
-"""Value for "no limit"; JSON has no infinity."""
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)

@@ -15,10 +15,10 @@ from estune.core.pidf import ControllerSettings
 from estune.core.quantities import FloatArray, check_not_negative, check_positive
 from estune.errors import PlantError
 from estune.trial import SATURATED, RigDescription, RigLimits
+from estune.trial.description import UNLIMITED_N
 from estune.trial.profiles import StepProfile
 from plants.effects import Effect
 from plants.models.mounting import MountedModel, Mounting
-from plants.models.plant_model import UNLIMITED_N
 from plants.models.start_gains import identified_gains
 from plants.models.state_shape import StateShape
 from plants.models.symbolic_plant import TracedStructure, unavailable
