@@ -8,7 +8,12 @@ import pytest
 
 from estune.cli import main
 from estune.recordings.loop_log import LoopLog
-from estune.service_records.cause.judge import judge_logs, judge_signals, with_margins
+from estune.service_records.cause.judge import (
+    between_limits,
+    judge_logs,
+    judge_signals,
+    with_margins,
+)
 from estune.service_records.cause.loop_signals import JudgedSignals
 from estune.service_records.cause.valve import Valve, positions
 
@@ -96,6 +101,12 @@ def test_cause_of_several_logs_is_that_of_most_and_the_others_are_named():
 
 def loop_columns(names, signals):
     return {"time": 10.0 * np.arange(SAMPLES), **dict(zip(names, signals[:3], strict=True))}
+
+
+def test_output_that_is_at_a_limit_throughout_shows_no_cause():
+    plain = flow_loop()
+    switched = plain._replace(output=np.where(plain.error > 0.0, 100.0, 0.0))
+    assert "0 samples in a row" in judge_signals(between_limits(switched)).heading()
 
 
 @pytest.mark.parametrize("scale", [1e-3, 1e3])

@@ -188,6 +188,26 @@ def run(random: Random, plant: Lags, pid: Pid, what: LoopRun) -> tuple[FloatArra
     return y, u
 
 
+def material(
+    random: Random,
+    plant: Lags,
+    faulty: tuple[LoopRun, Pid],
+    sound: tuple[LoopRun, Pid] | None,
+) -> tuple[FloatArray, FloatArray] | None:
+    """Measurement and output of a loop; None where its fault makes too little of a difference."""
+    (what, pid), state = faulty, random.bit_generator.state
+    with np.errstate(all="ignore"):  # an unstable loop overflows, and is refused
+        y, u = run(random, plant, pid, what)
+    if not np.isfinite(y).all() or np.ptp(y) > 30.0:
+        return None
+    if sound is not None:
+        random.bit_generator.state = state
+        quiet, _ = run(random, plant, sound[1], sound[0])
+        if np.std(what.setpoint - y) < MATERIAL * np.std(what.setpoint - quiet):
+            return None
+    return y, u
+
+
 def tight(random: Random, plant: Lags, pid: Pid, by: float = 1.02) -> Pid:
     """More gain, or more integral, in steps up to an Ms of 3 to 9 on the stable side."""
     wanted, factor = random.uniform(3.0, 9.0), 1.0
@@ -292,15 +312,11 @@ def _drawn(random: Random, cause: str, noise_most: float) -> DrawnLog | None:
     usual = LoopRun(r, load, readings)
     facts: dict[str, Any] = {"noise": noise, "move": move, "integrating": plant.integrating}
     faulty, gains = _with_fault(random, (cause, detail), (plant, pid), usual, facts)
-    state = random.bit_generator.state
-    y, u = run(random, plant, gains, faulty)
-    if not np.isfinite(y).all() or np.ptp(y) > 30.0:
+    compared = None if cause in ("none", "sensor") else (usual, pid)
+    ran = material(random, plant, (faulty, gains), compared)
+    if ran is None:
         return None
-    if cause != "none":
-        random.bit_generator.state = state
-        quiet, _ = run(random, plant, pid, usual)
-        if np.std(r - y) < MATERIAL * np.std(r - quiet) and cause != "sensor":
-            return None
+    y, u = ran
     facts |= {"Ms": sensitivity(plant, gains), "P": gains.P, "I": gains.I, "D": gains.D}
     size, offset = 10.0 ** random.uniform(-1.0, 2.0), random.uniform(20.0, 80.0)
     return DrawnLog(

@@ -13,14 +13,13 @@ import numpy as np
 from estune.core.quantities import FloatArray
 from estune.service_records.cause.loop_signals import swings
 from experiments.service_records.loops import (
-    MATERIAL,
     DrawnLog,
     Lags,
     LoopRun,
     Pid,
     Random,
+    material,
     plant_of,
-    run,
     sensitivity,
     setpoint_of,
     sound,
@@ -62,17 +61,10 @@ def _drawn(random: Random, cause: str) -> DrawnLog | None:
     (faulty, detail), gains = _with_fault(random, cause, usual, plant, pace), pid
     if cause == "tuning":
         gains = tight(random, plant, pid, by=1.1)
-    state = random.bit_generator.state
-    with np.errstate(all="ignore"):  # an unstable loop overflows, and is refused
-        y, u = run(random, plant, gains, faulty)
-    if not np.isfinite(y).all() or np.ptp(y) > 30.0:
+    ran = material(random, plant, (faulty, gains), None if cause == "none" else (usual, pid))
+    if ran is None or (cause == "sticking" and len(swings(ran[1])) < SWINGS):
         return None
-    if cause != "none":
-        random.bit_generator.state = state
-        quiet, _ = run(random, plant, pid, usual)
-        few = cause == "sticking" and len(swings(u)) < SWINGS
-        if few or np.std(usual.setpoint - y) < MATERIAL * np.std(usual.setpoint - quiet):
-            return None
+    y, u = ran
     if random.random() < 0.3:
         y = _repeated(y, random.uniform(0.2, 1.5) * noise)
         u = _repeated(u, random.uniform(0.002, 0.01) * float(np.ptp(u)))

@@ -143,8 +143,10 @@ def between_limits(signals: JudgedSignals) -> JudgedSignals:
     if at_limit.mean() < HELD:
         return signals
     edges = np.flatnonzero(np.diff(np.concatenate([[True], at_limit, [True]]).astype(np.int8)))
-    begin, end = max(zip(edges[::2], edges[1::2], strict=True), key=lambda pair: pair[1] - pair[0])
-    rows = slice(int(begin), int(end))
+    free = zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True)
+    # An output of two values is at one of them throughout.
+    begin, end = max(free, key=lambda pair: pair[1] - pair[0], default=(0, 0))
+    rows = slice(begin, end)
     return JudgedSignals(
         signals.setpoint[rows],
         signals.measurement[rows],
