@@ -154,8 +154,9 @@ def suggest(
         verdict = "change" if better and _worthwhile(margins, better, limits) else "keep"
     if better is None:
         advised = advise(loop, trial, in_use)
-    elif better.price > WORTHWHILE:
-        # The price is about as large as the intervals are wide.
+    elif better.price > WORTHWHILE and judgement.half_width > 0.0:
+        # The price is about as large as the intervals are wide. A log without noise shows Ms
+        # exactly, and no experiment tells more.
         aim = judgement.half_width * WORTHWHILE / better.price
         advised = advise(loop, trial, in_use, aim)
     else:
