@@ -152,15 +152,16 @@ def improve(signals: FitSignals, start: PoleFit, tolerance: float = FINE) -> Pol
         slopes = here.search_slopes(signals)
         return np.asarray(slopes - here.basis @ (here.basis.T @ slopes))
 
-    x, *_ = leastsq(
-        lambda x: at(x).residual,
-        search_vector(first.coordinates, first.noise),
-        Dfun=jacobian,
-        full_output=True,
-        xtol=100.0 * tolerance,
-        ftol=tolerance,
-        gtol=FINE,
-        maxfev=40 if first.noise.is_white else 15,
-    )
+    with np.errstate(over="ignore"):  # of a covariance that comes along and is not used
+        x, *_ = leastsq(
+            lambda x: at(x).residual,
+            search_vector(first.coordinates, first.noise),
+            Dfun=jacobian,
+            full_output=True,
+            xtol=100.0 * tolerance,
+            ftol=tolerance,
+            gtol=FINE,
+            maxfev=40 if first.noise.is_white else 15,
+        )
     best = at(x)
     return PoleFit(best.cost, best.coordinates, start.dead, best.noise)
