@@ -218,6 +218,12 @@ def test_effect_does_not_matter_below_its_least_size():
     assert not slack.matters({"slack_m": 2e-3}, RecordScale(stretch_max_m=1e-3))
 
 
+@pytest.mark.parametrize(("per_turn", "is_ripple"), [(0.99, False), (1.3, False), (7.0, True)])
+def test_wave_that_records_do_not_tell_from_gravity_is_no_ripple(per_turn, is_ripple):
+    wave = {"amplitude_Nm": 0.01, "per_turn": per_turn, "phase_rad": 0.1}
+    assert EFFECTS["torque_ripple"].matters(wave, RecordScale(turn_periods=1.0)) == is_ripple
+
+
 def test_extended_effects_are_in_the_catalogue_and_pass_on_their_parameters():
     for effect in EFFECTS.values():
         simpler = effect.extends

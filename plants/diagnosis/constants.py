@@ -184,7 +184,8 @@ class Constants(NamedTuple):
     law_sure: float = 2.0
     """Standard errors, over the stretches of time left out, by which one set of laws is better."""
     turned_rad: float = 1.0
-    """Least angle that gravity of a link is known from, rad: a sine bends by 4 % there."""
+    """Least angle that gravity of a link is known from, rad: a sine bends by 4 % there. By nature
+    gravity goes with the sine of the angle itself, so this is no share of a machine's travel."""
 
 
 CONSTANTS = Constants()
