@@ -11,7 +11,7 @@ import numpy as np
 from estune.core.quantities import FloatArray
 from estune.recordings.loop_log import LoopLog
 from estune.service_records.cause import margins
-from estune.service_records.cause.evidence import CauseEvidence, evidence
+from estune.service_records.cause.evidence import CLIP, CauseEvidence, evidence
 from estune.service_records.cause.loop_signals import JudgedSignals
 from estune.service_records.cause.predictors import around
 from estune.service_records.cause.probability import CauseName, probabilities
@@ -34,6 +34,12 @@ BAND_FACTOR, SLIP_SHARE = 1.25, 0.75
 """What the interval of a band is widened by, and that of a slip, over the band: of 170 simulated
 actuators the likelihood alone holds 64 % of the bands and 49 % of the slips; 1.2 times as wide it
 holds 94 % of the bands, and half a band wider 80 % of the slips."""
+
+MATERIAL = 0.4
+"""Least gain in likelihood by a sticking actuator over that by the output in a linear loop, for it
+to be told: a loop that is linear but for a little is not. Of 40 linear ones of 1 500 to 20 000
+samples with noise at the input four are called sticking without it, two with it; of loops that
+stick 70 and 68 % are told."""
 
 TIGHT = 1.8
 """Ms above which the tuning is called too tight, below it too slow: sound loops lie below."""
@@ -200,6 +206,9 @@ def judge_signals(signals: JudgedSignals, name: str = "") -> Cause:
     weighed: dict[CauseName, float] = probabilities(shown.numbers)
     likeliest = max(weighed, key=lambda cause: weighed[cause])
     told = weighed[likeliest] >= TOLD.get(likeliest, SURE)
+    if likeliest == "sticking":
+        gain = float(np.clip(shown.predicted.blocks, *CLIP).sum())
+        told &= gain >= MATERIAL * shown.predicted.informed
     return _of(shown, likeliest if told else "unknown", weighed, name)
 
 
