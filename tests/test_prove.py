@@ -355,3 +355,18 @@ def test_rig_that_ignores_the_remedy_is_found_out():
         pytest.raises(RigError, match="without the remedy"),
     ):
         prove(Deaf(rig), patch())
+
+
+def test_patch_of_a_diagnosis_says_for_which_gains_it_was_predicted(tmp_path):
+    gains = {"P": 0.4, "I": 12.0, "D": 0.01, "setpoint_filter_s": 0.03}
+    offer = {"effect": PATCH.effect, "title": PATCH.title, "harm": "", "tables": TABLES}
+    offer |= {"worth": True, "refused": "", "ratios": {}, "gains": gains}
+    file = tmp_path / "d.json"
+    file.write_text(json.dumps({"remedies": [offer]}))
+    patch = patch_of(file)
+    patch.write(tmp_path / "a.remedy.json")
+    assert read_patch(tmp_path / "a.remedy.json").gains == gains
+    first = json.loads((tmp_path / "a.remedy.json").read_text()) | {"version": 1}
+    del first["gains"]
+    file.write_text(json.dumps(first))
+    assert read_patch(file).gains == {}

@@ -59,7 +59,9 @@ def _predicted(patch: Patch) -> dict[str, object]:
         for n, r in patch.predicted.items()
     )
     told = ", ".join(ratios)
-    return {"predicted": f"{told}, of what they are without it"} if told else {}
+    at = ",".join(f"{name}={value:.4g}" for name, value in patch.gains.items())
+    of = f"{told}, of what they are without it{f', at {at}' if at else ''}"
+    return {"predicted": of} if told else {}
 
 
 def prove(

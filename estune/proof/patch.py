@@ -14,7 +14,9 @@ from estune.support.toml_file import read_toml
 from estune.support.whole_file import write_file
 
 SUFFIX = ".remedy.json"
-VERSION = 1
+VERSION = 2
+OLDER = (1,)
+"""Versions that are read, too: 1 has no `gains`."""
 SWITCH_NOTHING = frozenset(("share_max", "velocity"))
 """Keys of `[compensation]` that switch nothing on."""
 
@@ -30,6 +32,7 @@ class Patch:
         tables: Tables of `[compensation]` that switch it on.
         predicted: Predicted ratios of with to without: value, low and high by measure.
         proof: What the rig measured; see `estune.proof.trials.Proof`. None before.
+        gains: Gains that the prediction is for, by name; empty where nothing says them.
 
     Raises:
         InvalidInput: a number of the tables is not finite.
@@ -41,6 +44,7 @@ class Patch:
     tables: Mapping[str, Mapping[str, Any]]
     predicted: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     proof: Mapping[str, Any] | None = None
+    gains: Mapping[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         for name, number in _numbers("compensation", self.tables):
@@ -146,7 +150,7 @@ def read_patch(path: Path) -> Patch:
         InvalidInput: the file cannot be read, or is no patch.
     """
     values = _json(path)
-    if not isinstance(values, dict) or values.pop("version", None) != VERSION:
+    if not isinstance(values, dict) or values.pop("version", None) not in (VERSION, *OLDER):
         raise InvalidInput(f"{path} is no patch of version {VERSION}; write one by estune remedy")
     try:
         return Patch(**values)
@@ -186,7 +190,8 @@ def patch_of(diagnosis: Path, effect: str | None = None) -> Patch:
             continue
         if offer["tables"] and (offer["worth"] or effect) and not offer["refused"]:
             names = ("effect", "title", "harm", "tables")
-            return Patch(**{name: offer[name] for name in names}, predicted=offer["ratios"])
+            kept = {name: offer[name] for name in names}
+            return Patch(**kept, predicted=offer["ratios"], gains=offer.get("gains") or {})
         reasons.append(f"{offer['effect'] or 'calibration'}: {offer['title']}; {_why_not(offer)}")
     told = "\n".join(reasons) or f"it has no remedy{' for ' + effect if effect else ''}"
     raise InvalidInput(f"{diagnosis} offers no remedy for the loop:\n{told}")

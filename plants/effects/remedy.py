@@ -97,10 +97,7 @@ def friction_feed_forward(
     """
     table = {"coulomb_Nm": 0.0, "static_Nm": 0.0, "stribeck_rad_s": 1.0} | dict(friction)
     title = "feed the friction forward along the known motion"
-    harm = (
-        "nothing at rest up to 1.2 of it; at 1.5 of the true friction tracking is as bad as "
-        "without"
-    )
+    harm = "at 1.5 of the true friction tracking is as bad as without"
     return (in_loop(plant, title, sized_by, ("friction", table | known_motion(plant)), harm),)
 
 

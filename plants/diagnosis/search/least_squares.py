@@ -130,8 +130,9 @@ class Coordinates(NamedTuple):
 
     def apart(self, x: FloatArray, after: FloatArray) -> FloatArray:
         """The change of the searched coordinates from some values that move to others."""
-        ratio = np.maximum(after, 1e-300) / np.maximum(x, 1e-300)
-        return np.where(self.log, np.log(ratio), after - x)
+        # No ratio of the two: of values in another unit it may be beyond any float.
+        grown = np.log(np.maximum(after, 1e-300)) - np.log(np.maximum(x, 1e-300))
+        return np.where(self.log, grown, after - x)
 
     def beyond(self, begun: FloatArray, values: FloatArray, strides: float) -> FloatArray:
         """Extrapolation of the values beyond the last step by a factor."""

@@ -117,9 +117,11 @@ def torque_balance(
     width_s = max(sharp_s, narrower * width_s)
     listed = [_signals(m, b, sharp_s, width_s) for m, b in pairs]
     velocity = np.concatenate([s.sharp_rad_s for s in listed])
-    noise = np.random.default_rng(0).normal(0.0, noise_rad, max(m.samples for m, _ in pairs))
     b = pairs[0][1]
     sharp, smoother = (Smoother(s, pairs[0][0].sampling_Hz) for s in (sharp_s, width_s))
+    # Records of another rate may be shorter than the kernel is at the first one's.
+    most = max(*(m.samples for m, _ in pairs), 4 * sharp.reach, 4 * smoother.reach)
+    noise = np.random.default_rng(0).normal(0.0, noise_rad, most)
     of_velocity = float(np.nanstd(sharp.sampled(noise, 0.0, 1.0)))
     of_torque = smoother.sampled(noise, 0.0, b.viscous_friction_Nms, b.drum_inertia_kg_m2)
     least = CONSTANTS.above_noise * of_velocity
