@@ -109,7 +109,7 @@ class DiagnosedDrum(DiagnosedModel):
         A torque tau moves it by tau t^2/(2 J), of which the initial state explains all but 1/12.
         """
         steps = [step_of(m.angle_rad) for m in self.measurements if m.angle_rad is not None]
-        step = max(steps) or 2.0 * math.pi / self.model.encoder_counts
+        step = max(steps, default=0.0) or 2.0 * math.pi / self.model.encoder_counts
         step /= math.sqrt(12.0)
         torque = 0.1 * max(self.sizes.torque_rms_Nm, 1e-300)
         wanted = math.sqrt(
