@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+import plants
 from estune.errors import EstuneError
 from experiments.damaged_records.__main__ import VERDICTS, answers, is_helpful
 from experiments.damaged_records.damages import DAMAGES
@@ -52,6 +53,16 @@ def test_records_whose_rates_differ_a_little_are_of_one_controller():
     t = np.arange(100)
     records = [open_loop(0, rate, t / rate, angle_rad=t / rate) for rate in rates_Hz]
     assert of_usual_rate(records) == [0, 2, 3, 4]
+
+
+def test_residual_of_records_whose_rates_differ_a_little_is_localised(kinds):
+    machine = kinds[-1]
+    one, two = (
+        open_loop(n, 10.0 * (1.0 + 0.013 * n), t["current_A"], tension_N=t["tension_N"])
+        for n, t in enumerate(machine.tables)
+    )
+    found = plants.explain(machine.model, [one, two], effects=["dead_time"])
+    assert found.where.blocks
 
 
 @pytest.mark.slow

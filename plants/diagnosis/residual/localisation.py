@@ -171,6 +171,10 @@ def _block(
     for variable in motion:
         if variable.name in ("velocity", "command rate"):
             inside &= np.isfinite(variable.of)
+    if equation.smooth:
+        # Each record is smoothed at its own rate, and what may explain it at the first one's.
+        spans = (np.ones(r.measurement.samples) for r in records)
+        inside &= np.isfinite(np.concatenate([smoother.sampled(one, 1.0) for one in spans]))
     if inside.sum() < CONSTANTS.fewest:
         return None
     ends = np.cumsum([r.measurement.samples for r in records])[:-1]
