@@ -76,7 +76,7 @@ def scaled_scale(records: RecordScale, s: Scaling) -> RecordScale:
         "angle_rms_rad": "rad",
         **dict.fromkeys(("velocity_rms_rad_s", "velocity_max_rad_s"), "rad/s"),
         "velocity_min_rad_s": "rad/s",
-        "current_max_A": "A",
+        **dict.fromkeys(("current_rms_A", "current_max_A"), "A"),
         "current_rate_A_s": "A/s",
         "angle_noise_rad": "rad",
         "tension_noise_N": "N",

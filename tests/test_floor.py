@@ -61,6 +61,13 @@ def test_what_disturbs_a_drive_between_repeats_is_no_noise_of_its_encoder():
     assert noise_floor(records).angle_rad < 2.0 * STEP_RAD / 12**0.5
 
 
+def test_encoder_of_a_drum_that_is_held_is_as_coarse_as_that_of_one_that_moves():
+    moved = once(measure(SWEEP))
+    held = replace(moved, setpoint_N=np.full(moved.samples, 15.0), angle_rad=0.0 * moved.angle_rad)
+    floor = noise_floor([moved, held, moved])
+    assert floor.angle_rad == pytest.approx(STEP_RAD / 12**0.5, rel=0.1)
+
+
 def test_noise_is_estimated_from_constant_setpoints():
     rng = np.random.default_rng(5)
     n = 2000

@@ -163,8 +163,10 @@ def _channel(raw: RawFile, name: str, table: ColumnTable) -> Channel | None:
         return tails[0]
     if name == "time_s":
         return by_usual_name(raw.channels, "time", TIMES)
-    stems = {name.partition("_")[0], *(word for word, of in SYNONYMS.items() if of == name)}
-    named = [c for c in raw.channels if heading(c.name).key in stems]
+    others = {word for word, of in SYNONYMS.items() if of == name}
+    named = list[Channel]()
+    for stems in ({name.partition("_")[0]}, others):
+        named = named or [c for c in raw.channels if heading(c.name).key in stems]
     return named[0] if len(named) == 1 else None
 
 

@@ -34,6 +34,7 @@ SHOWN = RecordScale(
     angle_rms_rad=0.1,
     velocity_rms_rad_s=1.0,
     velocity_max_rad_s=10.0,
+    current_rms_A=0.6,
     current_max_A=6.0,
     current_rate_A_s=1e3,
     reading_max_N=40.0,

@@ -44,6 +44,7 @@ class RecordScale(NamedTuple):
         velocity_rms_rad_s: Velocity.
         velocity_max_rad_s: Greatest speed.
         velocity_min_rad_s: Least speed at which the records dwell, as far as the encoder shows it.
+        current_rms_A: Command about its mean.
         current_max_A: Greatest magnitude of the command.
         current_rate_A_s: Greatest rate of change of the command.
         angle_noise_rad: Noise of the encoder, or of the gauge as an angle, rms.
@@ -66,6 +67,7 @@ class RecordScale(NamedTuple):
     velocity_rms_rad_s: float = math.nan
     velocity_max_rad_s: float = math.nan
     velocity_min_rad_s: float = math.nan
+    current_rms_A: float = math.nan
     current_max_A: float = math.nan
     current_rate_A_s: float = math.nan
     angle_noise_rad: float = math.nan

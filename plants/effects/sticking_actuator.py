@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import casadi as ca
 
 from plants.effects.effect import Effect, Port, Response, Signal, Site, Values
-from plants.effects.parameter import RecordScale, Share, parameter
+from plants.effects.parameter import ABOVE_ZERO, RecordScale, Share, parameter
 from plants.effects.plant_scale import PlantScale, share
 from plants.effects.remedy import Remedy, limit, workshop
 
@@ -14,7 +14,7 @@ from plants.effects.remedy import Remedy, limit, workshop
 def _bands(records: RecordScale) -> Sequence[float]:
     """Bands that are tried: from a small part of what the command moves to twice its rms swing."""
     return tuple(
-        records.torque_rms_Nm * factor
+        records.current_rms_A * factor
         for factor in (0.1, 0.2, 0.35, 0.5, 0.7, 0.95, 1.2, 1.5, 1.9, 2.4)
     )
 
@@ -55,11 +55,11 @@ class StickingActuator(Effect):
     weight: float = parameter(1.0, low=0.0, high=1.2, neutral=0.0)
     band_A: float = parameter(
         0.3,
-        low=1e-12,
+        low=ABOVE_ZERO,
         unit="A",
         start=_bands,
-        between=(Share(0.02, "torque_rms_Nm"), Share(5.0, "torque_rms_Nm")),
-        least=(Share(0.02, "torque_rms_Nm"),),
+        between=(Share(0.02, "current_rms_A"), Share(5.0, "current_rms_A")),
+        least=(Share(0.02, "current_rms_A"),),
     )
     slip: float = parameter(0.5, low=0.0, high=1.0, start=(0.05, 0.3, 0.5, 0.7, 0.95))
 

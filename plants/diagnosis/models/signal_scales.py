@@ -40,6 +40,7 @@ def signal_scale(
         velocity_max_rad_s=_max(velocities),
         # Below it are the slowest of the moving samples.
         velocity_min_rad_s=float(np.quantile(moving, 0.02)) if moving.size else 0.0,
+        current_rms_A=_rms(moved),
         current_max_A=_max(currents),
         current_rate_A_s=max(steps, default=0.0),
     )
