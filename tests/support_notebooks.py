@@ -38,7 +38,8 @@ def kernel() -> Iterator[KernelManager]:
 def executed(path: Path, folder: Path, manager: KernelManager) -> nbformat.NotebookNode:
     """The notebook with the outputs that it has in a folder, without earlier names."""
     notebook = nbformat.read(path, as_version=4)
-    first = nbformat.v4.new_code_cell(f"%reset -f\n%cd -q {folder}")
+    # First the folder: that of the notebook before is gone, and a reset asks where it is.
+    first = nbformat.v4.new_code_cell(f"__import__('os').chdir({str(folder)!r})\n%reset -f")
     # Cell 1 of the notebook is to be numbered 1.
     first.source += "\nget_ipython().execution_count = 0"
     notebook.cells.insert(0, first)
