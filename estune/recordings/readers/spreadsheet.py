@@ -12,14 +12,11 @@ def read_spreadsheet(path: Path) -> RawFile:
     """Reads a sheet as a table of text: lines above it and a row of units are known there."""
     from openpyxl import load_workbook  # noqa: PLC0415  an optional dependency
 
-    book = load_workbook(path, read_only=True, data_only=True)
-    try:
-        for sheet in book.worksheets:
+    with path.open("rb") as file:  # the library leaves a damaged one open
+        for sheet in load_workbook(file, read_only=True, data_only=True).worksheets:
             rows = ["\t".join(map(_cell, row)) for row in sheet.iter_rows(values_only=True)]
             if len(rows) > 1:
                 return table("\n".join(rows))
-    finally:
-        book.close()
     return RawFile((), {})
 
 
