@@ -126,7 +126,7 @@ BANNERS = {
     ),
     "failed": (
         {"rig": RIG, "state": STATE | {"status": "failed: the rig is gone"}},
-        ("failed", "no", "12 s ago; the rig is idle now; it ended as the rig is gone"),
+        ("failed", "no", "12 s ago; the rig is idle now; it ended with: the rig is gone"),
     ),
     "begun": ({"rig": RIG, "begun": {"run": "b", "fault": ""}, "run": {"name": "a"}}, "starting"),
     "not begun": (

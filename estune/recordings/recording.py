@@ -10,7 +10,6 @@ from estune.core.quantities import FloatArray
 from estune.recordings.channel_search import (
     EFFORTS,
     MEASUREMENTS,
-    SETPOINTS,
     TIMES,
     by_usual_name,
     find_channel,
@@ -35,6 +34,7 @@ from estune.recordings.column_names import (
 from estune.recordings.heading import heading, nearest
 from estune.recordings.issue import DataIssue, Unusable
 from estune.recordings.long_form import separated
+from estune.recordings.loop_channels import NAMES
 from estune.recordings.metadata import Metadata, metadata_beside
 from estune.recordings.raw_file import Channel, RawFile, read_raw
 from estune.recordings.time_unit import time_doubt
@@ -170,6 +170,15 @@ def _channel(raw: RawFile, name: str, table: ColumnTable) -> Channel | None:
     return named[0] if len(named) == 1 else None
 
 
+_OF_PLANT = (
+    ("setpoint_N", "setpoint", "setpoint"),
+    ("tension_N", "output", "measurement"),
+    ("current_A", "input", "effort"),
+)
+_OF_DRIVE = (("angle_rad", "position", "measurement"), ("current_A", "torque", "effort"))
+"""Columns of a record, their names in a map, and those of a loop's log whose names they have."""
+
+
 def _by_usual_names(raw: RawFile, mapped: dict[str, Mapped], drum: Drum) -> list[DataIssue]:
     """What a plant or a drive measures and is commanded, by the usual names, added to the mapped.
 
@@ -178,18 +187,11 @@ def _by_usual_names(raw: RawFile, mapped: dict[str, Mapped], drum: Drum) -> list
     issues = list[DataIssue]()
     if any(name in mapped for name in MEASURED):
         return issues
-    of_plant = drum.radius_m is None
-    wanted = (
-        ("setpoint_N", "setpoint", "setpoint", SETPOINTS),
-        ("tension_N", "output", "measurement", MEASUREMENTS)
-        if of_plant
-        else ("angle_rad", "position", "measurement", MEASUREMENTS),
-        ("current_A", "input" if of_plant else "torque", "effort", EFFORTS),
-    )
-    for name, word, kind, usual in wanted if of_plant else wanted[1:]:
+    wanted = _OF_PLANT if drum.radius_m is None else _OF_DRIVE
+    for name, word, kind in wanted:
         taken = {m.source for m in mapped.values()}
         left = [c for c in raw.channels if c.name not in taken]
-        channel = None if name in mapped else by_usual_name(left, kind, usual)
+        channel = None if name in mapped else by_usual_name(left, kind, NAMES[kind])
         found = None
         with suppress(Unusable):  # of another quantity
             found = channel and map_column(name, ColumnTable(), channel, drum)

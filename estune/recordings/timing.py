@@ -77,8 +77,11 @@ def evened(
         return _counted(columns, time_s, stated_Hz)
     _check_order(time_s)
     counts = _counts(time_s)
-    if counts[-1] >= counts.size and _off_grid(time_s, _usual_rate(time_s), counts) <= JITTER:
-        return _filled(columns, time_s, counts, stated_Hz, measured)
+    if counts[-1] >= counts.size:
+        found_Hz = _counted_rate(time_s, counts)
+        if _off_grid(time_s, found_Hz, counts) <= JITTER:
+            _check_rate(stated_Hz, found_Hz, AGREES)
+            return _filled(columns, time_s, counts, stated_Hz or found_Hz, measured)
     gaps = _gaps(time_s, rounding_s)
     bounds = [0, *gaps.tolist(), time_s.size]
     rows = [slice(a, b) for a, b in itertools.pairwise(bounds)]
@@ -86,8 +89,7 @@ def evened(
     found_Hz = _rate(time_s[longest])
     # One sample late in the middle turns the slope by 1.5 samples over all of them.
     tolerance = AGREES + (LATE + rounding_s * found_Hz) / (longest.stop - longest.start)
-    if stated_Hz is not None and abs(stated_Hz / found_Hz - 1.0) > tolerance:
-        raise Unusable(_contradiction(stated_Hz, found_Hz), COLUMN)
+    _check_rate(stated_Hz, found_Hz, tolerance)
     off = max(_off_grid(time_s[part], found_Hz) for part in rows)
     if off > OFF_GRID + rounding_s * found_Hz:
         return resampled(columns, dict.fromkeys(columns, time_s), stated_Hz, measured)
@@ -106,13 +108,10 @@ def _filled(
     columns: Columns,
     time_s: FloatArray,
     counts: FloatArray,
-    stated_Hz: float | None,
+    rate: float,
     measured: tuple[str, ...],
 ) -> Evened:
     """Rows of an even clock with one or two missing filled in, in parts between longer gaps."""
-    found_Hz = _usual_rate(time_s)
-    if stated_Hz is not None and abs(stated_Hz / found_Hz - 1.0) > AGREES:
-        raise Unusable(_contradiction(stated_Hz, found_Hz), COLUMN)
     every = np.arange(counts[-1] + 1.0)
     last = np.searchsorted(counts, every, side="right") - 1
     steps = np.append(np.diff(counts), 1.0)
@@ -125,11 +124,11 @@ def _filled(
     issues = _gap_issues(time_s, np.flatnonzero(steps[:-1] > BRIDGED) + 1)
     if bridged.size:
         number = int((steps[bridged] - 1.0).sum())
-        sentence = f"of an even clock of {found_Hz:.6g} Hz {number} rows are missing, one or two "
+        sentence = f"of an even clock of {rate:.6g} Hz {number} rows are missing, one or two "
         sentence += "in a row: measurements are interpolated there, commands held"
         issues.append(DataIssue("warning", sentence, COLUMN, int(bridged[0]) + 2))
     parts = tuple({name: values[part] for name, values in whole.items()} for part in _runs(within))
-    return Evened(found_Hz if stated_Hz is None else stated_Hz, parts, tuple(issues))
+    return Evened(rate, parts, tuple(issues))
 
 
 def resampled(
@@ -156,8 +155,7 @@ def resampled(
     for stamps in clocks.values():
         _check_order(stamps)
     usual_s = 1.0 / _usual_rate(clocks[lead])
-    if stated_Hz is not None and abs(stated_Hz * usual_s - 1.0) > JITTER:
-        raise Unusable(_contradiction(stated_Hz, 1.0 / usual_s), COLUMN)
+    _check_rate(stated_Hz, 1.0 / usual_s, JITTER)
     rate = stated_Hz or 1.0 / usual_s
     first = max(float(stamps[0]) for stamps in clocks.values())
     last = min(float(clocks[name][-1]) for name in columns if name in measured)
@@ -256,8 +254,7 @@ def _is_counted(time_s: FloatArray, rounding_s: float) -> bool:
 def _counted(columns: Columns, time_s: FloatArray, stated_Hz: float | None) -> Evened:
     """Rows of an even clock whose stamps are rounded to several samples."""
     found_Hz = _rate(time_s)
-    if stated_Hz is not None and abs(stated_Hz / found_Hz - 1.0) > JITTER:
-        raise Unusable(_contradiction(stated_Hz, found_Hz), COLUMN)
+    _check_rate(stated_Hz, found_Hz, JITTER)
     rate = found_Hz if stated_Hz is None else stated_Hz
     k = np.arange(time_s.size) - (time_s.size - 1) / 2.0
     sentence = (
@@ -297,16 +294,21 @@ def _counts(time_s: FloatArray) -> FloatArray:
     return np.concatenate([[0.0], np.cumsum(np.maximum(np.round(steps / np.median(steps)), 1.0))])
 
 
+def _counted_rate(time_s: FloatArray, counts: FloatArray) -> float:
+    """Rate by regression of stamps on the samples of an even clock that they are of."""
+    k = counts - counts.mean()
+    return float((k @ k) / (k @ (time_s - time_s.mean())))
+
+
 def _usual_rate(time_s: FloatArray) -> float:
     """Rate of an even clock with rows missing, else that of the steps that are no gap.
 
     With stamps in whole seconds two rows lacking a value in 9000 moved the mean of the steps, and
     every row was interpolated: a loop that rang was told to be sound.
     """
-    k = _counts(time_s)
-    k -= k.mean()
-    rate = float((k @ k) / (k @ (time_s - time_s.mean())))
-    if _off_grid(time_s, rate, k) <= JITTER:
+    counts = _counts(time_s)
+    rate = _counted_rate(time_s, counts)
+    if _off_grid(time_s, rate, counts) <= JITTER:
         return rate
     steps = np.diff(time_s)
     return 1.0 / float(steps[steps <= _longest_s(time_s, _rounding(time_s))].mean())
@@ -332,6 +334,11 @@ def _rounding(time_s: FloatArray) -> float:
         if np.abs(np.round(time_s, decimals) - time_s).max() < close:
             return 0.5 * 10.0**-decimals
     return 0.0
+
+
+def _check_rate(stated_Hz: float | None, found_Hz: float, tolerance: float) -> None:
+    if stated_Hz is not None and abs(stated_Hz / found_Hz - 1.0) > tolerance:
+        raise Unusable(_contradiction(stated_Hz, found_Hz), COLUMN)
 
 
 def _contradiction(stated_Hz: float, found_Hz: float) -> str:

@@ -127,7 +127,7 @@ def _ended(state: Mapping[str, Any], values: Mapping[str, Any], now: datetime) -
         rig = values.get("rig")
         # The reason is of then: after a reset it still asks for the stop to be cleared.
         now_is = f"the rig is {rig['mode']} now" if rig and reason else ""
-        why = f"it ended as {reason}" if now_is else reason
+        why = f"it ended with: {reason}" if now_is else reason
         return Banner(word, tone, "; ".join(filter(None, (ended, now_is, why))))
     if result is None:
         return Banner("finished", "", ended)

@@ -35,12 +35,16 @@ Folders = Sequence[tuple[str, str]]
 def usual_port(usual: int, host: str = "127.0.0.1") -> int:
     """The usual port of a page, or 0 where it is taken: by another page, as a rule."""
     try:
-        with socket.create_server(
-            (host, usual), family=socket.AF_INET6 if ":" in host else socket.AF_INET
-        ):
+        with _listening(host, usual):
             return usual
     except OSError:
         return 0
+
+
+def _listening(host: str, port: int) -> socket.socket:
+    return socket.create_server(
+        (host, port), family=socket.AF_INET6 if ":" in host else socket.AF_INET
+    )
 
 
 class HttpService:
@@ -71,9 +75,7 @@ class HttpService:
         """
         _check_reach(host, allow_remote=allow_remote)
         try:
-            self._socket = socket.create_server(
-                (host, port), family=socket.AF_INET6 if ":" in host else socket.AF_INET
-            )
+            self._socket = _listening(host, port)
         except OSError as error:
             raise InvalidInput(
                 f"the page cannot be served on port {port} of {host}: {error.strerror}; choose "
