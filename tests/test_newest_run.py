@@ -105,7 +105,7 @@ BANNERS = {
     "idle": ({"rig": RIG}, ("idle", "", "nothing moves")),
     "running": (
         {"rig": RIG, "state": STATE},
-        ("running", "yes", "trial 3 of at most 119: search; at most 3 min left"),
+        ("running", "yes", "2 of at most 119 trials done: search; at most 3 min left"),
     ),
     "tuned": (
         {

@@ -221,3 +221,11 @@ def test_object_that_cannot_be_read_is_named(tmp_path):
     (tmp_path / "log.mcap.zstd").write_bytes(b"")
     with pytest.raises(Unusable, match=r"zstd -d log\.mcap\.zstd"):
         read_recording(tmp_path / "log.mcap.zstd")
+
+
+def test_a_column_without_a_value_is_listed_as_empty(tmp_path):
+    table = tmp_path / "empty.csv"
+    table.write_text("time,torque,position\n" + "".join(f"{k / 100},0.1,\n" for k in range(50)))
+
+    with pytest.raises(Unusable, match=r"time, torque, position \(no value but zero\)"):
+        read_recording(table)

@@ -181,7 +181,10 @@ def _system_fault(error: OSError) -> int:
 def _usage_fault(error: CycloptsError) -> str:
     if isinstance(error, UnusedCliTokensError) and error.unused_tokens:
         words = " ".join(error.unused_tokens)
-        return f"{words!r} is one word too many; quote a path that contains spaces"
+        return (
+            f"{words!r} belongs to no option; name its option, such as --data PATH, and quote a "
+            "path that contains spaces"
+        )
     return " ".join(str(error).split())
 
 

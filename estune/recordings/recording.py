@@ -270,9 +270,14 @@ def _nearest(raw: RawFile, columns: dict[str, Mapped], *names: str) -> str:
 
 
 def _listed(raw: RawFile) -> str:
-    names = [channel.name for channel in raw.channels]
+    names = [f"{c.name}{'' if _has_values(c) else ' (no value but zero)'}" for c in raw.channels]
     more = f" and {len(names) - _LISTED} more" if len(names) > _LISTED else ""
     return f"the file has {', '.join(names[:_LISTED])}{more}"
+
+
+def _has_values(channel: Channel) -> bool:
+    """Whether a channel has a value other than zero; a sensor that is absent fills in zeros."""
+    return any(value == value and value not in (0, "", None) for value in channel.values)  # noqa: PLR0124  NaN is no value
 
 
 def _clocks(

@@ -147,14 +147,14 @@ _WORDS = {
 
 
 def progress(state: Mapping[str, Any]) -> str:
-    """Number of the trial under way, of how many, in which phase, and the time left."""
-    number, left = state["done"] + 1, state["left"]
-    of = f" of {'at most ' if state['at_most'] else ''}{state['done'] + left}" if left else ""
+    """Trials done, of how many, the phase, and the time left; trials themselves count from 0."""
+    done, left = state["done"], state["left"]
+    of = f" of {'at most ' if state['at_most'] else ''}{done + left}" if left else ""
     phase = f": {state['phase']}" if state["phase"] else ""
     time_s = state["trial_s"] and left and state["trial_s"] * left
     at_most = "at most" if state["at_most"] else "about"
     to_come = f"; {at_most} {duration(time_s)} left" if time_s and time_s >= 1.0 else ""
-    return f"trial {number}{of}{phase}{to_come}"
+    return f"{done}{of} trials done{phase}{to_come}"
 
 
 def facts(kind: str, values: Mapping[str, Any]) -> Facts:

@@ -21,7 +21,7 @@ from plants.diagnosis.data.records import drum_of, read_measurements
 from plants.explain_page.preview import preview, warnings
 from plants.explain_page.search_process import SearchProcess
 from plants.models.model_file import load_model
-from plants.models.model_tables import KINDS, form_of
+from plants.models.model_tables import KINDS, ModelKind, form_of
 
 DATA, MAP, MODEL = "data", "columns.toml", "model.toml"
 IMPROVED, REPORT, RESULT = "improved.toml", "report.html", "diagnosis.json"
@@ -173,26 +173,28 @@ class Workbook:
 
 
 def form() -> list[dict[str, Any]]:
-    """The kinds of models with their keys, what each takes and its default, for a form."""
+    """Kinds of models: their keys, what each takes, its default, and what must be given."""
+    kinds = ((kind, *_defaults(kind)) for kind in KINDS)
     return [
         {
             "table": kind.table,
+            "needs": needs,
             "keys": [
                 {"name": name, "form": form_of(reader), "default": defaults.get(name, "")}
                 for name, reader in kind.keys.items()
             ],
         }
-        for kind, defaults in ((kind, _defaults(kind)) for kind in KINDS)
+        for kind, defaults, needs in kinds
     ]
 
 
-def _defaults(kind: Any) -> dict[str, Any]:
-    """The values of a model of which nothing is given; none where something must be."""
+def _defaults(kind: ModelKind) -> tuple[dict[str, Any], str]:
+    """The values of a model of which nothing is given; where something must be, what."""
     try:
         values = kind.values(kind.make())
-    except (EstuneError, TypeError):
-        return {}
-    return {name: value for name, value in values.items() if isinstance(value, int | float | str)}
+    except EstuneError as error:
+        return {}, str(error)
+    return {name: v for name, v in values.items() if isinstance(v, int | float | str)}, ""
 
 
 def _channels(data: Path) -> list[dict[str, str]]:

@@ -1,5 +1,6 @@
 """Endpoints: their form, their reach, and why a client cannot connect to one."""
 
+import difflib
 import ipaddress
 import re
 import socket
@@ -14,12 +15,12 @@ _PROBE_WITHIN_S = 2.0
 
 def intended_endpoint(text: str) -> str:
     """The endpoint that a malformed one stands for, such as `127.0.0.1:7447`; empty if none."""
-    form = r"(?:(tcp|tls|quic|https?):?/*)?(\[[0-9a-fA-F:.]+\]|[A-Za-z0-9.-]+):(\d{1,5})/?"
+    form = r"(?:([a-z]{3,5})(?::/*|/+))?(\[[0-9a-fA-F:.]+\]|[A-Za-z0-9.-]+):(\d{1,5})/?"
     match = re.fullmatch(form, text)
     if match is None or int(match[3]) > 65535:
         return ""
-    scheme = match[1] if match[1] in ("tls", "quic") else "tcp"
-    return f"{scheme}/{match[2]}:{match[3]}"
+    scheme = difflib.get_close_matches(match[1] or "tcp", ("tcp", "tls", "quic"), 1) or ["tcp"]
+    return f"{scheme[0]}/{match[2]}:{match[3]}"
 
 
 def check_endpoint(endpoint: str) -> None:

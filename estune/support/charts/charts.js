@@ -41,7 +41,7 @@ function marks(get) {
           ctx.stroke();
           if (mark.label) {
             ctx.font = `${11 * devicePixelRatio}px system-ui, sans-serif`;
-            ctx.textAlign = "right";
+            [ctx.textAlign, ctx.textBaseline] = ["right", "bottom"]; // the axes leave "middle", which the line would cross
             ctx.fillText(mark.label, bbox.left + bbox.width - 4, y - 3 * devicePixelRatio);
           }
         }

@@ -119,6 +119,7 @@ async function openForm() {
       });
       $("toml").value = [`[${kind.table}]`, ...given, ""].join("\n");
     };
+    $("needs").textContent = kind.needs ? `With no key given: ${kind.needs}.` : "Every key has a default, which is shown.";
     $("keys").replaceChildren(...kind.keys.map(({ name, form, default: otherwise }) => {
       const input = form === "flag" ? make("select", {}, new Option(""), new Option("true"), new Option("false")) : make("input", { placeholder: otherwise === "" ? { numbers: "1, 2.5", toml: "TOML" }[form] ?? "" : String(otherwise), autocomplete: "off" });
       Object.assign(input, { id: `key-${name}` });
