@@ -41,13 +41,7 @@ class Admission:
     """
 
     def __init__(self, renewal: LeaseRenewal, rigs: int, rigs_max: int | None = None) -> None:
-        """Begins without a limit of trials.
-
-        Args:
-            renewal: Renewal of the leases of the rigs.
-            rigs: Number of rigs in the daemon's file.
-            rigs_max: Most rigs held at once; None for all.
-        """
+        """Begins without a limit of trials."""
         self.computing = threading.Lock()
         self._renewal = renewal
         self._rigs = rigs

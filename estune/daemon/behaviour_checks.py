@@ -179,7 +179,6 @@ class BehaviourChecks:
 
 
 def _key(remedy: Patch) -> str:
-    """Identifies a patch with its proof; a new proof is another one."""
     return f"{remedy.effect} {(remedy.proof or {})['date']}"
 
 

@@ -19,7 +19,6 @@ class CheckTrialResult(NamedTuple):
     """Result of a check trial.
 
     Attributes:
-        record: Its record.
         cost: Its cost; infinite where it was unsafe, NaN where it was void.
         signal: Signal of the control chart; None where it was void.
     """
@@ -55,7 +54,6 @@ class CheckTrials:
         return None if state is None else state.smoothed / self._chart.limit
 
     def _alarm_costs(self, state: ChartState) -> tuple[float, float]:
-        """Costs beyond which a check trial is an outlier, low and high."""
         spread = self._chart.repeatability(state) * math.sqrt(1.0 + 1.0 / state.known)
         half = self._chart.outlier_limit * spread
         return math.exp(state.mean - half), math.exp(state.mean + half)

@@ -41,7 +41,6 @@ class MarginReport(NamedTuple):
     """Something to be reported of the margins.
 
     Attributes:
-        kind: Kind of the event.
         sentence: What was found.
         gains: Recommended gains, whose limits hold by the upper ends of their intervals; or None.
         is_machine: Whether the actuator or the sensor is at fault, which no tuning mends.
@@ -198,7 +197,6 @@ class MarginWatch:
         )
 
     def _cause(self, sampling_Hz: float) -> Cause:
-        """The cause that the newest record shows."""
         newest = self._known.records[-1]
         return judge_signals(
             JudgedSignals(newest.setpoint, newest.measurement, newest.effort, 1.0 / sampling_Hz)

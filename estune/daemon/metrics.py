@@ -162,8 +162,6 @@ METRICS = (
 
 
 class _Rigs(Collector):
-    """The metrics of several rigs as they are when they are asked for."""
-
     def __init__(self, rigs: Callable[[], Iterable[RigFigures]]) -> None:
         self._rigs = rigs
 
@@ -195,8 +193,6 @@ class ThreadingServer(ThreadingMixIn, WSGIServer):
 
 
 class _Quiet(WSGIRequestHandler):
-    """A handler that logs no requests."""
-
     def log_message(self, format: str, *args: object) -> None:  # noqa: A002  the base's name
         pass
 
@@ -233,8 +229,6 @@ def build_info(metric: str) -> Family:
 
 
 class _Daemon(Collector):
-    """The metrics of the daemon itself."""
-
     def __init__(self, health: Callable[[], DaemonHealth]) -> None:
         self._health = health
 
@@ -270,11 +264,6 @@ class MetricsServer:
         self, port: int, registry: CollectorRegistry, faults: Mapping[str, Callable[[], str]]
     ) -> None:
         """Listens; port 0 takes a free one.
-
-        Args:
-            port: The port.
-            registry: The metrics.
-            faults: Of `/health` and `/ready`, why it is not; empty where it is.
 
         Raises:
             RigError: the port is taken.

@@ -78,11 +78,7 @@ class VoidTrialCounter:
 
 
 class RigAccess:
-    """A connected rig whose records are checked; implements `estune.trial.Rig`.
-
-    Attributes:
-        description: The rig's last description of itself.
-    """
+    """A connected rig whose records are checked; implements `estune.trial.Rig`."""
 
     def __init__(
         self,
@@ -246,14 +242,6 @@ def open_rig(
     counts: RigCounts | None = None,
 ) -> RigAccess:
     """Connects to a rig.
-
-    Args:
-        settings: The rig's table.
-        holder: Name of the lease holder, shown to other clients.
-        void_trials: Counter that outlives the connection.
-        network: Sessions shared by all rigs of the daemon.
-        turn: The block of one trial; it waits until the trial may run.
-        counts: What is counted of the rig for the metrics.
 
     Raises:
         RigError: the rig does not answer.

@@ -42,13 +42,7 @@ _log = logging.getLogger(__name__)
 
 
 class DaemonService:
-    """A daemon. `run` returns when every supervisor has ended.
-
-    Args:
-        config: The daemon's file.
-        notifier: Connection to systemd; by default the one of the environment.
-        security: Credentials, if a rig requires authentication.
-    """
+    """A daemon. `run` returns when every supervisor has ended."""
 
     def __init__(
         self,

@@ -13,8 +13,6 @@ class SharedResources(NamedTuple):
     Attributes:
         holder: Name of the daemon as the holder of leases.
         instance: Identity of this start of it.
-        network: Sessions with rigs.
-        admission: Places for rigs and turns for trials.
         fleet: Where a rig that this daemon has is announced to the other daemons that have it in
             their files; None if there are none.
         stop_within_s: Time that a stop waits for a rig that does not answer.

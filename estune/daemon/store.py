@@ -72,9 +72,6 @@ class Check(NamedTuple):
         number: Index, from 0.
         attempt: Number of void trials under this index before.
         told_at: Time at which its record arrived; empty before.
-        outcome: Outcome; empty before.
-        cost: Cost, if any.
-        sign: Signal of the control chart.
         alarm_low: Cost below which it was an outlier; None where that was not stored.
         alarm_high: Cost above which it was an outlier.
     """

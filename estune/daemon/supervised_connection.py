@@ -78,7 +78,6 @@ class SupervisedConnection:
 
     @contextmanager
     def _turn(self) -> Iterator[None]:
-        """Block of one trial, which is not begun once the mode needs none."""
         if self._rig.mode not in TRIAL_MODES:
             raise Preempted
         with self._shared.admission.trial(self._wait):

@@ -177,10 +177,9 @@ class SupervisedRig:
         return Events(self.store.events(request.after, request.limit))
 
     def mark_ready(self, live: GainSet | None) -> None:
-        """Reports that the rig runs the nominal gains, unless those have changed meanwhile.
+        """Reports that the rig runs the nominal gains; None where an operator is needed first.
 
-        Args:
-            live: Which gains those are; None where an operator is needed first.
+        Nothing is reported where those have changed meanwhile.
         """
         with self._lock:
             if self.mode is SupervisorMode.READYING and (live is None or self.state.home is live):

@@ -42,7 +42,6 @@ class RigSupervisor:
     """Supervisor of one rig.
 
     Attributes:
-        name: The rig.
         confirmed: Whether the rig has confirmed, at the end, that the nominal gains are live.
     """
 
@@ -222,7 +221,6 @@ class RigSupervisor:
         self._rig.apply_decision(decision, accept=self._settings.accept == "auto")
 
     def _complete(self, run: TuningRun, access: RigAccess) -> RunDecision:
-        """Runs the trials of a tuning run that are missing, and decides on its result."""
         self._rig.session = run.session
         self._disk = DiskForecast(run.journal) if run.journal is not None else None
         try:
@@ -270,7 +268,6 @@ class RigSupervisor:
             self._rig.log_event(EventKind.DISK, warning, fault=FaultCode.DISK_LOW)
 
     def _watch(self) -> None:
-        """Waits for the next check trial, runs it, and evaluates the control chart."""
         rig, access, home = self._rig, self._connection.required(), self._rig.state.home
         if rig.checks.chart(home) is None:
             reason = "there is no baseline for the check trials"
@@ -287,7 +284,6 @@ class RigSupervisor:
             self._check_behaviour(access)
 
     def _check(self, access: RigAccess, home: GainSet, gains: Gains, *, with_step: bool) -> None:
-        """Runs a check trial, or a multisine alone, and evaluates margins and control chart."""
         rig = self._rig
         with self._shared.admission.computing, self._connection.trials():
             about = access.description
@@ -307,7 +303,6 @@ class RigSupervisor:
             rig.handle_drift(check.cost, check.signal)
 
     def _check_behaviour(self, access: RigAccess) -> None:
-        """Measures tracking and rest, and whether a remedy has kept its gain."""
         with self._shared.admission.computing, self._connection.trials():
             for effect, why in self._rig.behaviour.take(access, access.describe()):
                 sentence = f"the remedy against {effect} is switched off: {why}"
@@ -327,14 +322,12 @@ class RigSupervisor:
             self._rig.apply_event(SupervisorEvent.CHANGED, reason)
 
     def _stay_paused(self) -> None:
-        """Leaves the rig to other clients; only checks that it answers."""
         access = self._connection.required()
         access.release()
         if not self._rest(self._settings.look_every_s):
             access.describe()
 
     def _restore_nominal_gains(self) -> None:
-        """Restores the nominal gains, with retries until the stop timeout."""
         if self._stopping_since_s is None:
             self._stopping_since_s = time.monotonic()
         rig, name = self._rig, self._rig.state.home

@@ -84,7 +84,6 @@ class SupervisorState:
         goal: Activity while the rig is ready.
         home: The nominal gains: live between trials and after the end.
         why: Why these.
-        link: State of the connection to the rig.
         failures: Consecutive failures to reach or use the rig.
         trouble: Message of the last failure; empty once it is over.
         paused: Why the supervision is paused; empty if it is not.

@@ -139,7 +139,6 @@ class BlackBox(Closing):
             self._failed = True
 
     def _take(self) -> None:
-        """Takes the motion and the commands since the last visit."""
         rows = self._rig.motion_since(self._sample)
         if rows.size:
             self._sample = int(rows["sample"][-1])
@@ -219,7 +218,6 @@ def black_box(rig: MovingRig, file: Path, table: BlackBoxTable) -> Iterator[Blac
 
 
 def _metadata(rig: RigDescription) -> dict[str, Any]:
-    """Metadata of a record between trials."""
     gains = rig.gains
     return rig.signals.stated | {
         "rig": rig.name,

@@ -20,8 +20,6 @@ _EXPORT = '#define ESTUNE_PIDF_EXPORT __attribute__((visibility("default")))\n'
 
 
 class _Struct(ctypes.Structure):
-    """`estune_pidf` of the C text."""
-
     _fields_ = (
         ("coefficients", ctypes.c_double * COEFFICIENTS),
         ("state", ctypes.c_double * STATES),
@@ -32,8 +30,6 @@ class _Limits:
     """Limits of the effort, and the feed-forward within them.
 
     Attributes:
-        limits_N: The rig's.
-        forward_N: Feed-forward.
         drive_N: Greatest size of the effort that the drive gives; zero where it is the rig's.
     """
 

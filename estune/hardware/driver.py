@@ -26,7 +26,6 @@ class Reading(NamedTuple):
     Attributes:
         time_s: Time on the system's monotonic clock (`time.monotonic`), s; best the moment the
             converter latched the gauge.
-        gauge_counts: Counts of the strain gauge's converter; NaN where the converter reports
             overload.
         encoder_counts: Counts of the drum's encoder, unwrapped: they go on past a turn.
         age_s: Age of the last good values, s; zero in a good reading.
@@ -41,12 +40,7 @@ class Reading(NamedTuple):
 
 
 def bad_reading(fault: str, last: Reading | None) -> Reading:
-    """A reading without values of this instant.
-
-    Args:
-        fault: Why there are none.
-        last: The last good reading; None before the first.
-    """
+    """A reading without values of this instant."""
     now_s = time.monotonic()
     if last is None:
         return Reading(now_s, math.nan, 0, math.inf, fault)

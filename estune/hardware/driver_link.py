@@ -16,12 +16,7 @@ AHEAD_MAX_s = 1e-3
 
 
 def read_safely(driver: Driver, last: Reading | None) -> Reading:
-    """A reading of a driver, bad where it raises or has values that are none.
-
-    Args:
-        driver: The driver.
-        last: The last good reading; None before the first.
-    """
+    """A reading of a driver, bad where it raises or has values that are none."""
     try:
         reading = driver.read()
         if reading.fault:
@@ -53,9 +48,6 @@ class DriverLink:
     What the driver raises becomes the fault of the next reading. A device whose state is unknown,
     as after bad readings or when its driver was opened again, is brought to its safe state before
     anything else, unless it has power in order.
-
-    Attributes:
-        last: The last good reading; None before the first.
     """
 
     def __init__(self, make_driver: Callable[[], Driver]) -> None:

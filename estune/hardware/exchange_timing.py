@@ -21,14 +21,11 @@ class ExchangeTiming:
     """Readings and commands at the sampling rate.
 
     Attributes:
-        sampling_Hz: The rate at which they were asked for.
-        seconds: Length of the measurement, s.
         exchange_s: Time of a reading and a command together, shape (readings,).
         waited_s: Mean part of it spent waiting for answers; NaN where the driver does not count.
         wire_s: Mean part of it that the messages need on the bus; NaN likewise.
         time_s: Time stamps of the readings.
         gauge_counts: Counts of the gauge.
-        failed: Bad readings.
         messages: Messages during the measurement, by kind; empty where the driver does not count.
     """
 

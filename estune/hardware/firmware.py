@@ -160,12 +160,7 @@ ESTUNE_PIDF_EXPORT void estune_pidf_exchange(estune_pidf *pidf, casadi_real P, c
 
 
 def controller_source(settings: ControllerSettings, gains: Gains) -> str:
-    """C file of a controller with these settings compiled in.
-
-    Args:
-        settings: Fixed part of the controller.
-        gains: Gains that `estune_pidf_init` sets.
-    """
+    """C file of a controller with these settings compiled in."""
     return _TEXT.format(
         software=version("estune"),
         period_us=1e6 / settings.sampling_Hz,

@@ -30,9 +30,7 @@ class HybridControl:
     """Two controllers; the one that is not selected tracks the effort of the other.
 
     Attributes:
-        plan: Its settings.
         in_tension: The selection at the last sample.
-        limited: Whether the limits cut the last effort.
     """
 
     def __init__(self, plan: HybridPlan, tension: Controller, position: Controller) -> None:

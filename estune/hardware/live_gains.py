@@ -18,10 +18,7 @@ class LengthSource:
     """Gain schedule with the cable length that the drum angle gives.
 
     Attributes:
-        schedule: Gains over length and tension.
-        settings: Fixed part of the controller.
         length_m: Cable length at an angle of zero, m.
-        drum_radius_m: Length that a radian of winding in takes from it, m.
     """
 
     schedule: GainSchedule

@@ -46,7 +46,6 @@ class SafeState:
         hold: Whether the live gains hold the reel after a trial's own gains failed, with sensors
             and clock in order. Otherwise the current is ramped.
         effort_N: Effort at the end of the ramp, N; at zero the amplifier is disabled.
-        ramp_s: Length of the ramp, s.
         recover_s: Time in which the live gains must bring the reel back within its limits, s.
     """
 
@@ -63,7 +62,6 @@ class RealTime:
     Attributes:
         priority: Real-time priority of its process, 1 to 99; zero requests none.
         lock_memory: Whether its memory is locked in main memory.
-        cpu: Core to which it is bound; None for any.
         spin_s: Time before each instant at which it stops sleeping and watches the clock, s.
         late_s: Time after its instant from which a sample counts as late, s.
     """
@@ -80,8 +78,6 @@ class BadReadings:
     """Bad readings up to which the reel stays in motion, on the values of the last good one.
 
     Attributes:
-        in_a_row: Greatest number of bad readings in a row.
-        seconds: Longest time without a good reading, s.
         travel_counts: Encoder counts of the greatest travel that the guard allows in a trial: a
             change of more between two readings is the encoder's, and no motion of the drum.
     """
@@ -103,11 +99,6 @@ class LoopPlan:
         radians_per_count: Turn of the drum per encoder count; its sign is the direction.
         newtons_per_ampere: Tension at rest per motor current, N/A.
         controller: C text of the controller.
-        live: Difference equation of the live gains at the start.
-        length_source: Schedule of the live gains; None where they are fixed.
-        compensation: Compensations beside the controller; None without any.
-        compensation_source: C text of the compensations.
-        hybrid: Position control beside that of the tension; None without it.
         guard: Limits of the reel; each trial sets cost and duration.
     """
 
@@ -140,7 +131,6 @@ class BeginTrial(NamedTuple):
     """Command: run a trial; setpoint and weights are in the shared memory.
 
     Attributes:
-        number: Number of the trial, above zero and never used twice.
         open_loop: Whether the setpoint is the effort itself.
         cost_max: Running cost at which the guard stops it.
         duration_s: Longest time from its first sample, s.
@@ -200,9 +190,6 @@ class Ended(NamedTuple):
     """Answer: a trial has ended, and the live gains are back.
 
     Attributes:
-        number: Number of the trial.
-        samples: Samples measured.
-        outcome: Its outcome.
         reason: Why, where the outcome is not `done`.
         first_s: Time of its first sample on the monotonic clock, s; NaN without any.
     """

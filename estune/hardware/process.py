@@ -56,7 +56,6 @@ class LoopProcess:
     """A running loop. One thread at a time may send requests; any may check it.
 
     Attributes:
-        memory: Memory shared with the loop.
         notes: Requests of the loop to the system that were not granted, a line each.
     """
 

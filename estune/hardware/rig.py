@@ -69,10 +69,6 @@ class HardwareRig(Closing):
     ) -> None:
         """Starts the loop.
 
-        Args:
-            config: The rig's file.
-            start: Starts the loop of this name and plan.
-
         Raises:
             InvalidInput: a calibration, or a setting of the driver, cannot be used.
             RigError: the loop does not start, or the driver does not reach its hardware.
@@ -346,7 +342,6 @@ class HardwareRig(Closing):
         )
 
     def _record(self, request: TrialRequest, ended: Ended, begin: BeginTrial) -> TrialRecord:
-        """Record of the trial in the shared memory."""
         columns = self._optional_columns
         if begin.compensation is not None:
             plan, _ = begin.compensation

@@ -26,9 +26,6 @@ class GaugeScale:
 
     Attributes:
         coefficients: Coefficients of the scaled force, counts.
-        middle_N: Force in the middle of the range, N.
-        half_N: Half the range, N.
-        scaled_max: Greatest scaled force.
     """
 
     coefficients: tuple[float, float, float]
@@ -70,9 +67,6 @@ class CurrentScale:
 
     Attributes:
         coefficients: Coefficients of the scaled command, A.
-        middle: Command in the middle of the range, counts.
-        half: Half the range, counts.
-        scaled_max: Greatest scaled command.
     """
 
     coefficients: tuple[float, ...]

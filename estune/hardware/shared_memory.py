@@ -82,10 +82,8 @@ class Timing(NamedTuple):
     """Timing of the loop since it started.
 
     Attributes:
-        samples: Samples run.
         late: Samples that began late.
         missed: Sampling instants skipped altogether.
-        bad: Bad readings.
         lateness: Histogram of the time from the instant to the beginning of the sample.
         turnaround: Histogram of the time from the instant to the current command.
     """
@@ -119,10 +117,6 @@ class Memory:
     """The shared block, seen from either process.
 
     Attributes:
-        words: See `Word`.
-        levels: See `SensorLevels`.
-        lateness: See `Timing`.
-        turnaround: See `Timing`.
         setpoint_N: Setpoint of the trial; written by the rig before it.
         weights: Weight of the squared error in the running cost; written by the rig.
         target_N: Setpoint from above, a single number; written by the rig.
@@ -133,12 +127,7 @@ class Memory:
     """
 
     def __init__(self, file: int, capacity: int) -> None:
-        """Maps the block.
-
-        Args:
-            file: Descriptor of a file that `make_file` made for this capacity.
-            capacity: Samples of the longest trial.
-        """
+        """Maps the block."""
         self._map = mmap.mmap(file, _size(capacity))
         # Views of plain memory: a number is read or written in 40 ns, and nothing is allocated.
         self._next_byte = 0

@@ -55,11 +55,8 @@ class LedgerEntry(NamedTuple):
     """Entry of one trial.
 
     Attributes:
-        digest: Digest of its request.
-        state: Its state.
         frame: Its record, once it has ended; None too if the record was deleted.
         error: Kind of error, where the rig's program failed in it.
-        sentence: Message of that error.
     """
 
     digest: str
@@ -320,7 +317,6 @@ class FileLedger(_RigFacts):
         self._make_room(sequence)
 
     def _make_room(self, youngest: int) -> None:
-        """Deletes the oldest frames beyond the limit, and the oldest trials beyond theirs."""
         while self._frame_bytes > self._frames_max_bytes:
             oldest = self._file.rows(
                 "SELECT sequence, length(data) FROM frame WHERE sequence < ?"
@@ -348,7 +344,6 @@ Ledger = MemoryLedger | FileLedger
 
 
 def _prepare(file: SqliteFile, rig: str) -> None:
-    """Writes the first rows, or checks the rig's name and ends the trials left open."""
     if file.is_new:
         facts = (("name", rig), ("identity", secrets.token_hex(8)), ("latched", ""))
         file.write_many("INSERT INTO rig VALUES (?, ?)", facts)

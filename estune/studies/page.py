@@ -19,16 +19,7 @@ def study_page(
     sections: Sequence[Section] = (),
     procedure: str = "",
 ) -> Page:
-    """The page of a study: its outcome, its figures, its tunings, and how they were made.
-
-    Args:
-        title: Title of the page.
-        heading: The outcome in one line.
-        blocks: Sentences and figures above the table.
-        table: The tunings.
-        sections: Further sections.
-        procedure: How the tunings were made, as text; the last section.
-    """
+    """The page of a study: its outcome, its figures, its tunings, and how they were made."""
     last = (Section("Procedure", (Paragraph(procedure),)),) if procedure else ()
     return Page(title, heading, (*blocks, *page_tables(table)), (*sections, *last))
 

@@ -17,7 +17,6 @@ class StudyRow(NamedTuple):
     Attributes:
         label: What was tuned, or by which tuner.
         figures: Its figures as text, as the table's own heads name them.
-        gains: The gains it ended with, or None.
         ending: How it ended, in a few words.
         good: Whether that is good; None is neither.
         reason: Why, in a sentence; may be empty.
@@ -44,9 +43,7 @@ class StudyTable:
 
     Attributes:
         what: Head of the labels, such as reel or tuner.
-        figures: Heads of the figures.
         gain_units: Unit of each gain by name, as of a rig's signals.
-        rows: The tunings.
     """
 
     what: str

@@ -21,7 +21,6 @@ class Banner(NamedTuple):
     """The state in a word and a sentence.
 
     Attributes:
-        word: The state.
         tone: Good, bad, out of date, or none of these.
         sentence: What more there is to say of it.
     """

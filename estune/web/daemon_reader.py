@@ -18,12 +18,7 @@ CHECKS_MAX = 500
 
 
 class DaemonReader(Reader):
-    """Reads the supervision of a rig four times a second.
-
-    Args:
-        board: The board.
-        supervised: The supervision, of this process or of another.
-    """
+    """Reads the supervision of a rig four times a second."""
 
     source = "daemon"
     every_s = 0.25

@@ -22,8 +22,6 @@ class EndpointViews(Reader):
     A rig that comes back at another endpoint takes the place of the one that has gone.
 
     Args:
-        endpoints: The endpoints now.
-        security: Credentials for all of them.
         runs: Folder of runs, in which those of a rig are looked for.
         rig: The one rig that is shown; all by default.
         named_alone: Whether a view has the rig's name alone; else with its endpoint.

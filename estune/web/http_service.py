@@ -51,7 +51,6 @@ class HttpService:
     """Serves routes from a thread of its own until `close`.
 
     Attributes:
-        port: The port.
         key: What a request must carry to be allowed more than to read; empty where nothing is.
         address: Address of the page, with the key behind `#`, where no server sees it.
         is_ending: Whether the service is about to end, so that streams must.
@@ -152,7 +151,6 @@ class _Guard:
         self._origins = frozenset(f"http://{host}" for host in hosts)
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Answers one request."""
         headers = {name: value.decode("latin-1") for name, value in scope["headers"]}
         origin = headers.get(b"origin")
         if headers.get(b"host", "").lower() not in self._hosts:
@@ -166,7 +164,6 @@ class _Guard:
 
 
 def _static(folders: Folders, name: str) -> Response:
-    """A file of the page."""
     places = (files(package).joinpath(folder) for package, folder in folders)
     file = next((one for at in places for one in at.iterdir() if one.name == name), None)
     kind = _TYPES.get(name.rpartition(".")[2])

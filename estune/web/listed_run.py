@@ -19,11 +19,7 @@ _COMPARED = (Phase.BASELINE, Phase.SEARCH)
 class ListedRun:
     """The row of one run. Any thread may ask.
 
-    Args:
-        folder: The run.
-
     Attributes:
-        folder: The run.
         target: Where its trials are made, as of the last row; empty before, if unreadable, or
             where an object was given.
         last_at: When its last trial ended, or it began, as of the last row.

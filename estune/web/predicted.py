@@ -28,9 +28,6 @@ class PredictedResponse(NamedTuple):
     """A step response that a model predicts.
 
     Attributes:
-        source: The model, in words.
-        time_s: Shape (samples,).
-        setpoint: Shape (samples,), in the unit of the measurement.
         measurement: Likewise.
         cells: Rise time, overshoot, Ms and phase margin as text, by label.
     """

@@ -20,10 +20,6 @@ class Reader:
     """A source that a thread reads at intervals while a page shows it; derive and define `read`.
 
     What goes wrong is shown on the board under `fault.<source>`, and the source is read again.
-
-    Attributes:
-        source: Name of the source on the board.
-        every_s: Interval, s.
     """
 
     source = ""

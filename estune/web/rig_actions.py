@@ -38,11 +38,6 @@ class RigActions:
     """Actions on one rig, one at a time.
 
     Attributes:
-        connect: Opens the rig for somebody named.
-        board: The board of the rig's page.
-        endpoint: Address of the rig.
-        rig: Its name.
-        folder: Folder of runs.
         may_tune: Whether a process of its own could connect: credentials are not handed on.
     """
 
@@ -211,7 +206,6 @@ class RigActions:
         self._note("tune", "estune", f"the tuning has ended with code {process.returncode}{why}")
 
     def _note(self, name: str, who: str, sentence: str) -> str:
-        """Adds an action to the file of notes and to the page."""
         at = note_action(self.folder, self.rig, name, who, sentence)
         self._noted += 1
         self.board.extend("events", [(self._noted, at, name, f"{who}: {sentence}")])

@@ -50,8 +50,6 @@ class RigReader(Reader):
     """Reads a rig's status four times a second, and its samples as they come.
 
     Args:
-        board: The board.
-        connect: Opens the rig.
         run: The run whose trials alone are shown; empty for all trials.
         is_wanted: Whether the rig is to be read now. A finished run has no rig: what moves there
             belongs to another run.
@@ -185,7 +183,6 @@ def _follow(rig: RemoteRig, board: Board, run: str) -> None:
 
 
 def _rows(batch: Telemetry) -> list[tuple[float, float, float, float]]:
-    """Time, setpoint, measurement and current of every k-th sample of the trial."""
     every = max(1, round(batch.sampling_Hz / SAMPLES_PER_S))
     first = -batch.first_sample % every
     places = range(first, batch.tension_N.size, every)

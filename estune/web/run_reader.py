@@ -88,8 +88,6 @@ class RunReader(Reader):
 
 
 class _FollowedRun:
-    """One run whose journal is open."""
-
     def __init__(self, board: Board, folder: Path, *, predict: bool) -> None:
         self.folder = folder
         self.journal = Journal.open(folder)

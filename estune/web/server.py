@@ -46,7 +46,6 @@ class PageServer:
     """Serves the page from a thread of its own until `close`.
 
     Attributes:
-        port: The port.
         address: Address of the page, with the key that commands need where they are allowed.
     """
 
@@ -60,13 +59,6 @@ class PageServer:
         allow_remote: bool = False,
     ) -> None:
         """Listens; port 0 takes a free one.
-
-        Args:
-            views: What is shown.
-            host: Address at which it listens.
-            port: The port.
-            right: What a page with the key may do.
-            allow_remote: Whether other machines may open the page.
 
         Raises:
             InvalidInput: the port is taken, or other machines could open the page.

@@ -77,12 +77,7 @@ class FormFault(InvalidInput):
 
 
 def form(rig: Mapping[str, Any] | None, earlier: Sequence[ListedRun]) -> dict[str, Any]:
-    """The form as JSON values.
-
-    Args:
-        rig: The description of the rig as it is on its board; None where it is not known.
-        earlier: Earlier runs of the rig.
-    """
+    """The form as JSON values."""
     groups = [(title, _members(group)) for title, group in MORE]
     shown = [m for _, members in groups for m in members if m.name in OPEN]
     return {
@@ -142,9 +137,6 @@ class TuningSettings(NamedTuple):
 
     Attributes:
         options: The same as options of `estune tune`.
-        search: The search and the limits.
-        step: The step trial.
-        cost: The cost of a trial.
     """
 
     options: tuple[str, ...]

@@ -48,9 +48,6 @@ class View:
     """One rig or run. It is read while it is looked at.
 
     Attributes:
-        name: Identifies it in addresses.
-        kind: What it shows.
-        board: Its values.
         commands: What can be commanded, by name.
         tuning: What its tuning page shows.
         gone: Since when it is no longer there, in words; empty while it is.
@@ -181,7 +178,6 @@ def _unreadable(listed: ListedRun) -> View:
 
 
 def _is_running(board: Board) -> bool:
-    """Whether the run on a board is under way."""
     state = board.get("state")
     return state is not None and state["status"] == "running"
 
@@ -189,14 +185,7 @@ def _is_running(board: Board) -> bool:
 def rig_view(
     endpoint: str, rig: str, security: Security = OPEN, *, runs: RunFolder | None = None
 ) -> View:
-    """A rig at an endpoint, with its newest run.
-
-    Args:
-        endpoint: Endpoint of the rig.
-        rig: Its name.
-        security: Credentials for it.
-        runs: Folder of runs; None where there is none.
-    """
+    """A rig at an endpoint, with its newest run."""
     board = Board()
     reader = RigReader(board, _connecting(endpoint, rig, security))
     commands: dict[str, Execute] = {"estop": _stopping(reader)}
@@ -220,8 +209,6 @@ def _stopping(reader: RigReader) -> Execute:
 
 
 def _actions(board: Board, endpoint: str, rig: str, security: Security, runs: Path) -> RigActions:
-    """Actions on a rig by whoever has the page's key."""
-
     def connect_for(who: str) -> RemoteRig:
         return connect(endpoint, rig, LINK_S, holder=who, security=security)
 
@@ -247,9 +234,7 @@ class NewestRun:
     last trial is the youngest. A run elsewhere is named on the board, under `elsewhere`.
 
     Args:
-        board: The board of the rig.
         runs: Folder of runs; None where there is none.
-        rig: Name of the rig.
         said: The run that the rig or its daemon names on the board, and whether it is under way.
     """
 
@@ -302,15 +287,7 @@ def daemon_view(
     runs: RunFolder | None = None,
     security: Security = OPEN,
 ) -> View:
-    """A rig that a daemon supervises.
-
-    Args:
-        rig: The rig.
-        supervised: Its supervision.
-        target: Endpoint of the rig, for live samples and the emergency stop; empty if unknown.
-        runs: Folder of its tuning runs; None if it cannot be reached from here.
-        security: Credentials for the rig.
-    """
+    """A rig that a daemon supervises; `target` is empty where its address is unknown."""
     board = Board()
     reader = DaemonReader(board, supervised)
     newest = NewestRun(board, runs, rig, _run_of_daemon)

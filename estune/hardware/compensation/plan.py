@@ -165,9 +165,6 @@ class Gravity:
     Attributes:
         weight_N_m: Weight per length, N/m.
         rise_m: Height of the far end above the reel, m.
-        length_m: Deployed length at an angle of zero, m.
-        length_min_m: Least length used; beyond it the weight is that of this length, m.
-        length_max_m: Greatest length used, m.
     """
 
     weight_N_m: float
@@ -187,19 +184,10 @@ class CompensationPlan:
     """Compensations of a loop.
 
     Attributes:
-        period_s: Sampling period, s.
-        windows: Estimator of the velocity.
-        friction: Friction along the known motion; None where it is off.
         tension_per_rad_N: Rise of the tension per angle of the drum, the far end held, N/rad.
         inertia_kgm2: Inertia fed forward along the measured acceleration, kg m2; zero where off.
-        known_inertia_kgm2: Inertia fed forward along the far end's commanded motion, kg m2.
         known_viscous_Nms_rad: Viscous friction, likewise, N m per rad/s.
-        gravity: The cable's weight; None where it is off.
-        angle_map: Effort over the drum's angle; None where it is off.
-        notches: Notches in the measurement.
-        eyelet: Friction at the eyelet along the known motion; None where it is off.
         effort_limit_N: Greatest effort that the drive gives, N; zero where it is the rig's.
-        drum_radius_m: Radius of the cable on the drum, m.
         feed_forward_max_N: Greatest size of all that is fed forward, N.
         columns: Names of the columns that a record has of them.
     """

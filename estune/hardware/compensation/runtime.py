@@ -116,7 +116,6 @@ class PlainCompensation:
         return -(inertial_N + plan.known_viscous_Nms_rad * far_end) / plan.drum_radius_m**2
 
     def _known_move_rad(self, known: KnownMotion) -> float:
-        """The known motion of a sample; see the C text."""
         plan, before = self._plan, self._setpoint_N
         self._setpoint_N = known.setpoint_N
         wound_m = -known.far_end_m_s * plan.period_s
@@ -145,7 +144,6 @@ class PlainCompensation:
         return max(0.0, known.setpoint_N) * math.expm1(eyelet.exponent * self._passing)
 
     def _notch_N(self, gauge_N: float) -> float:
-        """What the notches take off the gauge; see the C text."""
         if not math.isfinite(gauge_N):
             self._rung = []
             return 0.0

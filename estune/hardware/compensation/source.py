@@ -16,13 +16,7 @@ _NO_NOTCH = Notch(1.0, 0.0, 0.0, 0.0, 0.0)
 def compensation_source(
     plan: CompensationPlan, current: CurrentScale, newtons_per_ampere: float
 ) -> str:
-    """One C file: the numbers of a rig's file, then the functions.
-
-    Args:
-        plan: The compensations.
-        current: C1.
-        newtons_per_ampere: Tension at rest per motor current, N/A.
-    """
+    """One C file: the numbers of a rig's file, then the functions."""
     windows, friction, gravity = plan.windows, plan.friction, plan.gravity
     dry = friction.friction if friction else None
     mapped = plan.angle_map
@@ -72,12 +66,7 @@ def compensation_source(
 
 
 def hybrid_source(rules: SwitchingRules, position: Gains) -> str:
-    """One C file: the numbers of a rig's file, then the functions.
-
-    Args:
-        rules: Rules that select tension or position control.
-        position: Gains of the position controller.
-    """
+    """One C file: the numbers of a rig's file, then the functions."""
     numbers: dict[str, float | int | str] = {
         "TENSION_LEAST": rules.tension_min_N,
         "TENSION_MARGIN": rules.margin_N,

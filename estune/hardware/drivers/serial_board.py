@@ -214,13 +214,7 @@ class SerialBoard:
 
 
 class SerialGauge:
-    """The gauge of a board, beside a drive of another kind; implements `estune.hardware.Gauge`.
-
-    Args:
-        port: As of `SerialBoard`.
-        baud: As of `SerialBoard`.
-        answer_within_s: As of `SerialBoard`.
-    """
+    """The gauge of a board, beside a drive of another kind; implements `estune.hardware.Gauge`."""
 
     def __init__(self, port: str, baud: int = 921600, answer_within_s: float = 0.003) -> None:
         self._board = SerialBoard(port, baud, answer_within_s)

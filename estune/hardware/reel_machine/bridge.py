@@ -13,7 +13,6 @@ class Bridge(NamedTuple):
     Attributes:
         last: The last good reading; None before the first, and after a stop was cleared.
         bad: Bad readings in a row up to now.
-        time_s: Time of the last sample, s.
     """
 
     last: Reading | None = None

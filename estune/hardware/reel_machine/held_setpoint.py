@@ -11,7 +11,6 @@ class HeldSetpoint:
     """Setpoint between trials: on its way to a tension at a limited rate, or from a source above.
 
     Attributes:
-        tension_N: The setpoint.
         follows: Whether a setpoint from above is in force.
     """
 

@@ -18,11 +18,8 @@ class ReelState:
     """State of a reel between samples.
 
     Attributes:
-        phase: Current phase.
         answer: Result of the requested trial; the loop takes and resets it.
         latched: Whether it takes no trial until it is cleared.
-        effort_N: Effort of the last sample.
-        angle_rad: Angle of the drum.
         ramp_step_N: Change of the effort at each sample on its way to the safe state.
     """
 

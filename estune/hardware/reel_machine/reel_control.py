@@ -129,15 +129,7 @@ class ReelControl:
         *,
         tension_only: bool,
     ) -> float:
-        """Effort at a sample between trials, N.
-
-        Args:
-            setpoint: The setpoint, which position control may change.
-            tension_N: Measured tension.
-            angle_rad: Angle of the drum.
-            effort_N: Effort of the last sample.
-            tension_only: Whether a trial is requested, which ends position control.
-        """
+        """Effort at a sample between trials, N."""
         changed = self._live.update(angle_rad, setpoint.tension_N)
         if self._pending:
             self._controller.use(self._live.coefficients)

@@ -11,8 +11,6 @@ class RequestedTrial:
 
     Attributes:
         request: What the rig has requested; None without a trial.
-        k: The next sample of the running trial.
-        first_s: Time of its first sample, s.
     """
 
     def __init__(self, plan: LoopPlan, memory: Memory) -> None:

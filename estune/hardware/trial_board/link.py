@@ -33,12 +33,10 @@ class BoardStatus(NamedTuple):
     """State of the board.
 
     Attributes:
-        state: What it does.
         latched: 1 if it takes no trial until it is cleared.
         pending: 1 from the acceptance of a trial to its end.
         outcome: Of the last trial: none, done, guard, cancelled, interrupted.
         reason: Why it ended; see `REASONS`.
-        trial: Number of the last trial accepted.
         done: Samples recorded of it.
     """
 

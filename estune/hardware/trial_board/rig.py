@@ -243,7 +243,6 @@ class BoardRig(Closing):
         )
 
     def _rows(self, count: int) -> NDArray[np.void]:
-        """The samples of the last trial."""
         terms = CompensationTerms._fields if self._config.compensation else ()
         row = np.dtype([*((name, "<f8") for name in (*_NUMBERS, *terms)), ("flags", "u1")])
         at_once = _BODY_MAX // row.itemsize

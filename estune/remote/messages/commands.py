@@ -177,7 +177,6 @@ class Verb(NamedTuple):
     The server executes it in the method of `RequestHandler` that bears the verb's name.
 
     Attributes:
-        message: Class of its payload.
         reply: The reply, in words of the protocol page.
         threads: Number of threads that serve it alone; 0 for one that it shares.
         right: Least right of its sender.
@@ -232,4 +231,3 @@ VERBS: Mapping[str, Verb] = MappingProxyType(
 VERB_OF: Mapping[type[Message], str] = MappingProxyType(
     {verb.message: name for name, verb in VERBS.items()}
 )
-"""The verb of each class of payload."""

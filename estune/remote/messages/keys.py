@@ -94,11 +94,6 @@ class Presence(NamedTuple):
 def choose(present: Collection[Presence], rig: str | None, endpoint: str) -> Presence:
     """The requested rig among those found.
 
-    Args:
-        present: All rigs found, of any version.
-        rig: Name of the rig, or None for the only one.
-        endpoint: Where they were found, for the message.
-
     Raises:
         ProtocolError: the rig uses another version of the protocol.
         RigError: there is none, not the one requested, more than one, or one name served twice.

@@ -131,7 +131,6 @@ TABLE: StateTable[ReplyCode | ClientInput, ClientStage, Move] = StateTable(
         ReplyCode.REFUSED: _row(_FAIL, _FAIL, _FAIL),
     },
 )
-"""Transition by input and stage."""
 
 
 def sent(step: ClientTransition) -> ClientTransition:
@@ -145,11 +144,6 @@ def next_transition(
     stage: ClientStage, heard: ReplyCode | ClientInput, *, own: bool = True
 ) -> ClientTransition:
     """Transition of a client on an input.
-
-    Args:
-        stage: Progress of the trial.
-        heard: The input.
-        own: Whether a reply names this trial; `busy` with another trial is a refusal.
 
     Raises:
         ProtocolError: the input is impossible in this stage: the rig violates the protocol.

@@ -38,8 +38,6 @@ class SubmitEvent:
     """A client submits a trial.
 
     Attributes:
-        token: The client's lease.
-        trial_id: Its id.
         known: Its state in the ledger.
         objection: Reason why the rig must not run it; empty if it may.
     """
@@ -86,7 +84,6 @@ class FollowEvent:
     """A client sends a setpoint.
 
     Attributes:
-        token: The client's lease.
         objection: Reason why the reel must not follow it; empty if it may.
     """
 

@@ -34,4 +34,3 @@ OF_TRIAL = {
     TrialState.INTERRUPTED: ReplyCode.INTERRUPTED,
     TrialState.VOID: ReplyCode.VOID,
 }
-"""Reply code by state of the trial in the ledger."""

@@ -384,4 +384,3 @@ TABLE: StateTable[type[events.Event], Mode, Handler] = StateTable(
         events.Close: TableRow(close, (close_trial, _ACTIVE), (stay, _CLOSED)),
     },
 )
-"""Handler by event and mode."""

@@ -19,7 +19,6 @@ class SetpointAge(NamedTuple):
     """The last setpoint taken, of one lease.
 
     Attributes:
-        token: The lease.
         sent_s: Time of sending, s, on the client's clock.
         received_s: Time of arrival, s, on the rig's clock.
         difference_s: Least time from sending to arrival, s, of the two clocks.

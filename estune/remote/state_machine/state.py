@@ -53,10 +53,7 @@ class RigState(NamedTuple):
     """Protocol state of a rig.
 
     Attributes:
-        lease: The lease in force, if any.
-        trial: The active trial, if any.
         latched: Reason of the emergency stop; empty once cleared.
-        closed: Whether the rig is shutting down.
         ended: Number of trials ended since the start.
     """
 
@@ -87,8 +84,6 @@ class Transition(NamedTuple):
     """Result of an event.
 
     Attributes:
-        state: Next state.
-        reply_code: Reply code.
         sentence: Reason of a refusal; may be empty.
         orders: Actions to execute now, in this order.
     """

@@ -87,7 +87,6 @@ TABLE: StateTable[TrialEvent, TrialState, Transition] = StateTable(
         ),
     },
 )
-"""Next state by event and state."""
 
 
 def after(state: TrialState, event: TrialEvent) -> TrialState:

@@ -82,7 +82,6 @@ class ClientLease:
 
     Attributes:
         token: The lease held, as far as is known; empty without one.
-        losses: Number of leases lost.
         renewed_s: Monotonic time of the last request that the rig is known to have granted.
     """
 

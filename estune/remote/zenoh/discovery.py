@@ -75,11 +75,6 @@ def discover_rigs(
 ) -> tuple[Presence, ...]:
     """The rigs at an endpoint, by name; none of them is queried.
 
-    Args:
-        endpoint: Endpoint of a rig, or of a Zenoh router.
-        timeout_s: How long to wait for a listener, s.
-        security: Credentials, if the rigs require authentication.
-
     Raises:
         InvalidInput: the endpoint is malformed.
         RigError: nothing listens there.

@@ -76,7 +76,6 @@ class ListeningSession:
     certificates there; all serve the same.
 
     Attributes:
-        endpoint: Where it listens.
         instance: Identity of this start, attached to every reply and publication.
     """
 

@@ -16,18 +16,12 @@ RECORDS_MAX_BYTES = record_frame.MAX_BYTES + 2**16
 
 @dataclass(slots=True, eq=False)
 class _Opened:
-    """An open session, and the number of rigs that use it."""
-
     session: zenoh.Session
     users: int = 0
 
 
 class Network:
-    """Sessions shared by rigs: one for each endpoint, so one for all rigs behind a router.
-
-    Attributes:
-        renewal: Renews the leases of these rigs.
-    """
+    """Sessions shared by rigs: one for each endpoint, so one for all rigs behind a router."""
 
     def __init__(self, security: Security = OPEN) -> None:
         self.renewal = LeaseRenewal()

@@ -299,11 +299,7 @@ class RemoteRig(Closing):
 
 
 class _StopSession:
-    """A session for emergency stops alone, opened where the rig's own does not reply in time.
-
-    Attributes:
-        session: The session, or None.
-    """
+    """A session for emergency stops alone, opened where the rig's own does not reply in time."""
 
     def __init__(self, reopen: Callable[[float], zenoh.Session]) -> None:
         self._reopen = reopen

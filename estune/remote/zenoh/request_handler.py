@@ -293,7 +293,6 @@ class RequestHandler(MessageDispatcher):
     # --- trials ---
 
     def _find(self, trial_id: str) -> LedgerEntry:
-        """Ledger entry of a trial. The lock is held."""
         # The active trial has not ended, even if the ledger already says so: its client would
         # submit the next trial, and find the rig busy with this one.
         entry, trial = self._ledger.find(trial_id), self._shared.trial
@@ -343,7 +342,6 @@ class RequestHandler(MessageDispatcher):
         return result
 
     def _in_parts(self, answer: Answer | bytes) -> Answer | bytes:
-        """Reply to a submit: where records are sent in parts, not the frame."""
         whole = self._part_bytes and isinstance(answer, bytes)
         return Answer(ReplyCode.ENDED) if whole else answer
 

@@ -54,7 +54,6 @@ class RigConnection:
         timeout_s: float,
         patience_s: float | None = None,
     ) -> None:
-        """Connects to a rig; times as in `connect`."""
         self.keys = Keys(presence.rig)
         self.name = presence.rig
         self.instance = presence.instance
@@ -191,11 +190,6 @@ class RigConnection:
         self, key: Callable[[], str], payload: bytes, unknown: str = ""
     ) -> bytes:
         """Reply of the rig, of any of its instances.
-
-        Args:
-            key: Returns the key; called at each attempt, as the key may contain the instance.
-            payload: The payload.
-            unknown: What is unknown if no reply arrives, for the message.
 
         Raises:
             RigError: the connection was closed, or the rig is gone, does not reply, or was

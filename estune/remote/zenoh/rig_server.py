@@ -86,13 +86,7 @@ def serve(
 
 
 class RigServer(Closing):
-    """A rig being served. A context manager; made by `serve`.
-
-    Attributes:
-        endpoint: Where it listens.
-        name: Name of the rig.
-        instance: Identity of this start of the server.
-    """
+    """A rig being served. A context manager; made by `serve`."""
 
     def __init__(
         self,

@@ -21,7 +21,6 @@ class Exchange(NamedTuple):
 
     Attributes:
         time_s: Monotonic time at which the setpoints were sent, s.
-        feedback: Latest feedback of each rig.
         round_trip_s: Time from the setpoint to its reply, s; NaN where it came after the period.
     """
 

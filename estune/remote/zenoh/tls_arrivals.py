@@ -33,12 +33,6 @@ class Arrivals:
     def __init__(
         self, loop: asyncio.AbstractEventLoop, begin: Callable[[socket.socket], Handshake]
     ) -> None:
-        """Begins without any.
-
-        Args:
-            loop: The loop of the listener.
-            begin: Begins the handshake of a connection, which it closes when cancelled.
-        """
         self._loop, self._begin = loop, begin
         self._hosts: dict[str, dict[socket.socket, Handshake | None]] = defaultdict(dict)
         self._host_of: dict[socket.socket, str] = {}

@@ -67,7 +67,6 @@ class TlsFront:
     """Accepts TLS connections at an endpoint and passes their bytes on to the session's own.
 
     Attributes:
-        endpoint: Where it listens.
         inner: Where the sessions listen.
         ends: The ends of connections that are open.
     """
@@ -119,7 +118,6 @@ class TlsFront:
             await asyncio.sleep(0.0)
 
     def _accept(self, arrivals: Arrivals) -> None:
-        """Accepts the connections that have come."""
         for _ in range(_ACCEPTED_AT_ONCE):
             try:
                 connection, address = self._socket.accept()
@@ -220,8 +218,6 @@ class _End(asyncio.Protocol):
 
 
 class _Client(_End):
-    """The end of a client; it exists as such from its handshake on."""
-
     def __init__(self, front: TlsFront, loop: asyncio.AbstractEventLoop) -> None:
         super().__init__(front.ends)
         self._front, self._loop = front, loop
@@ -253,7 +249,6 @@ class _Client(_End):
             self._opening = self._loop.create_task(self._open())
 
     async def _open(self) -> None:
-        """Connects to the session."""
         made = partial(_End, self._front.ends)
         try:
             _, end = await self._loop.create_unix_connection(made, str(self._way))

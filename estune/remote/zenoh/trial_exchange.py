@@ -44,15 +44,7 @@ class TrialExchange:
         at_rest: threading.Event,
         expected_s: float,
     ) -> None:
-        """Prepares the request.
-
-        Args:
-            connection: Connection to the rig.
-            lease: Its lease.
-            request: The trial.
-            at_rest: Set whenever the rig publishes that no trial is active.
-            expected_s: Time that the trial is expected to take; zero if it is not known.
-        """
+        """Prepares the request."""
         self.digest = messages.digest(request)
         self._connection = connection
         self._lease = lease

@@ -61,8 +61,6 @@ class SharedRigState:
 
     Attributes:
         lock: Guards the two below.
-        state: Protocol state.
-        trial: The active trial, or None.
     """
 
     def __init__(self, rig: Rig, latched: str, changed: Callable[[], None]) -> None:

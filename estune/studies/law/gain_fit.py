@@ -45,9 +45,6 @@ class GainFit:
     """The fit of one gain over length and tension.
 
     Attributes:
-        name: Name of the gain, of `GAIN_NAMES`.
-        labels: Labels of the points.
-        fit: Regression of the selected form.
         slope: Slope b of the straight line a + b L, in the gain's unit per m.
         tension_effect: Slope c in tension, in the gain's unit per N, of the line a + b L + c T;
             None where tension was not varied.

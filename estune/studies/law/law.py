@@ -59,11 +59,8 @@ class GainLaw:
 
     Attributes:
         fits: By name, in the order of `GAIN_NAMES`.
-        tunings: The tunings of the law.
-        excluded: Label and reason of each excluded tuning.
         length_m: Range of tuned lengths, m.
         tension_N: Range of tuned tensions, N.
-        signals: What the rigs measure and command.
     """
 
     fits: Mapping[str, GainFit]
@@ -239,12 +236,10 @@ def _within(values: FloatArray, limits: tuple[float, float]) -> BoolArray:
 
 
 def _is_rejected(fit: GainFit) -> bool:
-    """Whether repeated tunings reject the form of a fit."""
     return fit.lack_of_fit is not None and fit.lack_of_fit.p_value < _LACK_OF_FIT_P
 
 
 def _over_length(fit: GainFit, unit: str) -> str:
-    """Dependence of a gain on length."""
     name, slope = _NAMES.get(fit.name, fit.name), fit.slope
     interval = f"±{slope.half_width:.2g}"
     if np.ptp(fit.points.gain) == 0.0:

@@ -21,7 +21,6 @@ class TunedGains:
     """The gains tuned at one cable length and tension.
 
     Attributes:
-        label: Name in messages.
         log_errors: Standard errors of (ln P, ln I, ln D, ln tau_F), or None where the tuner gives
             none; infinite for a gain that the tuning does not determine, nan where unknown.
         cost_error: Standard error of the cost; zero where unknown.
@@ -63,8 +62,6 @@ class TunedColumns(NamedTuple):
     """Data points as arrays.
 
     Attributes:
-        length_m: Cable lengths, shape (n,).
-        tension_N: Tensions, shape (n,).
         gains: Shape (n, 4).
         log_errors: Standard errors of their logarithms, shape (n, 4); nan where unknown.
     """

@@ -79,11 +79,8 @@ class ReelMatch:
     Attributes:
         label: The user's name of it.
         outcome: Relation of its cost to the target.
-        reason: The outcome as a sentence.
         rig: The rig's own name; empty if it was never reached.
         cable_length_m: Its cable length, m, or None.
-        tuned: The gains of its own tuning, or None.
-        gains: The matched gains, or None.
         cost: Their cost, from repeats that were not used to find them.
         live: Whether the matched gains are the rig's live ones.
     """
@@ -133,7 +130,6 @@ class Matching:
     Attributes:
         by_worst: Whether it is that of the worst tuned reel; otherwise the user chose it.
         tolerance: Largest deviation from the target, relative to it.
-        reels: The records, in the user's order.
         signals: What the first rig measures and commands.
     """
 
@@ -232,16 +228,7 @@ class Matching:
 
 
 def classify(cost: CostEstimate, target: float, tolerance: float) -> tuple[MatchOutcome, str]:
-    """The outcome of matched gains: they pass if the whole interval lies within the tolerance.
-
-    Args:
-        cost: Their cost, from fresh repeats.
-        target: The target cost.
-        tolerance: Relative to the target.
-
-    Returns:
-        The outcome and a sentence.
-    """
+    """The outcome of matched gains: they pass if the whole interval lies within the tolerance."""
     low, high = target * (1.0 - tolerance), target * (1.0 + tolerance)
     values = f"cost {cost}, allowed {low:.4g} to {high:.4g}"
     if not math.isfinite(cost.cost):

@@ -87,7 +87,6 @@ class TargetCostTuner:
         space: A path of one parameter on a logarithmic scale that begins at its upper bound; see
             `detuning_path`.
         target: The target cost eta*.
-        name: Name of the tuner in plans.
 
     Raises:
         InvalidInput: the target is not above zero, or the space is not such a path.
@@ -166,7 +165,6 @@ class TargetCostTuner:
         return CostPrediction(math.exp(fit.a), *ends, explored)
 
     def _next(self, state: TargetCostState) -> float:
-        """Distance of the next trial."""
         if not state.logs:
             return 0.0 if state.k == 0 else self._within(FIRST_STEP / 2.0**state.k, state)
         if not self._bracketed(state) or len(set(state.distances)) < COEFFICIENTS:
@@ -208,7 +206,6 @@ class TargetCostTuner:
 
 
 def _quantile(degrees: float) -> float:
-    """Student's t of a 95 % interval."""
     from scipy.special import stdtrit  # noqa: PLC0415  slow to import
 
     return float(stdtrit(degrees, 0.975))

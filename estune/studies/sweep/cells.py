@@ -30,7 +30,6 @@ LENGTH_TOLERANCE_m = 1e-3
 """Largest difference between the cable length in a rig's description and in the design."""
 
 KEY_LENGTH = 20
-"""Length of a key."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,12 +38,10 @@ class Cell:
 
     Attributes:
         key: Digest of everything that determines the outcome; the same on every machine.
-        tension_N: Preload of the step, N.
         seed: Number of the repeat, from 0.
         search: Arguments of `estune.tune`: trials, repeats, eta_max, bounds, tolerance.
         start: Initial gains; None for the rig's own.
         model: Arguments of a model: cable_length_m, and tension_N where the design varies it.
-        most_trials: Number of trials if nothing ends the tuning early.
         signals: What the rig measures and commands.
     """
 
@@ -111,7 +108,6 @@ def open_rig(rig: SweptRig, model: Mapping[str, float], seed: int = 0) -> Iterat
 _Settings = tuple[
     dict[str, Any], Gains | KnownStart | None, StepProfile, StepCost, Mapping[str, float]
 ]
-"""Search, start, step, cost and model."""
 
 
 class _Place(NamedTuple):
@@ -266,13 +262,6 @@ def _keys(
 
     Each is a digest of everything that determines the outcome, wherever its files lie: the JSON
     list of all these values.
-
-    Args:
-        rig: The model or rig.
-        source: Digest of the content of a model's file.
-        where: Length, tension and tuner.
-        settings: Search, start, step, cost and model.
-        seeds: Number of seeds.
     """
     (length, tension, tuner), (search, start, step, cost, model) = where, settings
     to_json = json.JSONEncoder(sort_keys=True, default=asdict).encode

@@ -47,7 +47,6 @@ def _count(some: Sequence[CellOutcome], total: int) -> str:
 
 
 def _messages(failed: Sequence[CellOutcome]) -> str:
-    """The most frequent reasons of failure."""
     counts = Counter(outcome.message for outcome in failed)
     quoted = [
         f"{count} times {message}" if len(counts) > 1 else message
@@ -58,7 +57,6 @@ def _messages(failed: Sequence[CellOutcome]) -> str:
 
 
 def _remaining(unfinished: Sequence[CellOutcome]) -> str:
-    """The range of the remaining improvement."""
     least = min(outcome.remaining for outcome in unfinished)
     most = max(outcome.remaining for outcome in unfinished)
     low, high = f"{100.0 * least:.2g}", f"{100.0 * most:.2g}"

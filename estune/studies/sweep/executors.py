@@ -85,10 +85,6 @@ def _tune(cell: Cell, rig: Rig, runs: Path | None, watch: ProgressListener | Non
 def on_cores(cells: Sequence[Cell], jobs: int) -> Iterator[CellOutcome]:
     """Runs cells in processes that are started afresh, never forked.
 
-    Args:
-        cells: Cells of models.
-        jobs: Number of processes; -1 for one on each core.
-
     Raises:
         EstuneError: a process was killed from outside.
     """
@@ -127,10 +123,6 @@ def _end_with(parent: int) -> None:
 
 def on_cluster(cells: Sequence[Cell], address: str) -> Iterator[CellOutcome]:
     """Runs cells on the workers of a Dask cluster, which must have estune and the models.
-
-    Args:
-        cells: Cells of models.
-        address: Address of the scheduler, such as tcp://127.0.0.1:8786.
 
     Raises:
         InvalidInput: Dask is not installed.

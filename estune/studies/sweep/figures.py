@@ -67,7 +67,6 @@ def draw_integral(outcomes: LazySequence[CellOutcome]) -> Figure:
 
 
 def _over_trials(ax: Axes, label: str) -> None:
-    """Completes an axis over the search trials, which may be few."""
     ax.set_xlim(-0.2, max(float(ax.dataLim.x1), 1.0) + 0.2)
     ax.xaxis.set_major_locator(MaxNLocator(integer=True, min_n_ticks=1))
     finish(ax, label, "search trial; 0 is of the initial gains")
@@ -75,13 +74,7 @@ def _over_trials(ax: Axes, label: str) -> None:
 
 
 def draw_law(law: GainLaw, name: str, excluded: Sequence[CellOutcome]) -> Figure:
-    """Fig. 14: one gain over length, the law with its bands, and its residuals below.
-
-    Args:
-        law: The law.
-        name: The gain, of `GAIN_NAMES`.
-        excluded: Cells that it excludes; those that have gains are shown as crosses.
-    """
+    """Fig. 14: one gain over length, the law with its bands, and its residuals below."""
     figure = new_figure(WIDTH_in, 4.0)
     ax, below = figure.subplots(2, 1, sharex=True, height_ratios=[3.0, 1.0])
     fit = law.fits[name]
@@ -120,7 +113,6 @@ def _distinct(x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 def _curve_label(law: GainLaw, name: str) -> str:
-    """The curve, with its tension where the law depends on it."""
     low, high = law.tension_N
     at = f" at {law.signals.measured((low + high) / 2.0, 6)}" if low < high else ""
     return f"{law.fits[name].curve}{at}"
@@ -148,7 +140,6 @@ def _by_length(
 
 
 def _from_start(trace: FloatArray) -> FloatArray:
-    """The first trial of a trace and those of its search."""
     shown = trace[:, 0] == 1.0
     shown[:1] = True
     rows: FloatArray = trace[shown]

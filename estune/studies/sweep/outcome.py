@@ -65,7 +65,6 @@ class CellOutcome:
             none; infinite for a gain along which the cost is flat up to its bounds.
         remaining: Remaining improvement when the search ended, relative to the cost; infinite
             where it is unknown.
-        trials: Number of its trials that are not void.
         unsafe_trials: Number of those that were unsafe.
         trace_source: Its trace, or the file of the sweep that holds it.
     """

@@ -106,7 +106,6 @@ def _points_csv(law: GainLaw, name: str) -> str:
 
 
 def _design(result: SweepResult) -> Table:
-    """The settings that the cells share, and their ranges."""
     cell = result.outcomes[0].cell
     places = attrgetter("cell.rig.label", "cell.length_m", "cell.tension_N", "cell.tuner")
     rigs, lengths, tensions, tuners = map(set, zip(*result.outcomes.groups(places), strict=True))

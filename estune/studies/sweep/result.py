@@ -90,11 +90,7 @@ class Series:
 
 @dataclass(frozen=True, eq=False)
 class SweepResult:
-    """The outcomes of all cells of a sweep.
-
-    Attributes:
-        outcomes: The outcome of each cell, in the order of the design.
-    """
+    """The outcomes of all cells of a sweep."""
 
     design: SweepDesign
     outcomes: LazySequence[CellOutcome]

@@ -18,10 +18,6 @@ from estune.trial import Rig
 def on_rigs(cells: Sequence[Cell], folder: Path) -> Iterator[CellOutcome]:
     """Runs the cells of each rig in turn, and several rigs in parallel.
 
-    Args:
-        cells: Cells of rigs at endpoints.
-        folder: Folder of their runs.
-
     Raises:
         Stopped: interrupted; every rig is back at its live gains.
     """

@@ -110,13 +110,7 @@ def _watching(
 
 @contextmanager
 def show_outcomes(cells: int, missing: int, stream: TextIO | None = None) -> Iterator[Watcher]:
-    """A watcher that shows the progress of a sweep for the duration of the block.
-
-    Args:
-        cells: Number of cells.
-        missing: Number of cells that are to be run.
-        stream: Output; standard error by default.
-    """
+    """A watcher that shows the progress of a sweep for the duration of the block."""
     done = failed = 0
     last = ""
     began = time.monotonic()
