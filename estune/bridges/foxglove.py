@@ -23,9 +23,6 @@ class FoxgloveViewer:
         rig: The rig's name.
         at: Loopback address and port of the server; port 0 takes a free one.
 
-    Attributes:
-        address: Where it serves.
-
     Raises:
         InvalidInput: the library is missing, or the address cannot be served at.
     """

@@ -87,7 +87,6 @@ class SupervisorState:
         failures: Consecutive failures to reach or use the rig.
         trouble: Message of the last failure; empty once it is over.
         paused: Why the supervision is paused; empty if it is not.
-        ending: Whether the supervision is to end.
     """
 
     goal: Goal = Goal.TUNE

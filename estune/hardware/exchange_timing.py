@@ -25,7 +25,6 @@ class ExchangeTiming:
         waited_s: Mean part of it spent waiting for answers; NaN where the driver does not count.
         wire_s: Mean part of it that the messages need on the bus; NaN likewise.
         time_s: Time stamps of the readings.
-        gauge_counts: Counts of the gauge.
         messages: Messages during the measurement, by kind; empty where the driver does not count.
     """
 

@@ -58,7 +58,6 @@ class CostCheck(NamedTuple):
 
     Attributes:
         fit: The loop identified from the earlier records.
-        costs: Costs of the repeats.
     """
 
     fit: LoopFit

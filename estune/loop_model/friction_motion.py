@@ -31,12 +31,10 @@ class FrictionMotion(NamedTuple):
     """Records with what the mass needs beside their deviations.
 
     Attributes:
-        signals: The records.
         records: The same.
         rest: Of each group the position before the record less its mean, in N of effort.
         rest_effort: Mean effort before the step.
         scale: Effort that a step needs.
-        poles: Number of poles.
         noise: The noises that there are, and the sizes that a search begins from.
         known: Forces at the last coordinates, by their bytes.
     """

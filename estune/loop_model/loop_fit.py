@@ -24,7 +24,6 @@ class LoopFit(NamedTuple):
     """An identified loop.
 
     Attributes:
-        model: The model.
         noise: Load and drift against the white noise.
         covariance: Of the model's n real parameters, shape (n, n): white residuals.
         clustered: The same from the scatter between records (sandwich estimate).

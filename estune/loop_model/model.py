@@ -28,7 +28,6 @@ class LoopModel(NamedTuple):
     """Poles, a numerator, a dead time and dry friction.
 
     Attributes:
-        coordinates: Of the poles, as in `poles`.
         numerator: B in powers of 1 - q^-1, N of measurement per N of effort.
         dead_samples: Whole samples d of dead time beyond the one of sampling.
         friction: Size of the dry friction that the effort works against; zero is none. It

@@ -186,8 +186,6 @@ class RegionSearch:
     """Minimises the predicted cost over a box of logarithms of the tuned parameters.
 
     Attributes:
-        model: The loop.
-        trial: The step trial.
         limits: What the gains have to keep.
         gains_of: From coordinates to gains.
         low: Least coordinates, shape (n,).

@@ -81,7 +81,6 @@ class Selected(NamedTuple):
     """A fit and its criterion.
 
     Attributes:
-        fit: The fit.
         criterion: N ln(sum of squares) + ln N times the number of parameters.
     """
 

@@ -48,7 +48,6 @@ class PoleSection(NamedTuple):
     Attributes:
         taps: 1, a1 and, of a pair, a2: a polynomial in q^-1.
         powers: The same polynomial in powers of d = 1 - q^-1.
-        poles: The poles.
         log_poles: Their logarithms.
         mirrored: The taps with each pole outside the unit circle replaced by its inverse.
         growth: Product of the sizes of the poles outside; one without any.

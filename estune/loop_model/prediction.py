@@ -27,7 +27,6 @@ class StepTrial:
         cost: The settings of (35).
         preload: Setpoint before the step.
         step: The step and the load.
-        samples: Samples of the trial.
         rest_effort: Effort at rest before the step, by which the controller's limits are judged.
     """
 
@@ -67,7 +66,6 @@ class Prediction(NamedTuple):
         cost: Expected cost of a trial, with the noise's share.
         overshoot: Of the response without noise, as a share of the step.
         sensitivity: Ms.
-        phase_margin_deg: Phase margin, degrees.
         peaks: Largest |S| in each band of frequency.
     """
 

@@ -29,10 +29,6 @@ def rival_model(fit: LoopFit, records: Sequence[LoopRecord]) -> LoopModel | None
     """The model with one more pair of poles, where it fits better beyond chance.
 
     Without friction, and not of single poles.
-
-    Args:
-        fit: The fit.
-        records: Those given to it.
     """
     from scipy.special import chdtrc  # noqa: PLC0415  slow to import
 

@@ -82,7 +82,6 @@ class Proof:
     """What a rig showed of a remedy.
 
     Attributes:
-        rig: Name of the rig.
         date: Date of the proof, ISO 8601.
         gains: Gains of all its trials.
         pairs: Pairs of trials with it and without.
@@ -138,11 +137,7 @@ class Stop(Exception):
 
 
 class EndedEarly(RigError):
-    """A trial that says nothing of the remedy has ended early.
-
-    Attributes:
-        record: Its record.
-    """
+    """A trial that says nothing of the remedy has ended early."""
 
     def __init__(self, message: str, record: TrialRecord) -> None:
         super().__init__(message)

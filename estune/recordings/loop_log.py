@@ -44,7 +44,6 @@ class LoopLog(NamedTuple):
     """Contents of a file.
 
     Attributes:
-        name: Name of the file.
         sampling_Hz: Rate of the grid.
         parts: `time`, `setpoint`, `measurement` and, where it is logged, `effort` of each stretch
             without a gap, shape (samples,) each.

@@ -35,7 +35,6 @@ class ExcitationTrial(NamedTuple):
     """A trial that excites the loop.
 
     Attributes:
-        gains: Its gains.
         profile: Its setpoint.
     """
 

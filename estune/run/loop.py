@@ -39,14 +39,7 @@ CONSECUTIVE_VOID_MAX = 10
 
 @dataclass(frozen=True, slots=True)
 class Progress:
-    """Progress of a run after a trial.
-
-    Attributes:
-        session: The session after the trial.
-        entry: The trial.
-        unsafe: Whether it was unsafe.
-        record: Its record.
-    """
+    """Progress of a run after a trial."""
 
     session: Session
     entry: JournalEntry

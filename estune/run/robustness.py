@@ -47,9 +47,7 @@ class StepRecord(NamedTuple):
     """A step trial whose record identifies the loop.
 
     Attributes:
-        record: Its record.
         signals: The same as the fit takes it.
-        cost: Its cost.
     """
 
     record: TrialRecord

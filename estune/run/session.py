@@ -37,8 +37,6 @@ class Session:
     """Immutable state of a run; `after_trial` returns its successor.
 
     Attributes:
-        plan: Plan of the run.
-        tuner_state: The tuner's own state.
         tally: What the trials count up to; its number is that of the next trial.
         attempt: Void attempts of the next trial.
         search_trials: Completed search trials.

@@ -19,7 +19,6 @@ class Tally(NamedTuple):
         eta_max_given: The cost above which a trial is unsafe, where the plan gives one.
         number: Trials that count: all but void ones.
         unsafe: Unsafe trials, in any phase.
-        declined: Declined trials.
         baseline: Costs of the initial gains.
     """
 

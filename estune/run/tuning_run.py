@@ -21,17 +21,14 @@ class TuningRun:
     """A run in progress.
 
     Attributes:
-        plan: Plan of the run.
         description: Description of the rig at the start of the run.
         session: Present session.
         entries: Every completed trial, void ones too.
-        journal: Its journal, or None.
         first_record: Record of the first baseline trial, the response before tuning.
         tuned_record: Record of the last confirmation trial with the tuned gains.
         intervals: Stored confidence intervals of an archived run, as in
             `estune.run.results.summary.RunSummary`; None where the tuner computes them.
         recent_records: Records of the last step trials, void ones excluded.
-        excitations: Records of the excitations.
         fitted_form: Form of the controller that the first record shows, where the rig declares
             none and does not run estune's own; the description and the plan have it.
     """

@@ -55,10 +55,8 @@ class ServiceLoop(NamedTuple):
     """A loop identified from records of service.
 
     Attributes:
-        fit: The fit.
         records: The records it was fitted to.
         settings: The fixed part of the controller.
-        error: Bound of the error of the identified plant.
         draws: Models that the records allow; empty for those of the fit's covariances.
     """
 

@@ -46,7 +46,6 @@ class JudgedRecords:
         gains_by_log: The gains that ran, by the log's name.
         left_out: What was not, with the reason.
         issues: What was done to the time stamps, and files that cannot be used.
-        limits: The limits of the recommended gains.
         experiment: What would show the margins; None where nothing is known to, or is needed.
         cause: Whether it is the tuning or the machine, by the last log.
     """

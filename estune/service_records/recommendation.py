@@ -51,7 +51,6 @@ class Recommendation(NamedTuple):
     """Recommended gains.
 
     Attributes:
-        gains: The gains.
         margins: Their predictions with intervals.
         price: Their cost over that of the optimum whose limits hold by the model alone, less one:
             what the uncertainty of the records costs.

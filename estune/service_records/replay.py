@@ -66,12 +66,10 @@ class Replay(NamedTuple):
     """Comparison of the logged effort with that of the stated gains.
 
     Attributes:
-        stated: The gains stated, or None.
         stated_error: Root mean square of what they leave, over the range of the effort.
         ran: The gains that fit the logged effort best; None where P would not be above zero.
         ran_error: What those leave.
         controller: The fixed part of the controller with which they do; None is the one stated.
-        range: Range of the logged effort.
         is_thin: Whether the log lacks measurements that the controller saw between its rows.
     """
 

@@ -34,7 +34,6 @@ class Ringing(NamedTuple):
     """The oscillation of a loop.
 
     Attributes:
-        period_s: Its period.
         sensitivity: Largest |S| over frequency; of an unstable loop no margin, but its distance
             from the critical point.
         stable: Whether it would die out without the limits of the effort.

@@ -26,10 +26,8 @@ class Stretch(NamedTuple):
     """Successive samples of a log, shape (samples,) each, in the units of the log.
 
     Attributes:
-        log: Name of the log.
         start_s: Time of the first sample.
         setpoint: Setpoint before its filter.
-        measurement: Measurement.
         effort: Effort as logged, or None.
         limits: Limits at which the effort was held, in its unit.
     """
@@ -60,7 +58,6 @@ class LeftOut(NamedTuple):
     """Part of a log that is not used.
 
     Attributes:
-        log: Name of the log.
         start_s: Time of its first sample.
         stop_s: Time of its last sample.
         reason: Why it is not used.

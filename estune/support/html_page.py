@@ -60,7 +60,6 @@ class Status:
     """A coloured verdict, as headline, block or table cell.
 
     Attributes:
-        text: The verdict.
         good: Green if true, red if false, neutral if None.
         detail: Explanation after it, in plain colour.
     """
@@ -88,8 +87,6 @@ class Table:
     """A table; without columns it has no head.
 
     Attributes:
-        columns: Heads of the columns.
-        rows: Cells, row by row.
         numeric: Indices of the columns that are set flush right.
     """
 
@@ -120,7 +117,6 @@ class Drawing:
     """A figure with the numbers behind it.
 
     Attributes:
-        figure: The figure.
         name: File-safe name, unique within the page.
         alt: Its content in words.
         caption: Text below it.

@@ -7,9 +7,7 @@ class TimeUnit(NamedTuple):
     """A unit of time, for times below a limit in s.
 
     Attributes:
-        below_s: The limit.
         per_s: Values per second.
-        name: The unit.
     """
 
     below_s: float

@@ -68,7 +68,6 @@ class SqliteFile(Closing):
     """One open SQLite file.
 
     Attributes:
-        path: The file.
         is_new: Whether this process has just begun it.
     """
 

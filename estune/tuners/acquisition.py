@@ -41,8 +41,6 @@ class TrustRegion(NamedTuple):
         radius: Greatest distance from the centre.
         low: Lower bounds, shape (n,).
         high: Upper bounds.
-        log_cost_max: Greatest log cost that is safe.
-        margin_min: Least constraint margin that is safe.
     """
 
     centre: FloatArray

@@ -129,8 +129,6 @@ class GaussianProcess(NamedTuple):
         log_costs: Observed, shape (trials,).
         precision: Inverse of the covariance of the trials, shape (trials, trials).
         weights: Precision times the deviations from the prior mean, one column a quantity.
-        noise_variance: Of one trial.
-        prior: The prior.
     """
 
     points: FloatArray

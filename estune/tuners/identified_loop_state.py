@@ -26,10 +26,8 @@ class IdentifiedLoopState(NamedTuple):
         centre: Coordinates of the recommended point.
         base: Those of the safe trial of least cost by the model, about which the search reaches.
         step_scale: Factor on the reach after unsafe trials.
-        estimate: State of convergence by the model.
         fallen_back: Whether the fallback tuner proposes.
         best_point: The point of the best safe trial.
-        best_cost: Its cost.
     """
 
     fallback: Any

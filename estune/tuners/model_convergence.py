@@ -23,9 +23,6 @@ class SearchedLoop(NamedTuple):
     """An identified loop and its optimum.
 
     Attributes:
-        fit: The loop.
-        search: The search for the optimum of a model.
-        optimum: That of the loop.
         surface: What trials measured beyond the model; None where it stands.
     """
 

@@ -58,7 +58,6 @@ class SearchSpace:
     Attributes:
         names: The tuned parameters: among P, I, D and setpoint_filter_s in the parallel form,
             among K, Ti, Td and setpoint_filter_s in the standard form.
-        start: Start of each.
         low: Lower bound of each; above zero on a logarithmic scale.
         high: Upper bound of each.
         scale: "log" to step in logarithms, "linear" to step in the parameters themselves.

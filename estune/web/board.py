@@ -12,7 +12,6 @@ class Seen(NamedTuple):
     """The part of a board that a page has been sent.
 
     Attributes:
-        version: Version of the values.
         rows: Generation and number of the rows, by table.
     """
 

@@ -52,7 +52,6 @@ class View:
         tuning: What its tuning page shows.
         gone: Since when it is no longer there, in words; empty while it is.
         summary: What the list of views shows of it beside its state.
-        earlier: Earlier runs of the rig.
     """
 
     def __init__(

@@ -8,7 +8,6 @@ class Interval:
     """A fitted value and its 95 % confidence interval.
 
     Attributes:
-        value: The value.
         low: Lower end, inside the parameter's range.
         high: Upper end.
         unit: Unit of all three; empty for a plain number.

@@ -116,7 +116,6 @@ class HoldOut(NamedTuple):
     Attributes:
         records: Their names.
         floor: Their noise floor, in the unit of the result.
-        given: Of the model as given.
         base: Of the refitted base model.
         with_effects: Of the model with the effects found; those of `base` where there are none.
     """
@@ -171,11 +170,7 @@ class Trace:
     """One channel of one record, measured and simulated in free run; arrays (samples,).
 
     Attributes:
-        name: Name of the record.
         channel: Its column.
-        unit: Its unit.
-        time_s: Time of the samples.
-        measured: As measured.
         before: Simulated by the base model.
         after: Simulated with the effects; the same as `before` where there are none.
         title: The channel in words.
@@ -295,10 +290,8 @@ class DiagnosisResult:
         not_excited: Effects that these records cannot show, with the reason.
         not_of_the_plant: Those of them that such a plant cannot have.
         next_experiment: The trial that would decide, or None.
-        findings: Issues of the data.
         steps: Prediction error on data left out, step by step.
         traces: The records in free run, before and after.
-        model: The model as given.
         base_model: The model with its own numbers fitted.
         augmented: `base_model` with the effects, fitted together.
         values: The fit's values by the names of the predictor's free numbers.

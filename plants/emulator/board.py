@@ -74,8 +74,6 @@ class FarEnd:
     """Motion of the cable's far end: `amplitude sin(2 pi frequency (t - begin))`, away from it.
 
     Attributes:
-        amplitude_m: Amplitude, m.
-        frequency_Hz: Frequency, Hz.
         begin_s: Time from the emulator's start at which it begins to move, s.
 
     Raises:

@@ -16,7 +16,6 @@ class Preview(NamedTuple):
     Attributes:
         name: Its name; a number follows where the file was split at gaps.
         source: The file.
-        samples: Number of samples.
         sampling_Hz: Rate.
         duration_s: Length, s.
         loop: `open` or `closed`.

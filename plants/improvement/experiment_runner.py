@@ -40,7 +40,6 @@ class ExperimentRunner:
     improvement that was interrupted.
 
     Attributes:
-        rig: The rig.
         about: Its description when the improvement began.
         folder: Where everything is kept.
         stamp: Time of the beginning, a part of each trial's id: a rig's ledger holds the ids of

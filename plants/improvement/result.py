@@ -38,7 +38,6 @@ class Costs:
 
     Attributes:
         label: Which gains they are.
-        gains: The gains.
         given: Prediction of the model as given; nan where the predicted trial diverges.
         improved: Prediction of the improved model.
         measured: Mean over repeats on the rig; nan where a trial failed.
@@ -74,7 +73,6 @@ class Improvement:
         rounds: Each diagnosis, the first of the initial experiments alone.
         costs: At the rig's own gains, at those tuned on the model, and at those tuned on the rig
             from there; empty where there is nothing to be controlled.
-        tuning: The tuning on the rig, or None.
         remarks: Warnings.
         folder: Records, trial files, the run of the tuning.
     """

@@ -45,7 +45,6 @@ class Joint(NamedTuple):
     """A joint that turns, or of a stage one that slides: then rad is m and N m is N.
 
     Attributes:
-        slides: Whether it slides.
         inertia: Of all that moves, kg m2 or kg.
         damping: Viscous friction, N m s/rad.
         friction: Dry friction in motion, N m.

@@ -23,7 +23,6 @@ class Axis:
 
     Attributes:
         name: The quantity, for errors.
-        unit: Its unit.
         low: Least calibrated value.
         high: Greatest calibrated value.
         margin: Accepted excess beyond either end, as a share of the range.

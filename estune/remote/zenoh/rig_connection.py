@@ -42,7 +42,6 @@ class RigConnection:
     Every query is repeated until it is answered, which is safe: none is executed twice.
 
     Attributes:
-        instance: The instance queried.
         about: Its last description.
     """
 

@@ -45,7 +45,6 @@ class PlantResponse:
     """Frequency response of a plant, shape (frequencies,).
 
     Attributes:
-        frequency_Hz: The frequencies.
         plant: G.
         draws: G of models drawn from the covariance of the fit, shape (draws, frequencies);
             none for a model of unknown accuracy.

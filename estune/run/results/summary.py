@@ -160,7 +160,6 @@ class Performance:
     """Performance of gains on a rig.
 
     Attributes:
-        gains: The gains.
         cost: Mean cost of their repeats; nan or infinite where there is none.
         cost_error: Standard error of that mean.
         metrics: Step metrics of `record`.
@@ -169,7 +168,6 @@ class Performance:
         record: A trial with these gains, or None.
         intervals: 95 % confidence interval of the optimum of each tuned gain, by name; may be
             empty.
-        rig: The rig.
     """
 
     gains: Gains

@@ -66,14 +66,12 @@ class Cause:
     """Whether it is the tuning or the machine.
 
     Attributes:
-        name: The cause.
         probability: Its probability; of an unknown one that of the likeliest.
         numbers: What is known of it, in the units of the log; times in s.
         words: The same as the end of a sentence.
         probabilities: Of every cause that was weighed.
         signals: The signals that were judged; None of a log that cannot be.
         disturbance: What the linear loop leaves of the measurement, shape (samples,).
-        log: Name of the log.
     """
 
     name: CauseName

@@ -12,7 +12,6 @@ class SpectralLine(NamedTuple):
 
     Attributes:
         angle: Angle per sample.
-        amplitude: Its amplitude.
         share: Share of the signal's variance.
         sharpness: Share of the power about the line that lies within the width of the window: a
             line of constant period has nearly one, a resonance driven by noise less.

@@ -7,8 +7,6 @@ class Weights(NamedTuple):
     """A logistic regression on standardised terms.
 
     Attributes:
-        mean: Mean of each term.
-        deviation: Deviation of each term.
         constant: Constant of each class.
         slopes: Slopes of each class.
     """

@@ -80,7 +80,6 @@ class ReelMatch:
         label: The user's name of it.
         outcome: Relation of its cost to the target.
         rig: The rig's own name; empty if it was never reached.
-        cable_length_m: Its cable length, m, or None.
         cost: Their cost, from repeats that were not used to find them.
         live: Whether the matched gains are the rig's live ones.
     """

@@ -23,7 +23,6 @@ class Setpoints:
     """Setpoints of all reels, shape (reels,).
 
     Attributes:
-        tension_N: Tensions, N.
         wound_m: Lengths of cable wound in, m; used in position control.
         in_tension: Whether each reel controls its tension.
     """
@@ -40,7 +39,6 @@ class Simulation:
         setpoints: Setpoints in force.
         tension_N: Readings of the gauges, N, shape (reels,).
         angle_rad: Readings of the encoders, rad.
-        effort_N: Efforts, N.
         outside_N: Tensions outside the eyelets, N, by sensors with the noise of the gauges.
         force: Force of a user on each coordinate, N or N m.
     """

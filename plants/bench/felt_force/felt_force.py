@@ -24,7 +24,6 @@ class FeltForce:
     """Figures of a reel at one constant command.
 
     Attributes:
-        command_N: The command.
         error_rms_N: Error of the felt force while the far end moves fast, rms.
         error_peak_N: Error exceeded in 1 % of that time.
         hysteresis_N: Felt force while the cable is pulled out minus that while it is wound in, at

@@ -32,7 +32,6 @@ class ForceSample(NamedTuple):
     """Readings of one period.
 
     Attributes:
-        time_s: Time of the readings, s.
         felt_N: Force at the cable by the outside sensor, N.
         tension_N: Tension by the reel's own gauge, N.
         position_m: Position of the far end, m, away from the reel.

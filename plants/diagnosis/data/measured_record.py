@@ -25,8 +25,6 @@ class MeasuredRecord:
 
     Attributes:
         name: The trial's id.
-        rig: Name of the rig.
-        sampling_Hz: Sampling rate.
         loop: `closed`, or `open` where the setpoint went straight to the current loop.
         time_s: Time, evenly spaced.
         cable_length_m: Deployed cable length, or None where there is no cable.
@@ -36,7 +34,6 @@ class MeasuredRecord:
         setpoint_N: The setpoint; in open loop the tension command.
         current_A: The motor current as recorded: in closed loop the command; in open loop, where
             it differs from the command, what was measured.
-        tension_N: The measured tension.
         angle_rad: The measured drum angle.
         reference_N: Tension measured outside the reel.
         flags: Bit field; see `estune.trial.records`.

@@ -15,7 +15,6 @@ class Periods(NamedTuple):
 
     Attributes:
         first: Index of its first sample.
-        samples: Samples in a period.
         periods: Whole periods.
     """
 

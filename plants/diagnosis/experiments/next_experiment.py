@@ -41,8 +41,6 @@ class Evidence(NamedTuple):
     """Evidence of a diagnosis.
 
     Attributes:
-        measurements: The records.
-        noise: Their noise.
         where: Localisation of the base model's residual.
         ratio_after: Prediction error of the best model, in times the noise floor.
     """

@@ -35,7 +35,6 @@ class BaseNumbers:
         sampling_Hz: Rate of the controller.
         dead_time_s: From the command to the torque, s.
         drum_radius_m: Radius on which the cable lies, m.
-        drum_inertia_kg_m2: Inertia at the drum, kg m2.
         viscous_friction_Nms: Friction at the record's cable length, N m s/rad.
         stiffness_N_m: Of the cable at the record's length and preload, N/m; None without cable.
         gauge_Hz: Natural frequency of the gauge, Hz; None where it follows at once.

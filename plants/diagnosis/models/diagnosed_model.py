@@ -71,8 +71,6 @@ class DiagnosedModel(ABC):
     """A model that can be compared with records; made by `diagnosed`.
 
     Attributes:
-        model: The model as given.
-        measurements: The records.
         effects: Effects of the given model, without calibration; their parameters are free.
         output: Unit of prediction errors: that of the first output.
         sizes: Scale of the signals, in the units of the effects.

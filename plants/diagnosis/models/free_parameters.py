@@ -45,7 +45,6 @@ class Slot(NamedTuple):
     """A free parameter and its place in the parameter table.
 
     Attributes:
-        free: The parameter.
         column: Name of the structure's parameter, `calibration.name` for one of `Calibration`, or
             one of `SENSORS`.
         factor: Factor from the free parameter to the column.

@@ -47,9 +47,7 @@ class EffectComparison:
     """The model that is believed, and the evidence for it.
 
     Attributes:
-        fitted: The base fit.
         screening: Directions of the effects.
-        verdict: The verdict.
         conclusion: What it rests on.
         models: All models, fitted to the records without interference.
         stages: The models from the base to the one believed, each with its error on data left out;

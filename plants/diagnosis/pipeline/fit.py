@@ -31,7 +31,6 @@ class BaseFit:
         noise: The noise of the sensors.
         choices: The effects to choose from.
         fitter: The model with the records searched, mains interference taken out.
-        models: The model as given and as fitted.
         where: Location of what the fitted model leaves.
         scale: What the records show of the machine.
         line: The mains interference, or None.

@@ -22,10 +22,6 @@ class Index(NamedTuple):
     """Description of each entry of the residuals; all of shape (entries,).
 
     Attributes:
-        measurement: Index of the measurement.
-        channel: Index of the channel in `CHANNELS`.
-        sample: Index of the sample.
-        time_s: Its time.
         sigma: Divisor of the entry, sigma_eff in the channel's unit.
         window: Index of the window, counted through all measurements.
     """
@@ -43,8 +39,6 @@ class PredictionData:
     """Concatenated records, independent of the candidate effects.
 
     Attributes:
-        measurements: The records.
-        record_samples: Samples of each record.
         preload: Tension at which a record's constants are taken.
         reading: Reading at rest with which each record begins.
         command: Effort, N.

@@ -33,7 +33,6 @@ class ResidualDependence:
     Attributes:
         name: The variable: time, velocity sign, velocity, tension, velocity sign and tension,
             angle, position period, length, command rate.
-        unit: Unit of `at`.
         share: Share of the residual's variance explained by the variable (eta squared, less that
             expected from noise), 0 to 1.
         at: Values of the variable, shape (bins,).
@@ -53,8 +52,6 @@ class Variable(NamedTuple):
     """A variable that a residual may follow.
 
     Attributes:
-        name: Its name.
-        unit: Unit of its values.
         of: Its values over all records, shape (samples,); nan where not known.
         label: Bin of each sample, below zero where not known; None: those of its quantiles.
     """

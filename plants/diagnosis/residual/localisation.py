@@ -48,7 +48,6 @@ class Block:
         name: `force` (torque balance at the drum), `gauge` (cable and gauge), `eyelet`,
             `actuator`, or `plant` where there is one balance only.
         title: Its name in plain words.
-        unit: Unit of the residual.
         rms: Root mean square of the residual.
         noise_rms: That of noise and allowance alone.
         smoothing_s: Width of the Gaussian that smoothed all terms.

@@ -29,7 +29,6 @@ class Conclusion(NamedTuple):
     """A verdict and what it rests on.
 
     Attributes:
-        verdict: The verdict.
         stages: The base model, then the models believed with one effect more each; the base model
             alone for `unknown` and `none`.
         tied: Slugs the records do not distinguish, best first; empty unless `ambiguous`.

@@ -19,8 +19,6 @@ class FittedModels:
 
     Attributes:
         given: The model as given, with nothing but values of single records fitted.
-        base: The model without effects.
-        with_effects: The best fit of each set of effects, by their slugs.
     """
 
     given: CandidateFit

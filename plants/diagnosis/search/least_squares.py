@@ -31,7 +31,6 @@ class WhitenedFit:
     """A predictor with values, held against some entries.
 
     Attributes:
-        predictor: The predictor.
         values: The values, shape (free,).
         entries: Numbers of the entries, ascending.
         residuals: The residuals there, same shape.
@@ -67,7 +66,6 @@ class Coordinates(NamedTuple):
     """The values that move as a search sees them, and what is known of them beforehand.
 
     Attributes:
-        moves: Their numbers.
         log: Which of them move by their logarithm.
         low: Their least values, shape (moves,).
         high: Their greatest values.

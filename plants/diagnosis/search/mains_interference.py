@@ -22,9 +22,7 @@ class MainsLine:
 
     Attributes:
         amplitude_N: Amplitude in all records.
-        frequency_Hz: Its frequency.
         phase_rad: Phase in the first record.
-        measurements: The records without it.
     """
 
     amplitude_N: Interval

@@ -29,7 +29,6 @@ class CandidateFit:
 
     Attributes:
         effects: The effects added.
-        fitted: The fit.
     """
 
     effects: Effects
@@ -77,8 +76,6 @@ class ModelFitter:
     """Fits models with effects to the records.
 
     Attributes:
-        model: The model as given.
-        measurements: The records.
         floor: The noise.
         base: The predictor without effects.
         entries: Numbers of the residual entries that count: all, or of many evenly some.

@@ -82,8 +82,6 @@ class NormalEquations(NamedTuple):
     Attributes:
         normal: With each other, shape (changes, changes).
         pull: With the residual, negative: above zero where the change takes off from it.
-        power: The residual's with itself.
-        entries: Number of entries.
     """
 
     normal: FloatArray

@@ -30,7 +30,6 @@ class ScreeningResult:
     """Screening of an effect.
 
     Attributes:
-        effect: The effect.
         predictor: The model with it.
         starts: Rows of values to begin fits with, the most promising first, shape (some, free).
         grids: Values to try of its shapes.

@@ -24,7 +24,6 @@ class ModelStage(NamedTuple):
 
     Attributes:
         fitter: Model and records.
-        fit: Its fit.
         step: What it added, and its prediction error on data left out.
     """
 

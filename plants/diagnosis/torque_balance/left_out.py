@@ -22,7 +22,6 @@ class LeftOut(NamedTuple):
     """What a set of laws leaves.
 
     Attributes:
-        laws: The laws.
         error: Sum of squares on each stretch of time, left out of the fit, shape (stretches,).
         sizes: Of its terms, fitted to all, by name; the share of the load among them.
         names: The terms in the order of `shifted`.
