@@ -6,7 +6,7 @@ import pytest
 from estune.conformance.recordings import columns
 from estune.errors import InvalidInput
 from estune.recordings.column_map import AS_NAMED, read_column_map
-from estune.recordings.issue import Unusable
+from estune.recordings.issue import DataIssue, Unusable, refusals
 from estune.recordings.recording import read_recording
 from estune.recordings.units import Drum
 from tests.support_recordings import names, write_csv
@@ -229,3 +229,20 @@ def test_a_column_without_a_value_is_listed_as_empty(tmp_path):
 
     with pytest.raises(Unusable, match=r"time, torque, position \(no value but zero\)"):
         read_recording(table)
+
+
+def test_joint_angle_and_torque_are_found_by_the_names_of_robots_in_a_drive_alone(tmp_path):
+    c = columns()
+    write_csv(tmp_path / "log.csv", {"t": c["time_s"], "q": c["angle_rad"], "tau": c["current_A"]})
+    joint = read_recording(tmp_path / "log.csv", drum=Drum(1.0, 1.0))
+    np.testing.assert_allclose(joint.parts[0]["angle_rad"], c["angle_rad"])
+    np.testing.assert_allclose(joint.parts[0]["current_A"], c["current_A"])
+    with pytest.raises(Unusable, match="the file has t, q, tau"):
+        read_recording(tmp_path / "log.csv")
+
+
+def test_a_fault_of_many_files_is_said_once():
+    faults = [DataIssue("refused", "there is no time", "time", source=f"{k}.csv") for k in "abc"]
+    other = DataIssue("refused", "the file is empty", source="d.csv")
+    said = "a.csv and 2 more, column time: there is no time; d.csv: the file is empty"
+    assert refusals([*faults, other]) == said

@@ -32,6 +32,18 @@ EFFORTS = (
     *("duty", "duty cycle", "pwm", "valve", "heater", "heater power", "power", "cv", "throttle"),
     *("stellgröße", "stellgroesse", "stellgrad", "output power", "commande"),
 )
+JOINT_POSITIONS = ("q", "joint position", "motor position", "encoder", "theta", "theta m", "phi")
+JOINT_TORQUES = (
+    "tau",
+    "joint torque",
+    "motor torque",
+    "tau m",
+    "tau j",
+    "motor current",
+    "iq",
+    "i",
+)
+"""Names in the logs of robots, drives and their simulators: not of a plant, where q is a flow."""
 
 _WORDS = {
     "setpoint": {"setpoint", "sp", "target", "desired", "reference", "demand", "sollwert", "soll"},

@@ -1,7 +1,7 @@
 """Issues found in recorded data."""
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 from estune.errors import InvalidInput
@@ -39,10 +39,20 @@ class DataIssue:
 
 
 def refusals(issues: Iterable[DataIssue]) -> str:
-    """The refusals among some issues, the first of them in full; empty where there is none."""
-    refused = [str(issue) for issue in issues if issue.level == "refused"]
-    more = f"; and {len(refused) - LISTED} more" if len(refused) > LISTED else ""
-    return "; ".join(refused[:LISTED]) + more
+    """The refusals among some issues, the first of them in full; empty where there is none.
+
+    What is wrong with many files alike, as the name of a column, is said once.
+    """
+    alike: dict[DataIssue, list[str]] = {}
+    for issue in issues:
+        if issue.level == "refused":
+            alike.setdefault(replace(issue, source=""), []).append(issue.source)
+    said = [
+        str(replace(issue, source=first + (f" and {len(others)} more" if others else "")))
+        for issue, (first, *others) in alike.items()
+    ]
+    more = f"; and {len(said) - LISTED} more" if len(said) > LISTED else ""
+    return "; ".join(said[:LISTED]) + more
 
 
 class Unusable(InvalidInput):

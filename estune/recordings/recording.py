@@ -9,7 +9,10 @@ import numpy as np
 from estune.core.quantities import FloatArray
 from estune.recordings.channel_search import (
     EFFORTS,
+    JOINT_POSITIONS,
+    JOINT_TORQUES,
     MEASUREMENTS,
+    SETPOINTS,
     TIMES,
     by_usual_name,
     find_channel,
@@ -34,7 +37,6 @@ from estune.recordings.column_names import (
 from estune.recordings.heading import heading, nearest
 from estune.recordings.issue import DataIssue, Unusable
 from estune.recordings.long_form import separated
-from estune.recordings.loop_channels import NAMES
 from estune.recordings.metadata import Metadata, metadata_beside
 from estune.recordings.raw_file import Channel, RawFile, read_raw
 from estune.recordings.time_unit import time_doubt
@@ -171,12 +173,15 @@ def _channel(raw: RawFile, name: str, table: ColumnTable) -> Channel | None:
 
 
 _OF_PLANT = (
-    ("setpoint_N", "setpoint", "setpoint"),
-    ("tension_N", "output", "measurement"),
-    ("current_A", "input", "effort"),
+    ("setpoint_N", "setpoint", "setpoint", SETPOINTS),
+    ("tension_N", "output", "measurement", MEASUREMENTS),
+    ("current_A", "input", "effort", EFFORTS),
 )
-_OF_DRIVE = (("angle_rad", "position", "measurement"), ("current_A", "torque", "effort"))
-"""Columns of a record, their names in a map, and those of a loop's log whose names they have."""
+_OF_DRIVE = (
+    ("angle_rad", "position", "measurement", JOINT_POSITIONS + MEASUREMENTS),
+    ("current_A", "torque", "effort", JOINT_TORQUES + EFFORTS),
+)
+"""Columns of a record, their names in a map, and in a loop's log, and those in files."""
 
 
 def _by_usual_names(raw: RawFile, mapped: dict[str, Mapped], drum: Drum) -> list[DataIssue]:
@@ -188,10 +193,10 @@ def _by_usual_names(raw: RawFile, mapped: dict[str, Mapped], drum: Drum) -> list
     if any(name in mapped for name in MEASURED):
         return issues
     wanted = _OF_PLANT if drum.radius_m is None else _OF_DRIVE
-    for name, word, kind in wanted:
+    for name, word, kind, usual in wanted:
         taken = {m.source for m in mapped.values()}
         left = [c for c in raw.channels if c.name not in taken]
-        channel = None if name in mapped else by_usual_name(left, kind, NAMES[kind])
+        channel = None if name in mapped else by_usual_name(left, kind, usual)
         found = None
         with suppress(Unusable):  # of another quantity
             found = channel and map_column(name, ColumnTable(), channel, drum)
