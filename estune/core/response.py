@@ -60,9 +60,12 @@ class StepResponse(NamedTuple):
     Attributes:
         time_s: Time from the step; negative before it.
         setpoint: Setpoint before its filter.
+        measurement: Measurement.
         effort: Control effort.
+        step_size: Size of the step.
         step_index: First sample of the step.
         settling_time_s: Desired settling time.
+        load: Load step, or None.
     """
 
     time_s: FloatArray

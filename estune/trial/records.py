@@ -62,6 +62,9 @@ class TrialRecord:
     """Record of one trial. Columns have shape (samples,), fewer if it ended early.
 
     Attributes:
+        trial_id: Id of the trial.
+        rig: Name of the rig.
+        sampling_Hz: Sampling rate.
         cable_length_m: Deployed cable length, or None where there is no cable.
         preload_N: Tension held before the profile begins.
         gains: The applied gains.
@@ -183,7 +186,9 @@ class Telemetry:
     """Samples of a running trial. Columns have shape (samples,).
 
     Attributes:
+        trial_id: The trial.
         first_sample: Index in the trial of the first sample here.
+        sampling_Hz: Sampling rate.
         setpoint_N: The setpoint before its filter.
         tension_N: The measured tension.
         current_A: The motor current commanded.
