@@ -44,11 +44,13 @@ def drawn_models(fit: LoopFit, factor: FloatArray, count: int, seed: int) -> tup
     A, slopes = difference_polynomial(model.coordinates), _slopes(np.array(model.coordinates))
     found = list[LoopModel]()
     drawn = A + steps[:, : model.order] @ slopes
-    coordinates = coordinates_of(drawn, growing=model.grows)
-    for step, poles in zip(steps, coordinates, strict=True):
-        if poles is not None:
-            moved = model.with_parameters(model.parameters + step)
-            found.append(moved._replace(coordinates=poles))
+    for begin in range(0, TRIES * count, count):  # most draws are stable: few need a second part
+        part = slice(begin, begin + count)
+        coordinates = coordinates_of(drawn[part], growing=model.grows)
+        for step, poles in zip(steps[part], coordinates, strict=True):
+            if poles is not None and len(found) < count:
+                moved = model.with_parameters(model.parameters + step)
+                found.append(moved._replace(coordinates=poles))
         if len(found) == count:
             break
     rest = [model.with_parameters(model.parameters + step) for step in steps[len(found) : count]]
