@@ -148,6 +148,18 @@ def test_released_lease_is_returned_and_renewed_no_more(held):
     assert len(held.connection.renewals) == before
 
 
+def test_release_of_one_lease_waits_for_no_thread_that_renews_others(held):
+    joined_s = []
+    held.renewal._thread.join = joined_s.append
+    other = ClientLease(Connection(ReplyCode.ACCEPTED), held.renewal, "tester")
+    other.hold()
+    other.release()
+    assert not joined_s
+    before = len(held.connection.renewals)
+    renewed(held.connection, before + 1)
+    del held.renewal._thread.join
+
+
 def test_rig_held_by_another_client_is_asked_again_until_its_lease_can_have_expired(
     renewal, monkeypatch
 ):

@@ -72,6 +72,12 @@ CASES = {
         71,
         Reason.FROZEN,
     ),
+    "frozen, but for the time of bad readings": (
+        Limits(frozen_s=0.0205),
+        {"gauge_counts": 5.0, "held": lambda k: 60 <= k < 65},
+        76,
+        Reason.FROZEN,
+    ),
     "counts not a number": (Limits(), {"tension_N": math.nan, "gauge_counts": math.nan}, 50, None),
     "clock stands still": (Limits(), {"time_s": 49 * MS}, 50, Reason.CLOCK),
     "clock goes back": (Limits(), {"time_s": 10 * MS}, 50, Reason.CLOCK),
