@@ -122,12 +122,6 @@ def closed_loop(
 ) -> "StateSpace":
     """The sampled loop of a plant and the controller, without limits.
 
-    Args:
-        plant: As of `sampled_plant`.
-        gains: The gains.
-        settings: The fixed part of the controller.
-        dead_time_s: As of `sampled_plant`.
-
     Returns:
         A discrete state space from `setpoint` and `disturbance` (added to the effort) to
         `measurement` and `effort`.

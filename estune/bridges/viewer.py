@@ -23,9 +23,6 @@ class ViewedSample(NamedTuple):
     Attributes:
         time_ns: Time of day of the sample, ns since 1970.
         setpoint_N: Setpoint, in the unit of what the rig measures; so is the tension.
-        tension_N: Measured tension.
-        current_A: Motor current commanded.
-        angle_rad: Drum angle.
     """
 
     time_ns: int
@@ -96,12 +93,6 @@ def follow(
     rig: RemoteRig, batches: Iterator[Telemetry], viewer: Viewer, ended: threading.Event
 ) -> None:
     """Shows a rig until `ended` is set.
-
-    Args:
-        rig: The rig.
-        batches: Its telemetry, as of `RemoteRig.watch`.
-        viewer: Where it is shown.
-        ended: Set where it is to end.
 
     Raises:
         Exception: whatever the viewer raises when it is shown samples.

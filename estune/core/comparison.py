@@ -28,7 +28,6 @@ class Change:
         estimate: Most likely value.
         low: Lower end of its confidence interval.
         high: Upper end; below zero if the cost decreased significantly.
-        confidence: Of the interval.
     """
 
     estimate: float
@@ -114,7 +113,6 @@ class InterleavedRepeats(NamedTuple):
     over.
 
     Attributes:
-        gains: The gains, two or more.
         rounds: Repeats of each that are wanted.
         costs: Costs of each, in the order of the gains; infinite where a repeat was unsafe.
         recorded: Index of the gains that a record of the repeats has next; None without one.

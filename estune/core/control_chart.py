@@ -57,10 +57,7 @@ class ChartState(NamedTuple):
     """The state of a chart; stored by field name and position.
 
     Attributes:
-        known: Number of values in the mean.
-        mean: Mean of the log cost.
         squares: Sum of squared deviations from the means.
-        freedom: Its degrees of freedom.
         smoothed: z.
         suspect: -1 or 1 if the trial before was an outlier, below or above; else 0.
     """

@@ -18,7 +18,6 @@ class GainForm(NamedTuple):
     Attributes:
         name: `parallel`, `standard`, `series` or `per_sample`.
         equation: From the error e (measurement y for the derivative) to the effort u.
-        values: The numbers by name; the unit is in the name where there is one.
     """
 
     name: str

@@ -47,7 +47,6 @@ class Margins(NamedTuple):
         gain_crossover_Hz: Frequency of the phase margin, where the loop gain is one; NaN if none.
         phase_crossover_Hz: Frequency of the gain margin, where the phase is -180 degrees; NaN if
             none.
-        stable: Whether the closed loop is stable.
     """
 
     gain_margin: float

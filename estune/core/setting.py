@@ -47,10 +47,7 @@ class Bounds:
 
     Attributes:
         above: Bound that the value must exceed.
-        least: Least value.
         below: Bound that the value must stay below.
-        most: Greatest value.
-        not_zero: Whether zero is refused.
         infinite: Whether an infinite value is accepted.
     """
 
@@ -90,7 +87,6 @@ class Setting:
     Attributes:
         help: What it is, in a phrase or more, without its unit and range.
         unit: Its unit; empty without one.
-        bounds: Its range.
         otherwise: What holds where it is not given, if that is not the default of the field.
         younger: Whether it is younger than messages and files that must stay as they are: where
             it has its default, it is left out of digests and keys.
@@ -135,7 +131,6 @@ class Declared(NamedTuple):
         name: Name of the field, and key in files and messages.
         kind: Its type without None: float, int, bool, str, a Literal, or another.
         default: Its default; `MISSING` where it must be given.
-        setting: What was declared.
     """
 
     name: str

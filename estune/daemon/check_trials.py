@@ -20,7 +20,6 @@ class CheckTrialResult(NamedTuple):
 
     Attributes:
         cost: Its cost; infinite where it was unsafe, NaN where it was void.
-        signal: Signal of the control chart; None where it was void.
     """
 
     record: TrialRecord

@@ -41,7 +41,6 @@ class MarginReport(NamedTuple):
     """Something to be reported of the margins.
 
     Attributes:
-        sentence: What was found.
         gains: Recommended gains, whose limits hold by the upper ends of their intervals; or None.
         is_machine: Whether the actuator or the sensor is at fault, which no tuning mends.
     """

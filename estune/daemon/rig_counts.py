@@ -15,7 +15,6 @@ class RigCounts:
         trial_s: Time of these trials together, from the request to the record.
         leases_lost: Leases that ended during a trial.
         commands_refused: Commands of operators that the mode did not allow.
-        faults: Faults by code.
     """
 
     trials: Counter[str] = field(default_factory=Counter)

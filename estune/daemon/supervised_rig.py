@@ -64,7 +64,6 @@ class SupervisedRig:
         refused: Why this rig is left alone: another daemon has it; empty otherwise.
         waits_for: What is waited for, where the mode does not say it; empty otherwise.
         abort_trial: Ends the trial under way, if any, without waiting.
-        counts: What is counted of the rig for the metrics.
     """
 
     def __init__(

@@ -34,7 +34,6 @@ class RunDecision(NamedTuple):
 
     Attributes:
         better: Gains with a statistically significant improvement; None if there are none.
-        sentence: The reason.
         start_chart: Control chart for the initial gains; None where repeats were unsafe or one.
         chart: Control chart for the better gains.
     """

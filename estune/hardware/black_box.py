@@ -65,11 +65,7 @@ class MovingRig(Protocol):
 
 
 class BlackBox(Closing):
-    """The black box of one rig; a context manager.
-
-    Attributes:
-        stops: Stops copied so far.
-    """
+    """The black box of one rig; a context manager."""
 
     def __init__(self, rig: MovingRig, folder: Path, table: BlackBoxTable) -> None:
         """Begins to record; what a program left that did not end in order is kept as a stop.

@@ -24,7 +24,6 @@ class ExchangeTiming:
         exchange_s: Time of a reading and a command together, shape (readings,).
         waited_s: Mean part of it spent waiting for answers; NaN where the driver does not count.
         wire_s: Mean part of it that the messages need on the bus; NaN likewise.
-        time_s: Time stamps of the readings.
         messages: Messages during the measurement, by kind; empty where the driver does not count.
     """
 

@@ -15,7 +15,6 @@ class HybridPlan:
     """Position control of a loop.
 
     Attributes:
-        rules: Rules that select tension or position control.
         position: Difference equation of the position controller; its input is the cable wound in,
             m, its output the effort, N.
         drum_radius_m: Cable wound in per radian, m.

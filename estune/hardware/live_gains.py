@@ -35,7 +35,6 @@ class LiveGains:
     """Gains that hold the reel between trials.
 
     Attributes:
-        coefficients: Their difference equation.
         operating_point: Cable length in m and tension in N that they are for; NaN if fixed.
     """
 

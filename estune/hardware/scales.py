@@ -22,11 +22,7 @@ def _middle(axis: Axis) -> tuple[float, float]:
 
 @dataclass(frozen=True, slots=True)
 class GaugeScale:
-    """C2: counts to newtons, the root of the quadratic in the calibrated range.
-
-    Attributes:
-        coefficients: Coefficients of the scaled force, counts.
-    """
+    """C2: counts to newtons, the root of the quadratic in the calibrated range."""
 
     coefficients: tuple[float, float, float]
     middle_N: float
@@ -63,11 +59,7 @@ class GaugeScale:
 
 @dataclass(frozen=True, slots=True)
 class CurrentScale:
-    """C1: amperes to counts, by Newton's method on the monotone curve.
-
-    Attributes:
-        coefficients: Coefficients of the scaled command, A.
-    """
+    """C1: amperes to counts, by Newton's method on the monotone curve."""
 
     coefficients: tuple[float, ...]
     middle: float

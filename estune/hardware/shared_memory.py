@@ -82,7 +82,6 @@ class Timing(NamedTuple):
     """Timing of the loop since it started.
 
     Attributes:
-        late: Samples that began late.
         missed: Sampling instants skipped altogether.
         lateness: Histogram of the time from the instant to the beginning of the sample.
         turnaround: Histogram of the time from the instant to the current command.

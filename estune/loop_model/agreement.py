@@ -40,12 +40,6 @@ def contradicting_sensitivities(
 
     Infinite where a loop that they show is unstable. A fit whose errors are white leaves nothing
     to disagree about.
-
-    Args:
-        fit: The identified loop.
-        records: The records given to the fit.
-        gains: The gains in question.
-        controller: The fixed part of the controller.
     """
     if fit.is_white:
         return ()

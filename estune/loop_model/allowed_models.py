@@ -43,13 +43,7 @@ def plain_draws(fit: LoopFit) -> Draws:
 
 
 def allowed_draws(fit: LoopFit, records: Sequence[LoopRecord], draws: Draws) -> Draws:
-    """Draws of a fit without friction, each halved until the records do not contradict it.
-
-    Args:
-        fit: The fit.
-        records: Those given to it.
-        draws: Models that its covariances allow.
-    """
+    """Draws of a fit without friction, each halved until the records do not contradict it."""
     from scipy.special import chdtri  # noqa: PLC0415  slow to import
 
     model = fit.model

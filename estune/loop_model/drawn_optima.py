@@ -77,14 +77,7 @@ def equal_range(search: RegionSearch, optimum: Optimum) -> tuple[FloatArray, Flo
 def draw_optima(
     fit: LoopFit, search: Callable[[LoopModel], RegionSearch], optimum: Optimum, seed: int
 ) -> DrawnOptima:
-    """Optima of models drawn from the posterior of an identified loop.
-
-    Args:
-        fit: The loop.
-        search: The search for the optimum of a model.
-        optimum: That of the loop itself.
-        seed: Of the draws.
-    """
+    """Optima of models drawn from the posterior of an identified loop."""
     x, gains, optima = optimum.coordinates, list[float](), list[FloatArray]()
     for model in drawn_models(fit, white_factor(fit), DRAWS, seed):
         own = search(model)

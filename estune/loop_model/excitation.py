@@ -44,11 +44,7 @@ class UnknownLoop(NamedTuple):
     """A loop to be known, and the gains at which its plant can be excited.
 
     Attributes:
-        fit: The identified loop.
-        records: The records that were fitted.
-        gains: Gains of the loop in question.
         tried: Gains of a safe trial.
-        controller: The fixed part of the controller.
     """
 
     fit: LoopFit
@@ -79,10 +75,6 @@ def wanted_setpoint(unknown: UnknownLoop, samples: int) -> float:
     """Setpoint of white power that makes the loop known, as its root mean square.
 
     Infinite where one of the loops is unstable by the model.
-
-    Args:
-        unknown: The loop.
-        samples: Length of the multisine.
     """
     fit, controller = unknown.fit, unknown.controller
     theta, C, loop, stable = loop_response(fit.model, unknown.gains, controller)

@@ -75,7 +75,6 @@ class Beginning(NamedTuple):
     """Where the search for a loop begins.
 
     Attributes:
-        settling_time_s: Settling time that sets its scale.
         starts: Fits of two poles, the best first.
         power: Mean square of the prediction errors of the best.
     """

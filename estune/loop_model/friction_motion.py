@@ -31,7 +31,6 @@ class FrictionMotion(NamedTuple):
     """Records with what the mass needs beside their deviations.
 
     Attributes:
-        records: The same.
         rest: Of each group the position before the record less its mean, in N of effort.
         rest_effort: Mean effort before the step.
         scale: Effort that a step needs.

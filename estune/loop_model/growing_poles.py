@@ -54,7 +54,6 @@ class _Linear(NamedTuple):
     """The solution with some C: its sum of squared errors, its dead time and A.
 
     Attributes:
-        dead: Whole samples of dead time.
         A: In powers of 1 - q^-1, shape (n + 1,).
     """
 

@@ -46,7 +46,6 @@ class PoleFit(NamedTuple):
     Attributes:
         cost: Half the sum of squared residuals, with the price of dead time.
         coordinates: Of the poles, and of the friction where there is any.
-        dead: Whole samples of dead time.
     """
 
     cost: float

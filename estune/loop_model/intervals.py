@@ -40,7 +40,6 @@ class PredictedMargins(NamedTuple):
     """Predictions with intervals.
 
     Attributes:
-        cost: Expected cost.
         overshoot: As a share of the step.
         sensitivity: Ms.
         phase_margin_deg: Degrees.
@@ -94,14 +93,7 @@ def predict_with_intervals(
 def margins_by_records(
     fit: LoopFit, records: Sequence[LoopRecord], trial: StepTrial, gains: Gains
 ) -> PredictedMargins:
-    """Predictions with intervals; where draws are unstable, by those that the records allow.
-
-    Args:
-        fit: The identified loop.
-        records: The records given to the fit.
-        trial: The step trial.
-        gains: The gains.
-    """
+    """Predictions with intervals; where draws are unstable, by those that the records allow."""
     draws = plain_draws(fit)
     found = predict_with_intervals(fit, trial, gains, draws)
     if math.isfinite(found.sensitivity.high) or fit.model.friction:

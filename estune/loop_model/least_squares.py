@@ -136,7 +136,6 @@ class Solution(NamedTuple):
     """Best numerator, start states and offsets at given poles, noise and dead time.
 
     Attributes:
-        dead: Whole samples of dead time.
         nuisance: Of each group, the orthonormal basis of start states and offsets, (samples, m).
         regressors: Of the numerator, without the nuisance, shape (residuals of all, terms).
         basis: Orthonormal basis of the regressors, shape (residuals of all, terms).

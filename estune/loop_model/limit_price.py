@@ -32,7 +32,6 @@ class LimitPrice(NamedTuple):
     """Cost of gains within limits over that without them.
 
     Attributes:
-        price: Relative increase of the cost.
         softer: Price of each softer limit of Ms; empty unless the price is above `DEAR`.
     """
 

@@ -62,15 +62,7 @@ def load_rejection(
     step: float,
     settling_time_s: float,
 ) -> LoadRejection | None:
-    """The response of the linear part, without limits of the effort; None where it is unstable.
-
-    Args:
-        model: The identified loop.
-        gains: The gains.
-        settings: The fixed part of the controller.
-        step: The setpoint step.
-        settling_time_s: Desired settling time, s.
-    """
+    """The response of the linear part, without limits of the effort; None where it is unstable."""
     if not math.isfinite(robustness(model, gains, settings).sensitivity):
         return None
     rate = settings.sampling_Hz

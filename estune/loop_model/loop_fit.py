@@ -35,7 +35,6 @@ class LoopFit(NamedTuple):
             it, shape (its samples,); zero where it was not fitted. With poles outside the unit
             circle, through an all-pass.
         errors: Its prediction errors, shape (its samples,).
-        is_white: Whether the prediction errors are white.
         left_out: Numbers of the records that the others contradict, and that are not fitted.
         settling_samples: Settling time asked for, which scales the noise model.
     """
@@ -95,7 +94,6 @@ class Residuals(NamedTuple):
             shape (residuals of all, parameters).
         response_peak: Largest deviation of the output, without start states and offsets, as
             the residual through 1/H.
-        nuisance: Parameters of each record.
     """
 
     errors: FloatArray

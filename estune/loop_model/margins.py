@@ -133,7 +133,6 @@ class LoopResponse(NamedTuple):
         theta: Angles, rad/sample.
         controller: C_y = S/R.
         loop: L.
-        stable: Whether the closed loop is stable.
     """
 
     theta: FloatArray

@@ -132,7 +132,6 @@ class ClosedLoop(NamedTuple):
         forward: A R, so that forward / characteristic is the sensitivity.
         to_output: From the filtered setpoint to the output, over the characteristic.
         to_effort: From the filtered setpoint to the effort.
-        noise_to_effort: From measurement noise to the effort.
         numerator: q^-(d+1) B.
         denominator: R.
         feedback: q^-(d+1) B S.

@@ -135,8 +135,6 @@ class Optimum(NamedTuple):
 
     Attributes:
         coordinates: Logarithms of the tuned parameters, shape (n,).
-        prediction: What the model predicts there.
-        feasible: Whether the limits hold there.
     """
 
     coordinates: FloatArray
@@ -187,9 +185,7 @@ class RegionSearch:
 
     Attributes:
         limits: What the gains have to keep.
-        gains_of: From coordinates to gains.
         low: Least coordinates, shape (n,).
-        high: Greatest coordinates.
         noise_std: Standard deviation of the measurement noise.
         corrected: From coordinates and what the model predicts there to what is expected.
     """

@@ -23,10 +23,6 @@ class StepTrial:
     """A step trial without its gains.
 
     Attributes:
-        controller: The fixed part of the controller.
-        cost: The settings of (35).
-        preload: Setpoint before the step.
-        step: The step and the load.
         rest_effort: Effort at rest before the step, by which the controller's limits are judged.
     """
 
@@ -167,13 +163,6 @@ def _expected_costs(
 
     Where the share of the noise is not known from the weights of the error, it is the mean over
     one fixed sequence of noise and its negative, which leaves out the terms of odd order.
-
-    Args:
-        loops: The loops.
-        trial: The step trial.
-        output: Shape (loops, samples).
-        effort: Shape (loops, samples).
-        noise_std: Standard deviation of the measurement noise.
     """
 
     def cost(measurement: FloatArray, command: FloatArray) -> FloatArray:

@@ -15,12 +15,7 @@ direction numbers (Joe and Kuo, SIAM Journal on Scientific Computing 30, 2008)."
 
 @lru_cache(maxsize=16)
 def sobol_points(dimensions: int, count: int) -> FloatArray:
-    """The first points of the sequence in the unit cube, read-only, shape (count, dimensions).
-
-    Args:
-        dimensions: At most four.
-        count: Number of points.
-    """
+    """The first points of the sequence in the unit cube, read-only, shape (count, dimensions)."""
     directions = np.array([_directions(dimension) for dimension in range(dimensions)])
     bits, points = np.zeros(dimensions, dtype=np.int64), np.zeros((count, dimensions))
     for number in range(1, count):

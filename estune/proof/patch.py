@@ -27,8 +27,6 @@ class Patch:
 
     Attributes:
         effect: Slug of the effect that it is against.
-        title: What it does.
-        harm: What it may harm.
         tables: Tables of `[compensation]` that switch it on.
         predicted: Predicted ratios of with to without: value, low and high by measure.
         proof: What the rig measured; see `estune.proof.trials.Proof`. None before.
@@ -61,10 +59,6 @@ class Patch:
 
     def compensation(self, own: str, *, on: bool) -> str:
         """What a trial's request has for this remedy on or off, beside all others of the rig.
-
-        Args:
-            own: The rig's own compensations, `RigDescription.compensation`.
-            on: Whether it is to be on.
 
         Returns:
             JSON of the tables, `{}` for none; empty where the rig's own are right.

@@ -83,9 +83,7 @@ class Proof:
 
     Attributes:
         date: Date of the proof, ISO 8601.
-        gains: Gains of all its trials.
         pairs: Pairs of trials with it and without.
-        ratios: Measured ratios by measure; empty where it was stopped.
         stopped: Why it was stopped and switched off; empty where it was not.
         tuned: Cost with the remedy on before and after a tuning; None without one.
     """

@@ -144,7 +144,6 @@ class Mapped(NamedTuple):
         unit: Unit it was taken to be in, or `counts` of a calibration.
         factor: Factor from the values of the file to SI units.
         values: In SI units, shape (samples,).
-        time_s: Stamps of the channel's own, or None.
         is_rate: Whether the values are the rate of the column, as a speed in place of an angle.
     """
 

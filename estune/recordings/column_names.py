@@ -48,11 +48,6 @@ _RARE = ("reference_N", "flags")
 def suggest_name(name: str, present: frozenset[str], known: tuple[str, ...]) -> str | None:
     """The remedy for an unknown name that resembles a known one.
 
-    Args:
-        name: The name found.
-        present: All the names found.
-        known: The names there may be.
-
     Returns:
         A sentence, or None where the name is known, or means something else.
     """

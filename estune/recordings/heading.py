@@ -36,7 +36,6 @@ class ColumnHeading(NamedTuple):
     """A heading taken apart.
 
     Attributes:
-        name: Without its unit.
         unit: Name in `units.UNITS`; empty where there is none that is known.
         said: Whether the unit stands apart from the name, and not as a part of it: `angle_deg` may
             be a name.

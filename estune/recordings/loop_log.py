@@ -44,11 +44,9 @@ class LoopLog(NamedTuple):
     """Contents of a file.
 
     Attributes:
-        sampling_Hz: Rate of the grid.
         parts: `time`, `setpoint`, `measurement` and, where it is logged, `effort` of each stretch
             without a gap, shape (samples,) each.
         gains: As the file's metadata states them, or None.
-        sources: Channel of each column.
         units: Unit of each column as the file states it, or empty.
         issues: What was done to the time stamps.
     """

@@ -54,7 +54,6 @@ class Recording(NamedTuple):
     """Contents of a file.
 
     Attributes:
-        sampling_Hz: Rate of the grid.
         parts: Columns of each stretch without a gap; `time_s` is one of them.
         metadata: As written in the file, beside it or in the map.
         mapped: Where each column came from.

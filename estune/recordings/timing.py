@@ -43,9 +43,7 @@ class Evened(NamedTuple):
     """Columns on an even grid.
 
     Attributes:
-        sampling_Hz: The rate, the stated one where there is one.
         parts: The columns, `time_s` among them, of each stretch without a gap.
-        issues: What was done to the stamps.
     """
 
     sampling_Hz: float

@@ -105,7 +105,6 @@ class FrictionFeedForward:
     contacts gives way sooner, z is the mean of two, over d and over d/s.
 
     Attributes:
-        friction: The identified dry friction.
         memory_rad: Presliding distance d, rad; far below any motion where the friction has none.
         load_share: Friction per tension c, without unit: adds c T R to the torque.
         fraction: Share of the friction that is fed forward, from 0 to `FRACTION_MAX`.

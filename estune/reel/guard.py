@@ -179,7 +179,6 @@ class GuardTrip(NamedTuple):
 
     Attributes:
         reason: The reason.
-        sentence: The reason with value and limit.
     """
 
     reason: Reason

@@ -13,7 +13,6 @@ class ApprovalRequest(NamedTuple):
 
     Attributes:
         request: The trial that would be run.
-        prediction: The tuner's prediction of its cost.
         eta_max: The cost above which it is unsafe.
     """
 

@@ -32,11 +32,7 @@ LINES_MIN = 8
 
 
 class ExcitationTrial(NamedTuple):
-    """A trial that excites the loop.
-
-    Attributes:
-        profile: Its setpoint.
-    """
+    """A trial that excites the loop."""
 
     gains: Gains
     profile: MultisineProfile

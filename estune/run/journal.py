@@ -62,13 +62,9 @@ class JournalEntry(NamedTuple):
     """One trial in the journal.
 
     Attributes:
-        number: Place in the run.
         attempt: How many void attempts of this trial precede it.
-        trial_id: Its id on the rig.
-        phase: Its phase of the run.
         gain_values: The requested gains, in the order of `Gains.as_tuple`.
         outcome: How it ended; None while it is under way.
-        reason: The outcome in words.
         cost: Its cost; nan where there is none.
         margin: Its constraint margin; infinite while the trial is under way.
     """

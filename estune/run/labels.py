@@ -32,9 +32,7 @@ class ListedNumbers(NamedTuple):
         rise_time_s: Rise time with the gains to use.
         overshoot: Overshoot with them, as a share of the step.
         Ms: Sensitivity that is claimed of them.
-        start_cost: Cost of the initial gains.
         cost: Cost of the tuned gains; None where the initial ones are kept.
-        ending: How the run ended.
     """
 
     rise_time_s: float | None = None

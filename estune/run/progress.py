@@ -41,7 +41,6 @@ class ProgressStatus(NamedTuple):
     Attributes:
         stage: Present stage, such as a phase; may be empty.
         done: Completed steps, with those of earlier calls.
-        total: Expected number of steps.
         unit: What a step is, in the plural: trials, cells.
         alerts: Failures so far, such as "2 failed"; a change is reported at once.
         summary: Everything else for a plain line.
@@ -310,12 +309,7 @@ class ProgressCounter:
 
 @contextmanager
 def counting(unit: str, *, quiet: bool) -> Iterator[Callable[[int, int], None]]:
-    """A function to be called with the steps done, and all, that shows progress.
-
-    Args:
-        unit: What a step is, in the plural.
-        quiet: Whether to show nothing.
-    """
+    """A function to be called with the steps done, and all, that shows progress."""
     with showing_phases(quiet=quiet) as on_phase:
         yield lambda done, total: on_phase(f"{done} of {total} {unit}", done / max(total, 1))
 
@@ -325,9 +319,6 @@ def showing_phases(*, quiet: bool) -> Iterator[Callable[[str, float], None]]:
     """A function to be called with the present phase and the share of the work that is done.
 
     It shows them with the time left, from a first call until the share is 1: more work may follow.
-
-    Args:
-        quiet: Whether to show nothing.
     """
     if quiet:
         yield lambda _phase, _done: None

@@ -62,7 +62,6 @@ class IdentifiedLoop(NamedTuple):
         fit: The fit; None where no record can be used.
         reason: Why there is no fit; empty where there is one.
         steps: The step trials that were fitted.
-        excitations: The excitations that were fitted.
         remarks: Why others were not, a sentence for each reason.
     """
 
@@ -194,9 +193,6 @@ class Verdict(NamedTuple):
         fault: Why they are not robust; empty where they are.
         broken: Limits that the initial gains break and the confirmed ones keep, in words; empty
             where there are none.
-        loop: The identified loop; None where nothing was judged.
-        claim: What is claimed of the confirmed gains; None where nothing was judged.
-        limits: Whether the confirmed gains keep the limits.
     """
 
     fault: str = ""

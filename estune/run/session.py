@@ -39,7 +39,6 @@ class Session:
     Attributes:
         tally: What the trials count up to; its number is that of the next trial.
         attempt: Void attempts of the next trial.
-        search_trials: Completed search trials.
         consecutive_censored: Search trials since the last safe one, unsafe or declined.
         consecutive_settled: Last search trials with a remaining improvement below the tolerance.
         excitation: The trial that excites the loop next; None for a step trial.

@@ -49,9 +49,7 @@ class StoredSnapshot(NamedTuple):
     """A snapshot as it is stored.
 
     Attributes:
-        trials: Number of completed trials before it.
         version: `code_version` of the program that wrote it.
-        digest: Digest of these trials.
         state: The session, pickled without its plan.
     """
 

@@ -18,7 +18,6 @@ class Tally(NamedTuple):
     Attributes:
         eta_max_given: The cost above which a trial is unsafe, where the plan gives one.
         number: Trials that count: all but void ones.
-        unsafe: Unsafe trials, in any phase.
         baseline: Costs of the initial gains.
     """
 

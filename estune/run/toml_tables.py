@@ -37,7 +37,6 @@ class SettingsGroup(NamedTuple):
     """Settings that stand in one table of a file, under one heading.
 
     Attributes:
-        kind: The dataclass that declares them.
         leave_out: Fields of it that users do not set.
         more: Settings that stand beside its fields.
     """

@@ -44,8 +44,6 @@ class TrialFile:
         name: Name of the trial; its id begins with it. Letters, digits, - and _ only.
         profile: The setpoint.
         gains: Gains of the trial; None means the live ones.
-        why: Purpose of the trial.
-        estune_trial: Version of the file.
 
     Raises:
         InvalidInput: the name contains other characters.

@@ -21,8 +21,6 @@ class TuningRun:
     """A run in progress.
 
     Attributes:
-        description: Description of the rig at the start of the run.
-        session: Present session.
         entries: Every completed trial, void ones too.
         first_record: Record of the first baseline trial, the response before tuning.
         tuned_record: Record of the last confirmation trial with the tuned gains.

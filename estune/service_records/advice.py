@@ -44,9 +44,7 @@ class AdvisedExperiment(NamedTuple):
 
     Attributes:
         share: Its rms over the step.
-        duration_s: Its length.
         aim: Half width of ln Ms that it reaches by the identified loop.
-        trial: The trial, for `estune run-experiment`.
     """
 
     share: float

@@ -33,7 +33,6 @@ class GainSet(NamedTuple):
     Attributes:
         replay: What they leave of the effort there.
         stretches: Where they are seen to run.
-        stop_s: Time of the last sample with them.
     """
 
     replay: Replay
@@ -47,11 +46,6 @@ def gain_sets(
     """The sets of gains that ran in a log one after the other; empty where no effort shows any.
 
     More than one is found only where each explains its part and none those of its neighbours.
-
-    Args:
-        log: The log.
-        settings: The fixed part of the controller.
-        stated: The gains stated, which are those of the end.
     """
     P = stated.P if stated else None
     stretches = find_stretches(log, P)[0]

@@ -55,8 +55,6 @@ class ServiceLoop(NamedTuple):
     """A loop identified from records of service.
 
     Attributes:
-        records: The records it was fitted to.
-        settings: The fixed part of the controller.
         draws: Models that the records allow; empty for those of the fit's covariances.
     """
 

@@ -69,13 +69,7 @@ def evidence(fit: LoopFit, record: LoopRecord) -> PlantEvidence:
 
 
 def chance(fit: LoopFit, known: Sequence[PlantEvidence], new: Sequence[PlantEvidence]) -> float:
-    """Probability that records differ as much from those known before, without a change.
-
-    Args:
-        fit: The fit that all of it is shown of.
-        known: Of the records known before.
-        new: Of the records in question.
-    """
+    """Probability that records differ as much from those known before, without a change."""
     from scipy.special import chdtrc  # noqa: PLC0415  slow to import
 
     before, now = _sum(known), _sum(new)

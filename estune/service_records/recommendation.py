@@ -51,7 +51,6 @@ class Recommendation(NamedTuple):
     """Recommended gains.
 
     Attributes:
-        margins: Their predictions with intervals.
         price: Their cost over that of the optimum whose limits hold by the model alone, less one:
             what the uncertainty of the records costs.
     """
@@ -119,15 +118,7 @@ def _scaled_down(
     known: tuple[Callable[[FloatArray], Gains], Callable[[FloatArray], PredictedMargins]],
     about: Sequence[FloatArray],
 ) -> tuple[FloatArray, PredictedMargins] | None:
-    """The best of scaled-down gains whose limits hold by their intervals; None without any.
-
-    Args:
-        loop: The identified loop.
-        trial: The step trial.
-        limits: What the gains have to keep.
-        known: From logarithms of gains to gains, and to their margins.
-        about: Logarithms of the gains that are scaled down.
-    """
+    """The best of scaled-down gains whose limits hold by their intervals; None without any."""
     gains_of, margins_at = known
     beside = np.array([[1.0, 1.0, 1.0, 0.0], [0, 1.0, 0, 0], [0, 0, 1.0, 0], [0, 0, 0, 1.0]])
     scaled = [(x, shares) for x in about for shares in SCALED_DOWN]

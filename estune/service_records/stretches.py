@@ -26,7 +26,6 @@ class Stretch(NamedTuple):
     """Successive samples of a log, shape (samples,) each, in the units of the log.
 
     Attributes:
-        start_s: Time of the first sample.
         setpoint: Setpoint before its filter.
         effort: Effort as logged, or None.
         limits: Limits at which the effort was held, in its unit.
@@ -55,13 +54,7 @@ class Stretch(NamedTuple):
 
 
 class LeftOut(NamedTuple):
-    """Part of a log that is not used.
-
-    Attributes:
-        start_s: Time of its first sample.
-        stop_s: Time of its last sample.
-        reason: Why it is not used.
-    """
+    """Part of a log that is not used."""
 
     log: str
     start_s: float

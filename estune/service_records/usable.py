@@ -17,8 +17,6 @@ class JudgedStretch(NamedTuple):
     """A stretch of a log.
 
     Attributes:
-        start_s: Time of its first sample.
-        stop_s: Time of its last sample.
         reason: Why it shows nothing of the loop; empty where it does.
     """
 

@@ -68,8 +68,6 @@ class WatchedMargins(NamedTuple):
     """What the records of a watched loop show.
 
     Attributes:
-        loop: The identified loop.
-        margins: Of the gains in use.
         judgement: Whether they are known.
     """
 

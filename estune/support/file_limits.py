@@ -120,9 +120,6 @@ def bounded_memory(size: int) -> Iterator[None]:
     Whatever unpacks the file then gets a `MemoryError`. Threads that read wait for each other. On
     a system without such limits nothing is bounded.
 
-    Args:
-        size: Size of the file, bytes.
-
     Raises:
         InvalidInput: the reading took more.
     """

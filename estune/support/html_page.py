@@ -137,7 +137,6 @@ class Panel:
 
     Attributes:
         name: Unique name of its element.
-        text: Text above it.
         data: Its data as JSON values.
         files: Its scripts and styles in the order in which they need each other, as packages and
             paths within them. A script is a module; imports are resolved by the order alone.
@@ -191,9 +190,6 @@ class Page:
     """A report page.
 
     Attributes:
-        title: Title of the document.
-        headline: The result in one line.
-        summary: Blocks below the headline.
         sections: Sections in order; those without blocks are left out.
     """
 

@@ -10,12 +10,7 @@ from typing import Any
 def lazy_exports(
     package: str, modules: Mapping[str, str]
 ) -> tuple[Callable[[str], Any], Callable[[], list[str]]]:
-    """`__getattr__` and `__dir__` of a package.
-
-    Args:
-        package: `__name__` of the package.
-        modules: The module that defines each name.
-    """
+    """`__getattr__` and `__dir__` of a package."""
 
     def get_attribute(name: str) -> Any:
         if name not in modules:

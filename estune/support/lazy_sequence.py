@@ -10,12 +10,7 @@ K = TypeVar("K")
 
 
 class LazySequence(Sequence[T_co]):
-    """Values by their numbers; a slice is a list of them.
-
-    Args:
-        numbers: The numbers, in order.
-        make: The value of a number.
-    """
+    """Values by their numbers; a slice is a list of them."""
 
     def __init__(self, numbers: Sequence[int], make: Callable[[int], T_co]) -> None:
         self._numbers, self._make = numbers, make

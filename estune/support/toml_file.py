@@ -60,11 +60,6 @@ def parse_toml(text: str, source: str) -> dict[str, Any]:
 def validate(kind: type[_Table], data: dict[str, Any], source: str) -> _Table:
     """The validated table.
 
-    Args:
-        kind: Class of the table.
-        data: The values read.
-        source: Name of the file, for messages.
-
     Raises:
         InvalidInput: the values are not valid; the message has a line for each error.
     """

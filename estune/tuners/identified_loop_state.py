@@ -13,7 +13,6 @@ class IdentifiedLoopState(NamedTuple):
     """The state of a model-based search.
 
     Attributes:
-        fallback: State of the fallback tuner.
         records: Last records of the loop in step trials.
         excitations: Records of its excitations, of those that are fitted.
         points: Coordinates of all trials with a record.
@@ -22,8 +21,6 @@ class IdentifiedLoopState(NamedTuple):
         errors: Errors of the predictions of these before they ran; NaN before the first fit.
         fit: The identified loop; None before the first record.
         surface: What the last trials measured beyond its predictions; None where these stand.
-        proposal: The next trial.
-        centre: Coordinates of the recommended point.
         base: Those of the safe trial of least cost by the model, about which the search reaches.
         step_scale: Factor on the reach after unsafe trials.
         fallen_back: Whether the fallback tuner proposes.

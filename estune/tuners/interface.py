@@ -102,9 +102,7 @@ class CostPrediction(NamedTuple):
     """The cost that a tuner predicts for a point.
 
     Attributes:
-        cost: Expected cost.
         low: Lower end of its 95 % interval for the mean of repeats.
-        high: Upper end.
         explored: Whether the point lies within the region that safe trials have shown to be safe.
     """
 

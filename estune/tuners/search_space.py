@@ -59,7 +59,6 @@ class SearchSpace:
         names: The tuned parameters: among P, I, D and setpoint_filter_s in the parallel form,
             among K, Ti, Td and setpoint_filter_s in the standard form.
         low: Lower bound of each; above zero on a logarithmic scale.
-        high: Upper bound of each.
         scale: "log" to step in logarithms, "linear" to step in the parameters themselves.
         form: "parallel" `u = P e + I int(e) - D dy/dt`, or "standard" `K (1 + 1/(Ti s) + Td s)`.
         fixed: Name and value of parameters that are not tuned. A parameter named neither here nor

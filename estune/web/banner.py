@@ -22,7 +22,6 @@ class Banner(NamedTuple):
 
     Attributes:
         tone: Good, bad, out of date, or none of these.
-        sentence: What more there is to say of it.
     """
 
     word: str

@@ -65,11 +65,7 @@ _Table = TypeVar("_Table", bound=TomlTable)
 
 
 class FormFault(InvalidInput):
-    """Settings that cannot be used.
-
-    Attributes:
-        fields: What is wrong with each of them, by name.
-    """
+    """Settings that cannot be used."""
 
     def __init__(self, fields: Mapping[str, str]) -> None:
         super().__init__("; ".join(f"{WORDS.get(n, n)}: {why}" for n, why in fields.items()))
@@ -133,11 +129,7 @@ def expected(rig: Mapping[str, Any] | None, earlier: Sequence[ListedRun]) -> str
 
 
 class TuningSettings(NamedTuple):
-    """Settings of the form that are given, checked one by one.
-
-    Attributes:
-        options: The same as options of `estune tune`.
-    """
+    """Settings of the form that are given, checked one by one."""
 
     options: tuple[str, ...]
     search: SearchTable

@@ -48,8 +48,6 @@ class View:
     """One rig or run. It is read while it is looked at.
 
     Attributes:
-        commands: What can be commanded, by name.
-        tuning: What its tuning page shows.
         gone: Since when it is no longer there, in words; empty while it is.
         summary: What the list of views shows of it beside its state.
     """

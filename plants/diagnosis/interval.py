@@ -9,7 +9,6 @@ class Interval:
 
     Attributes:
         low: Lower end, inside the parameter's range.
-        high: Upper end.
         unit: Unit of all three; empty for a plain number.
     """
 

@@ -15,7 +15,6 @@ class NextRecording:
     """A motion, or a command, to be recorded next.
 
     Attributes:
-        sentence: What to record, and what it would show.
         columns: The table by its heads, shape (rows,) each; empty where the words say it all.
     """
 

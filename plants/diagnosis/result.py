@@ -46,8 +46,6 @@ class NamedEffect:
     """An effect that was found.
 
     Attributes:
-        name: Its slug.
-        title: Its name in plain words.
         parameters: Fitted values by name; in units of `input` and `output` for a plant that is no
             reel.
         sentence: What it is and how large, in plain words.
@@ -66,7 +64,6 @@ class Candidate:
     """An effect that was tried as the first one missing.
 
     Attributes:
-        name: Its slug.
         closure: Explained fraction of the error power above the noise floor; nan where its
             screening ruled it out before a fit.
         gap: Prediction error left, in times the noise floor.
@@ -114,7 +111,6 @@ class HoldOut(NamedTuple):
     """Errors on records that had no part in any fit.
 
     Attributes:
-        records: Their names.
         floor: Their noise floor, in the unit of the result.
         base: Of the refitted base model.
         with_effects: Of the model with the effects found; those of `base` where there are none.
@@ -132,12 +128,8 @@ class DeclaredEffect:
     """An effect that the model as given has.
 
     Attributes:
-        name: Its slug.
-        title: Its name in plain words.
         parameters: Values fitted to the records, by name.
-        supported: Whether the records show it.
         explained: Share of the error power above the noise floor that it takes off.
-        sentence: The same in words.
     """
 
     name: str
@@ -190,13 +182,10 @@ class ModelSummary(NamedTuple):
     """A fitted model, as a verdict is decided from.
 
     Attributes:
-        names: Slugs of its effects.
-        families: Families of its effects.
         rank: Place of its effects within their families, summed: less is simpler.
         J: Mean square of the whitened residuals.
         values: Number of values of its effects that are not at a bound.
         eligible: Whether each of its effects is of a size that matters, and not at a bound.
-        named: Whether all its effects have a name.
         known_apart: Whether an effect's size is known without the machine.
     """
 
@@ -239,7 +228,6 @@ class NextExperiment:
 
     Attributes:
         trial: The trial, ready to be written to a file.
-        sentence: What it is and what it would show.
         separation: Predicted mean square difference between the models, in variances; None where
             no two models are compared.
         tried: The separation, or else the score from 0 to 1, of every experiment considered.
@@ -282,9 +270,7 @@ class DiagnosisResult:
         unit: Unit of prediction errors: N, or rad, or m of a stage, where no tension was measured.
         given: Errors of the model as given, with nothing but values of single records fitted.
         before: Errors of the refitted base model; of short predictions on data left out.
-        after: Those with the effects.
         floor: Noise floor, same unit.
-        noise: The noise of each channel.
         where: Localisation of the base model's residual.
         calibrations: The base model's numbers and how they shifted.
         not_excited: Effects that these records cannot show, with the reason.
@@ -295,7 +281,6 @@ class DiagnosisResult:
         base_model: The model with its own numbers fitted.
         augmented: `base_model` with the effects, fitted together.
         values: The fit's values by the names of the predictor's free numbers.
-        declared: The effects that the model as given has.
         hold_out: Errors on records that had no part in the fits, or None.
         limitations: What these records cannot tell.
         models: Every model that was fitted, the base model first.

@@ -150,9 +150,7 @@ class Range(NamedTuple):
     """Where a fit of a parameter begins, and its bounds.
 
     Attributes:
-        low: Lower bound.
         start: Where it begins.
-        high: Upper bound.
     """
 
     low: float

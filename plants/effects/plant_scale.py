@@ -74,7 +74,6 @@ class PlantScale(NamedTuple):
         units: The plant's own units by those of a drum, where they differ.
         names: The plant's own names of numbers and columns by those of a drum.
         input_unit: Unit of the input of a plant known by input and output; empty if not stated.
-        output_unit: Unit of its output.
         channels: Title and unit of columns that the plant names and measures otherwise.
     """
 

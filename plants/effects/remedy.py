@@ -46,7 +46,6 @@ class Remedy:
         removes: Share of that parameter that it takes away where the number is right.
         tables: Tables of `[compensation]` in the rig's file, for a loop that has them. A
             `fraction` in one is set by the interval of `sized_by`.
-        work: What work it takes.
     """
 
     place: Place
@@ -70,15 +69,7 @@ def in_loop(
     table: tuple[str, Mapping[str, Any]],
     harm: str,
 ) -> Remedy:
-    """A term beside the controller; by hand on a machine that is no reel.
-
-    Args:
-        plant: Words and sizes of the plant.
-        title: What to do.
-        sized_by: The parameter that sizes it.
-        table: Its table in `[compensation]`, name and keys.
-        harm: What it may harm.
-    """
+    """A term beside the controller; by hand on a machine that is no reel."""
     if not plant.has_cable:
         return Remedy(Place.LOOP, title, sized_by=sized_by, work=BY_HAND)
     name, keys = table

@@ -21,11 +21,7 @@ HEARTBEAT_s = 0.1
 
 
 class Device(Protocol):
-    """One kind of device on its bus.
-
-    Attributes:
-        address: Where a driver reaches it.
-    """
+    """One kind of device on its bus."""
 
     address: str
 

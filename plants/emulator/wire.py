@@ -21,8 +21,6 @@ class TrueState(NamedTuple):
     Attributes:
         time_s: Time on the monotonic clock, s.
         tension_N: Tension at the gauge, without noise, N.
-        current_A: Current of the amplifier, A.
-        powered: Whether the amplifier has power.
         tripped: Number of cut-offs by the watchdog.
         written: Number of current commands.
     """

@@ -15,10 +15,7 @@ class Preview(NamedTuple):
 
     Attributes:
         name: Its name; a number follows where the file was split at gaps.
-        source: The file.
         sampling_Hz: Rate.
-        duration_s: Length, s.
-        loop: `open` or `closed`.
         cable_length_m: Or None.
         steps: Steps of the setpoint; None where it moves otherwise, or there is none.
         ranges: Least and greatest value of each column, SI units.

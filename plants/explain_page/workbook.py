@@ -43,7 +43,6 @@ class Workbook:
         data: Records: a folder or a file. None until there are any.
         model: The model, as `estune explain --model` takes it; empty until there is one.
         columns: Where the columns come from, in files that name them otherwise.
-        search: The search for the missing effect.
     """
 
     folder: Path

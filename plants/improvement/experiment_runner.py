@@ -41,12 +41,8 @@ class ExperimentRunner:
 
     Attributes:
         about: Its description when the improvement began.
-        folder: Where everything is kept.
         stamp: Time of the beginning, a part of each trial's id: a rig's ledger holds the ids of
             other days.
-        records: Records of the experiments that ran to their end.
-        remarks: Warnings.
-        done: Setpoints of the experiments run.
     """
 
     def __init__(

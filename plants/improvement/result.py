@@ -25,7 +25,6 @@ class ImprovementRound(NamedTuple):
     Attributes:
         experiments: Names of the experiments run since the round before; none where all records
             were explained anew.
-        diagnosis: The diagnosis of all records so far.
     """
 
     experiments: tuple[str, ...]
@@ -39,7 +38,6 @@ class Costs:
     Attributes:
         label: Which gains they are.
         given: Prediction of the model as given; nan where the predicted trial diverges.
-        improved: Prediction of the improved model.
         measured: Mean over repeats on the rig; nan where a trial failed.
         error: Standard error of that mean.
     """
@@ -69,11 +67,9 @@ class Improvement:
     Attributes:
         rig: The rig; its live gains have not been changed.
         given: The model as given, at the rig's cable length and preload.
-        model: The improved model.
         rounds: Each diagnosis, the first of the initial experiments alone.
         costs: At the rig's own gains, at those tuned on the model, and at those tuned on the rig
             from there; empty where there is nothing to be controlled.
-        remarks: Warnings.
         folder: Records, trial files, the run of the tuning.
     """
 

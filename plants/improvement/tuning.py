@@ -58,8 +58,6 @@ class Tuned(NamedTuple):
     Attributes:
         model: The model it was done with: the improved one, or the given one where that predicts
             the rig better.
-        costs: Predicted and measured costs.
-        result: The tuning on the rig; None where there is nothing to control.
     """
 
     model: Any

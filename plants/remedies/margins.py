@@ -19,11 +19,6 @@ def sensitivity(plant: Any, gains: Gains, tables: Mapping[str, Mapping[str, Any]
     """Ms of the loop identified from simulated steps; infinite where they do not identify it.
 
     A notch is part of the loop that the gains see, as it is in the records of a rig.
-
-    Args:
-        plant: A plant model.
-        gains: The controller's gains.
-        tables: Tables of `[compensation]`; none for none.
     """
     rig = plant.rig(gains=gains)
     about = rig.describe()

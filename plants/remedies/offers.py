@@ -73,9 +73,6 @@ class Offer:
     Attributes:
         effect: Slug of the effect; empty for a calibration of the base model.
         place: Where it is applied; see `plants.effects.remedy.Place`.
-        title: What to do.
-        work: The work it takes.
-        harm: What it may harm.
         worth: Whether it is predicted to gain enough; None where nothing is predicted.
         ratios: Predicted ratios by `MEASURES`, and of Ms (`sensitivity`) where it takes margin.
         tables: Tables of `[compensation]` that switch it on.

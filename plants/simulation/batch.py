@@ -30,8 +30,6 @@ class Response:
 
     Attributes:
         time_s: Time from the start.
-        setpoint_N: The setpoint before its filter.
-        tension_N: The measurement.
         effort_N: The motor's effort, limited, with what is fed forward.
         angle_rad: Measured drum angle; zero where the plant has no drum.
         flags: `SATURATED` where the limits acted.

@@ -7,11 +7,7 @@ import numpy as np
 
 
 class Buffers:
-    """Named memory that bound functions read and write.
-
-    Attributes:
-        memory: A buffer of floats for each name.
-    """
+    """Named memory that bound functions read and write."""
 
     def __init__(self, sizes: Mapping[str, int]) -> None:
         self.memory: dict[str, Any] = {name: np.zeros(n).data for name, n in sizes.items()}

@@ -98,7 +98,6 @@ class AngleMap:
     """Effort over the drum's angle.
 
     Attributes:
-        waves: The waves, which are added.
         zero_rad: Angle read at the map's zero, rad; wrong by a sixth of a period, the map makes
             the ripple worse.
         lead_s: Time from a reading to the middle of the sample in which its effort acts, s; the

@@ -8,11 +8,7 @@ from estune.trial import SETPOINT_S
 
 
 class HeldSetpoint:
-    """Setpoint between trials: on its way to a tension at a limited rate, or from a source above.
-
-    Attributes:
-        follows: Whether a setpoint from above is in force.
-    """
+    """Setpoint between trials: on its way to a tension at a limited rate, or from above."""
 
     def __init__(self, plan: LoopPlan, memory: Memory) -> None:
         self.tension_N = plan.motion.hold_N

@@ -22,9 +22,6 @@ class Axis:
     """A calibrated range of a quantity, scaled to -1..1.
 
     Attributes:
-        name: The quantity, for errors.
-        low: Least calibrated value.
-        high: Greatest calibrated value.
         margin: Accepted excess beyond either end, as a share of the range.
 
     Raises:

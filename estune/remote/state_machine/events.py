@@ -38,7 +38,6 @@ class SubmitEvent:
     """A client submits a trial.
 
     Attributes:
-        known: Its state in the ledger.
         objection: Reason why the rig must not run it; empty if it may.
     """
 

@@ -85,7 +85,6 @@ class Transition(NamedTuple):
 
     Attributes:
         sentence: Reason of a refusal; may be empty.
-        orders: Actions to execute now, in this order.
     """
 
     state: RigState

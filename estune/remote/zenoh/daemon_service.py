@@ -65,11 +65,7 @@ class Supervised(Protocol):
 
 
 class DaemonServer:
-    """Serves the supervisors of several rigs; nothing is answered before `serve`.
-
-    Attributes:
-        endpoint: Where it listens.
-    """
+    """Serves the supervisors of several rigs; nothing is answered before `serve`."""
 
     def __init__(self, session: ListeningSession) -> None:
         """Takes over the session: `close` closes it."""

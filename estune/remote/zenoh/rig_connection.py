@@ -40,9 +40,6 @@ class RigConnection:
     """Queries one instance of a rig; follows to the next if the rig is restarted.
 
     Every query is repeated until it is answered, which is safe: none is executed twice.
-
-    Attributes:
-        about: Its last description.
     """
 
     def __init__(

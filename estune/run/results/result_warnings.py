@@ -76,8 +76,6 @@ class ResultWarning(NamedTuple):
 
     Attributes:
         kind: `margin`, `limit`, `bound`, `flat`, or `unknown` if the trials do not decide.
-        parameters: The parameters concerned.
-        sentence: The warning in words.
     """
 
     kind: Literal["margin", "limit", "bound", "flat", "unknown"]

@@ -32,16 +32,12 @@ class RunSummary:
         cost: Their mean cost over the repeats.
         cost_error: Standard error of `cost`; zero without repeats.
         start_cost: Mean cost of the initial gains, from the confirmation if there was one.
-        start_cost_error: Standard error of `start_cost`.
         change: Relative change of the cost from the initial to the tuned gains, with its 95 %
             confidence interval, from interleaved repeats; None if they were not compared.
         intervals: Interval of each tuned parameter, by the tuner's cost model: name, lower and
             upper end in the parameter's unit. May be empty. `INTERVALS_ARE` says what it is.
-        unsafe: Unsafe trials of the run.
-        declined: Declined trials of the run.
         improved: Whether the interval of the change lies below zero, or the initial gains break a
             limit that the tuned ones keep.
-        message: The conclusion in a sentence.
         complete: Whether the run is complete; otherwise `gains` are the initial ones.
     """
 
@@ -161,8 +157,6 @@ class Performance:
 
     Attributes:
         cost: Mean cost of their repeats; nan or infinite where there is none.
-        cost_error: Standard error of that mean.
-        metrics: Step metrics of `record`.
         load: Metrics of its response to a load; None without one.
         margins: Gain and phase margins on the rig's linear model, or None without a model.
         record: A trial with these gains, or None.

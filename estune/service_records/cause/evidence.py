@@ -23,11 +23,7 @@ class CauseEvidence(NamedTuple):
     """What a log shows.
 
     Attributes:
-        signals: The signals that were compared.
-        controller: The controller that they show.
         predicted: The linear loop beside one whose actuator sticks.
-        shapes: Shapes of the swings.
-        line: The strongest line of the disturbance.
         jump: The largest sudden change of the disturbance.
         sensitivity: Ms of the linear loop.
         room: Factor of the gains at which Ms is `margins.SENSITIVITY`.

@@ -18,7 +18,6 @@ class JudgedSignals(NamedTuple):
     """Signals of a loop in automatic, shape (samples,) each.
 
     Attributes:
-        output: Output of the controller.
         interval_s: Time between two samples, s.
     """
 

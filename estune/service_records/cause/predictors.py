@@ -84,7 +84,6 @@ class ModelComparison(NamedTuple):
     """What the two kinds predict.
 
     Attributes:
-        linear: The best linear loop.
         sticking: The best loop with a sticking actuator.
         blocks: Gain in log likelihood of each block, left out, by the sticking one.
         informed: Gain of the linear loop over one whose output does nothing.

@@ -4,12 +4,7 @@ from typing import NamedTuple
 
 
 class Weights(NamedTuple):
-    """A logistic regression on standardised terms.
-
-    Attributes:
-        constant: Constant of each class.
-        slopes: Slopes of each class.
-    """
+    """A logistic regression on standardised terms."""
 
     mean: tuple[float, ...]
     deviation: tuple[float, ...]

@@ -55,13 +55,7 @@ class GainBand(NamedTuple):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GainLaw:
-    """The fits of all four gains.
-
-    Attributes:
-        fits: By name, in the order of `GAIN_NAMES`.
-        length_m: Range of tuned lengths, m.
-        tension_N: Range of tuned tensions, N.
-    """
+    """The fits of all four gains."""
 
     fits: Mapping[str, GainFit]
     tunings: Sequence[TunedGains]

@@ -81,7 +81,6 @@ class ReelMatch:
         outcome: Relation of its cost to the target.
         rig: The rig's own name; empty if it was never reached.
         cost: Their cost, from repeats that were not used to find them.
-        live: Whether the matched gains are the rig's live ones.
     """
 
     label: str

@@ -86,7 +86,6 @@ class TargetCostTuner:
     Attributes:
         space: A path of one parameter on a logarithmic scale that begins at its upper bound; see
             `detuning_path`.
-        target: The target cost eta*.
 
     Raises:
         InvalidInput: the target is not above zero, or the space is not such a path.

@@ -115,7 +115,6 @@ class _Place(NamedTuple):
 
     Attributes:
         where: Length, tension and tuner.
-        keys: All keys, one after the other.
     """
 
     rig: SweptRig

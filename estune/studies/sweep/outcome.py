@@ -57,7 +57,6 @@ class CellOutcome:
 
     Attributes:
         ending: How its tuning ended; `failed` where it could not be run.
-        message: The ending as a sentence.
         gains: The gains to use; the initial ones where no others were better, None if it failed.
         cost: Their mean cost; nan without trials.
         start_cost: Mean cost of the initial gains.
@@ -65,7 +64,6 @@ class CellOutcome:
             none; infinite for a gain along which the cost is flat up to its bounds.
         remaining: Remaining improvement when the search ended, relative to the cost; infinite
             where it is unknown.
-        unsafe_trials: Number of those that were unsafe.
         trace_source: Its trace, or the file of the sweep that holds it.
     """
 

@@ -47,7 +47,6 @@ class RealTimePlatform:
     cleared.
 
     Attributes:
-        simulation: The simulation; `lock` guards it.
         lost_s: Time by which the simulation is behind the clock, s.
     """
 

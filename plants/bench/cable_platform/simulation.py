@@ -36,7 +36,6 @@ class Simulation:
     """State of a mechanism and of its controllers.
 
     Attributes:
-        setpoints: Setpoints in force.
         tension_N: Readings of the gauges, N, shape (reels,).
         angle_rad: Readings of the encoders, rad.
         outside_N: Tensions outside the eyelets, N, by sensors with the noise of the gauges.

@@ -33,7 +33,6 @@ class ForceSample(NamedTuple):
 
     Attributes:
         felt_N: Force at the cable by the outside sensor, N.
-        tension_N: Tension by the reel's own gauge, N.
         position_m: Position of the far end, m, away from the reel.
     """
 
@@ -95,7 +94,6 @@ class ForceTest:
         motion_Hz: Lowest and highest frequency of the fast motion.
         oscillation_N: Peak-to-peak oscillation of the command, N; it lies above the command.
         command_Hz: Lowest and highest frequency of the oscillation.
-        lines: Number of frequencies of each.
         part_s: Duration of each part but the first, s.
     """
 

@@ -24,15 +24,7 @@ def issues(
     step_rad: float,
     sign: DataIssue | None,
 ) -> Iterator[DataIssue]:
-    """All issues of a record, its source left out; without numbers those that need no model.
-
-    Args:
-        m: The record.
-        b: The model's numbers.
-        rate_Hz: The model's sampling rate, Hz.
-        step_rad: The encoder's step, rad.
-        sign: Issue of its sign, by all records.
-    """
+    """All issues of a record, its source left out; without numbers those that need no model."""
     if m.samples < CONSTANTS.fewest:
         sentence = f"{m.samples} samples are too few; record {CONSTANTS.fewest:g} or more"
         yield DataIssue("refused", sentence)

@@ -29,12 +29,10 @@ class MeasuredRecord:
         time_s: Time, evenly spaced.
         cable_length_m: Deployed cable length, or None where there is no cable.
         preload_N: Tension held before the excitation, N.
-        profile: The kind of setpoint.
         gains: The controller's gains, where they are known.
         setpoint_N: The setpoint; in open loop the tension command.
         current_A: The motor current as recorded: in closed loop the command; in open loop, where
             it differs from the command, what was measured.
-        angle_rad: The measured drum angle.
         reference_N: Tension measured outside the reel.
         flags: Bit field; see `estune.trial.records`.
         source: The file it was read from.

@@ -20,7 +20,6 @@ class Smoother(NamedTuple):
 
     Attributes:
         width_s: Its standard deviation, s; one sample or more, so that the sum is the integral.
-        sampling_Hz: Rate of the signals.
     """
 
     width_s: float

@@ -46,7 +46,6 @@ class Design(NamedTuple):
     """An open-loop experiment for any rig.
 
     Attributes:
-        title: Its title, a format of the profile.
         make: Its setpoint; times in units of `RigScale.unit_s`.
         level: Mean setpoint, as a share of the rig's range.
         cabled: First size, as a share of the amplitude allowed there; None: not with a cable.

@@ -38,13 +38,7 @@ def next_recording(
     numbers: Sequence[BaseNumbers | None],
     scale: PlantScale,
 ) -> NextRecording:
-    """What to record next of a machine whose records leave a question.
-
-    Args:
-        measurements: The records.
-        numbers: Numbers of the model, of each record.
-        scale: Words and units of the plant.
-    """
+    """What to record next of a machine whose records leave a question."""
     known = [b for b in numbers if b is not None]
     if known and all(b.is_free for b in known):
         return _motion([m for m in measurements if m.angle_rad is not None], scale)

@@ -32,7 +32,6 @@ class BaseNumbers:
 
     Attributes:
         newtons_per_ampere: Effort per motor current, N/A: torque constant over radius.
-        sampling_Hz: Rate of the controller.
         dead_time_s: From the command to the torque, s.
         drum_radius_m: Radius on which the cable lies, m.
         viscous_friction_Nms: Friction at the record's cable length, N m s/rad.

@@ -21,9 +21,6 @@ class Free:
             `slug.parameter` for one of an effect.
         unit: Its unit; empty for a plain number.
         start: Initial value: the model's, or else one of the size of the data.
-        low: Lower bound.
-        high: Upper bound.
-        scale: Scale of the search.
         owner: `base`, `record 3`, or the slug of an effect.
         neutral: The value at which the effect does nothing, or None.
         prior: Standard deviation of what the model states of it, of its logarithm where the scale
@@ -48,7 +45,6 @@ class Slot(NamedTuple):
         column: Name of the structure's parameter, `calibration.name` for one of `Calibration`, or
             one of `SENSORS`.
         factor: Factor from the free parameter to the column.
-        record: Index of its record, or None for all.
     """
 
     free: Free

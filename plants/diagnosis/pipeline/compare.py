@@ -47,14 +47,11 @@ class EffectComparison:
     """The model that is believed, and the evidence for it.
 
     Attributes:
-        screening: Directions of the effects.
-        conclusion: What it rests on.
         models: All models, fitted to the records without interference.
         stages: The models from the base to the one believed, each with its error on data left out;
             the first is of the records with interference, where there is some.
         steps: Those errors, with the noise of coarse readings as a step of its own.
         effects: The effects believed, in the order in which they were added.
-        line: The mains interference, or None.
         waves: The waves over the angle in the torque, or None.
         judged: What the balance of torques says, or None where it says nothing.
         together: How that stands to what the prediction says.

@@ -28,12 +28,9 @@ class BaseFit:
 
     Attributes:
         plant: The model as given, with all records.
-        noise: The noise of the sensors.
-        choices: The effects to choose from.
         fitter: The model with the records searched, mains interference taken out.
         where: Location of what the fitted model leaves.
         scale: What the records show of the machine.
-        line: The mains interference, or None.
     """
 
     plant: DiagnosedModel

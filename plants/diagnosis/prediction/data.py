@@ -48,8 +48,6 @@ class PredictionData:
         measured: Measured value of each residual entry.
         source: Index of its prediction among the channels, those of one record after another.
         block_end: Entry after the last of each window.
-        record_blocks: Number of windows of each record.
-        index: Description of the entries.
     """
 
     measurements: tuple[MeasuredRecord, ...]

@@ -24,12 +24,7 @@ _HEADINGS = {
 
 
 class TextTable(NamedTuple):
-    """A table of strings; numbers are written with their units.
-
-    Attributes:
-        columns: Heads of the columns.
-        rows: Its cells, row by row.
-    """
+    """A table of strings; numbers are written with their units."""
 
     columns: tuple[str, ...]
     rows: tuple[tuple[str, ...], ...]

@@ -60,10 +60,7 @@ class Equation:
     """One balance.
 
     Attributes:
-        name: Of the block.
-        title: In plain words.
         unit: Unit of the residual.
-        balance: The terms.
         own_offset: Whether each record has an offset of its own, such as an encoder's zero.
         smooth: Whether it has derivatives, which need smoothing.
     """

@@ -35,7 +35,6 @@ class ResidualDependence:
             angle, position period, length, command rate.
         share: Share of the residual's variance explained by the variable (eta squared, less that
             expected from noise), 0 to 1.
-        at: Values of the variable, shape (bins,).
         mean: Mean residual there, shape (bins,), in the block's unit.
         detail: The period in the position, if any.
     """
@@ -70,7 +69,6 @@ class Fit:
         residual: At the chosen samples, shape (chosen,).
         noise: Residual of noise alone, same shape.
         basis: Orthonormal basis of the base-model parameters, shape (chosen, parameters).
-        chosen: Indices of the chosen samples.
         spread: Smooths columns over all samples, shape (samples, columns), as the block's terms
             were smoothed.
         independent: Number of independent samples in the residual.

@@ -47,12 +47,10 @@ class Block:
     Attributes:
         name: `force` (torque balance at the drum), `gauge` (cable and gauge), `eyelet`,
             `actuator`, or `plant` where there is one balance only.
-        title: Its name in plain words.
         rms: Root mean square of the residual.
         noise_rms: That of noise and allowance alone.
         smoothing_s: Width of the Gaussian that smoothed all terms.
         low_Hz: Lower end of the band with the middle 90 % of the residual above the noise.
-        high_Hz: Upper end of it.
         views: Dependence on variables, strongest first.
         frequency_Hz: Frequencies of the spectrum, shape (lines,).
         power: Power spectral density of the residual, unit^2/Hz, same shape.

@@ -31,9 +31,6 @@ class WhitenedFit:
     """A predictor with values, held against some entries.
 
     Attributes:
-        values: The values, shape (free,).
-        entries: Numbers of the entries, ascending.
-        residuals: The residuals there, same shape.
         moved: Numbers of the values that were free to move.
         converged: Whether a last round lowered hardly anything.
     """
@@ -67,8 +64,6 @@ class Coordinates(NamedTuple):
 
     Attributes:
         log: Which of them move by their logarithm.
-        low: Their least values, shape (moves,).
-        high: Their greatest values.
         centre: Their logarithms or values in the model as given.
         precision: Inverse standard deviations, 0 where nothing is known.
     """
@@ -232,12 +227,9 @@ class _Slope(NamedTuple):
     """Normal equations of some residuals by what is searched, columns scaled to one length.
 
     Attributes:
-        scale: How the values move.
-        size: Lengths of the columns, shape (moves,).
         normal: Products of the scaled columns, shape (moves, moves).
         pull: Their products with the residuals, negative, shape (moves,).
         curvature: Eigenvalues of `normal`, shape (moves,).
-        directions: Its eigenvectors.
     """
 
     scale: Coordinates

@@ -18,12 +18,7 @@ BESIDE = (0.87, 0.9, 0.93, 1.07, 1.1, 1.13)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MainsLine:
-    """A sine of the mains frequency in the gauge's readings.
-
-    Attributes:
-        amplitude_N: Amplitude in all records.
-        phase_rad: Phase in the first record.
-    """
+    """A sine of the mains frequency in the gauge's readings."""
 
     amplitude_N: Interval
     frequency_Hz: Interval

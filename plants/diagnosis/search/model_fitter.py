@@ -25,11 +25,7 @@ Numbers = NDArray[np.int64]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CandidateFit:
-    """A model with effects, fitted to some entries.
-
-    Attributes:
-        effects: The effects added.
-    """
+    """A model with effects, fitted to some entries."""
 
     effects: Effects
     fitted: WhitenedFit
@@ -76,8 +72,6 @@ class ModelFitter:
     """Fits models with effects to the records.
 
     Attributes:
-        floor: The noise.
-        base: The predictor without effects.
         entries: Numbers of the residual entries that count: all, or of many evenly some.
         group: Number of the block of time each entry lies in.
     """

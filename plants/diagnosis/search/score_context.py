@@ -16,13 +16,10 @@ class ScoreContext(NamedTuple):
     """The residual that directions are compared with.
 
     Attributes:
-        model: The fit so far.
         residual: The residuals screened, less what base parameters can undo, shape (screened,).
         basis: Orthonormal rows that span what base parameters can undo, shape (rank, screened).
-        entries: Numbers of the entries screened.
         lowest_Hz: Lowest frequency that the records resolve.
         highest_Hz: Highest frequency that all of them hold.
-        records: What the records show of the machine.
     """
 
     model: CandidateFit

@@ -30,9 +30,7 @@ class ScreeningResult:
     """Screening of an effect.
 
     Attributes:
-        predictor: The model with it.
         starts: Rows of values to begin fits with, the most promising first, shape (some, free).
-        grids: Values to try of its shapes.
         screening_R2: Share of the residual that the best start's direction explains.
         usual_change: Root mean square change of the residuals at the usual size of the effect,
             less what base parameters can undo, in times the noise floor.

@@ -23,7 +23,6 @@ class ModelStage(NamedTuple):
     """A model on the way to the one that is believed.
 
     Attributes:
-        fitter: Model and records.
         step: What it added, and its prediction error on data left out.
     """
 

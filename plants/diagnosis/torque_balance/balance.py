@@ -73,7 +73,6 @@ class TorqueBalance:
         columns: Terms that it may be made of, by name, same shape.
         loaded_Nm: The motor's torque by size, against the motion, N m; same shape.
         block: Number of the stretch of time each sample lies in, same shape.
-        scale: Sizes that the records show.
         widths_s: Standard deviation of the kernel of a velocity in a law, and of all terms, s.
         both_ways: Whether there is motion in both directions.
         noise_Nm: What a complete model may leave: noise of the encoder, numerics, model form; rms.

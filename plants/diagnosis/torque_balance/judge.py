@@ -28,7 +28,6 @@ class TorqueJudgement(NamedTuple):
         torque_Nm: Torque of the motor, rms.
         before_Nm: What inertia, viscous friction, a constant and declared laws leave of it on data
             left out.
-        after_Nm: What is left with the laws.
         noise_Nm: What may be left by a complete model.
         stretches: Number of stretches of time that were left out in turn.
         held_Nm: The two above on records held out of all fits, or None.

@@ -38,7 +38,6 @@ class TorqueLaw(NamedTuple):
 
     Attributes:
         effect: The effect that it stands for; None of a curve without a name.
-        title: In plain words.
         family: Laws that do the same in more or less detail.
         variable: What its torque depends on: velocity, angle or load.
         columns: Terms of the balance, each with a size that is fitted.

@@ -48,7 +48,6 @@ class FmuStep:
     Attributes:
         file: The `.fmu` file.
         input: Name of the variable that takes the effort.
-        output: Name of the variable that is measured.
     """
 
     file: str
