@@ -23,13 +23,15 @@ from estune.core.pidf import ControllerSettings
 from estune.core.quantities import FloatArray
 from estune.loop_model.loop_fit import LoopFit
 from estune.loop_model.margins import loop_response
-from estune.loop_model.model import LoopModel, close_loop
+from estune.loop_model.model import close_loop
 from estune.loop_model.plant_error import (
     DEVIATIONS,
     HALF_WIDTH,
-    UNKNOWN_FROM,
+    BandPowers,
+    ErrorMargin,
+    PlantErrorBound,
+    band_powers,
     error_margin,
-    plant_error,
 )
 from estune.loop_model.records import LoopRecord
 
@@ -59,11 +61,18 @@ class UnknownLoop(NamedTuple):
         return replace(self.tried, setpoint_filter_s=0.0)
 
     @property
+    def powers(self) -> BandPowers:
+        """Powers of the records, by which the plant's error is bounded."""
+        return band_powers(self.fit, self.records)
+
+    def margin(self, error: PlantErrorBound) -> ErrorMargin:
+        """What a bound of the plant's error leaves of the loop in question."""
+        return error_margin(self.fit, error, self.gains, self.controller)
+
+    @property
     def is_known(self) -> bool:
         """Whether more excitation would not tell more about Ms."""
-        margin = error_margin(
-            self.fit, plant_error(self.fit, self.records), self.gains, self.controller
-        )
+        margin = self.margin(self.powers.bound())
         if margin.unknown is not None:
             return margin.excited
         least = loop_response(self.fit.model, self.gains, self.controller)
@@ -71,17 +80,22 @@ class UnknownLoop(NamedTuple):
         return margin.sensitivity <= (1.0 + ENOUGH) * Ms
 
 
-def wanted_setpoint(unknown: UnknownLoop, samples: int) -> float:
+def wanted_setpoint(unknown: UnknownLoop, samples: int, highest: float = math.pi) -> float:
     """Setpoint of white power that makes the loop known, as its root mean square.
 
     Infinite where one of the loops is unstable by the model.
+
+    Args:
+        unknown: The loop.
+        samples: Length of the multisine.
+        highest: Frequency up to which the loop is to be known by it, rad/sample.
     """
     fit, controller = unknown.fit, unknown.controller
     theta, C, loop, stable = loop_response(fit.model, unknown.gains, controller)
     at = close_loop(fit.model, unknown.excited_at, controller)
     if not (stable and loop_response(fit.model, unknown.excited_at, controller).stable):
         return math.inf
-    inside = theta >= 2.0 * math.pi / samples
+    inside = (theta >= 2.0 * math.pi / samples) & (theta <= highest)
     theta, weight = theta[inside], np.abs(C[inside] / (1.0 + loop[inside]))
     later = np.exp(-1j * theta)
     to_effort = np.polyval(at.to_effort[::-1], later) / np.polyval(at.characteristic[::-1], later)
@@ -90,14 +104,7 @@ def wanted_setpoint(unknown: UnknownLoop, samples: int) -> float:
     return float(hidden.max()) / SHARE_WANTED
 
 
-def is_enough(setpoint: float, wanted: float) -> bool:
-    """Whether a setpoint smaller than wanted still makes the loop known."""
-    return setpoint * UNKNOWN_FROM >= wanted * SHARE_WANTED
-
-
-def largest_deviations(
-    model: LoopModel, gains: Gains, controller: ControllerSettings, setpoint: FloatArray
-) -> tuple[float, float]:
-    """Largest deviations of measurement and effort for a setpoint, shape (samples,)."""
-    output, effort = close_loop(model, gains, controller).setpoint_response(setpoint)
-    return float(np.abs(output).max()), float(np.abs(effort).max())
+def deviations(unknown: UnknownLoop, setpoint: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Deviations of measurement and effort for one of the setpoint, each of shape (samples,)."""
+    loop = close_loop(unknown.fit.model, unknown.excited_at, unknown.controller)
+    return loop.setpoint_response(setpoint)

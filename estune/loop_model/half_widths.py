@@ -4,14 +4,12 @@ import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
-import numpy as np
-
 from estune.core.gains import Gains
 from estune.loop_model.intervals import margins_by_records
 from estune.loop_model.limited_loop import setpoint_response
 from estune.loop_model.loop_fit import LoopFit
 from estune.loop_model.peak import peak_deviation
-from estune.loop_model.plant_error import error_margin, plant_error
+from estune.loop_model.plant_error import band_powers, error_margin
 from estune.loop_model.prediction import StepTrial
 from estune.loop_model.records import LoopRecord
 
@@ -86,8 +84,8 @@ def half_widths(
     at = margins_by_records(fit, records, trial, gains)
     assumed = HalfWidths.assumed(fit.noise_std / abs(trial.step.size))
     _, effort = setpoint_response(fit.model, records[0], gains, trial.controller)
-    foreseen = [effort] * (repeats if np.isfinite(effort).all() else 0)
-    error = error_margin(fit, plant_error(fit, records, foreseen), gains, trial.controller)
+    bound = band_powers(fit, records).bound(effort, repeats)
+    error = error_margin(fit, bound, gains, trial.controller)
     Ms, overshoot, angle = at.sensitivity, at.overshoot, at.phase_margin_deg
     above = math.hypot(*(math.log(end / Ms.value) for end in (Ms.high, error.sensitivity)))
     over = math.inf

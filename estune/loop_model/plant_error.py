@@ -62,28 +62,67 @@ class ErrorMargin(NamedTuple):
     """What a bound of the plant's error leaves of the robustness of a loop.
 
     Attributes:
-        sensitivity: Largest Ms that the bound allows; infinite where it allows an unstable loop.
+        distance: Least |1 + L| that the bound allows; zero or below where it allows an unstable
+            loop.
         unknown: Lowest and highest frequency, rad/sample, of the band in which the bound is not
             small against the loop; None where it is small everywhere.
         excited: Whether what the model leaves unexplained is the reason, not too little effort.
     """
 
-    sensitivity: float
+    distance: float
     unknown: tuple[float, float] | None
     excited: bool = False
 
+    @property
+    def sensitivity(self) -> float:
+        """Largest Ms that the bound allows; infinite where it allows an unstable loop."""
+        return 1.0 / self.distance if self.distance > 0.0 else math.inf
 
-def plant_error(
-    fit: LoopFit, records: Sequence[LoopRecord], foreseen: Sequence[FloatArray] = ()
-) -> PlantErrorBound:
-    """The bound of a fit by its records, those that were fitted.
 
-    Args:
-        fit: The identified loop.
-        records: The records given to the fit.
-        foreseen: Efforts of trials from rest to come, shape (samples,) each, as the loop answers:
-            with them the noise hides less, and no more is left unexplained.
+class BandPowers(NamedTuple):
+    """Powers of records in bands, by which the plant's error is bounded; shape (bands,) each.
+
+    Attributes:
+        theta: Frequencies, rad/sample.
+        left: Power of what is left of the records.
+        driven: Power of the effort.
+        noise: Power of the noise.
+        bins: Number of bins.
     """
+
+    theta: FloatArray
+    left: FloatArray
+    driven: FloatArray
+    noise: FloatArray
+    bins: FloatArray
+
+    def bound(self, effort: FloatArray | None = None, trials: int = 1) -> PlantErrorBound:
+        """The bound, with trials from rest to come of an effort of shape (samples,).
+
+        With them the noise hides less, and no more is left unexplained.
+        """
+        known = self.driven
+        if effort is not None and np.isfinite(effort).all():
+            known = known + trials * _in_bands(_step_power(effort), effort.size - 1, self.theta)[0]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            expected = self.noise * _largest(self.bins)
+            beyond = np.maximum(self.left - expected, 0.0) / self.driven
+            squared = beyond + DEVIATIONS**2 * self.noise / (self.bins * known)
+        seen, moved = self.bins > 0.0, self.driven > 0.0
+        return PlantErrorBound(
+            self.theta[seen],
+            np.sqrt(np.where(moved, squared, math.inf))[seen],
+            np.sqrt(np.where(moved, beyond, 0.0))[seen],
+        )
+
+
+def plant_error(fit: LoopFit, records: Sequence[LoopRecord]) -> PlantErrorBound:
+    """The bound of a fit by the records given to it."""
+    return band_powers(fit, records).bound()
+
+
+def band_powers(fit: LoopFit, records: Sequence[LoopRecord]) -> BandPowers:
+    """The powers of those of the records given to a fit that were fitted."""
     kept = [i for i in range(len(records)) if i not in fit.left_out]
     longest = max(records[i].samples for i in kept)
     edges = _edges(longest)
@@ -91,17 +130,7 @@ def plant_error(
     for i in kept:
         one = _spectra(fit, records[i], i, edges)
         left, driven, noise, bins = left + one[0], driven + one[1], noise + one[2], bins + one[3]
-    known = driven + sum(_in_bands(_step_power(u), u.size - 1, edges)[0] for u in foreseen)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        expected = noise * _largest(bins)
-        beyond = np.maximum(left - expected, 0.0) / driven
-        squared = beyond + DEVIATIONS**2 * noise / (bins * known)
-    seen, moved = bins > 0.0, driven > 0.0
-    return PlantErrorBound(
-        edges[seen],
-        np.sqrt(np.where(moved, squared, math.inf))[seen],
-        np.sqrt(np.where(moved, beyond, 0.0))[seen],
-    )
+    return BandPowers(edges, left, driven, noise, bins)
 
 
 def _edges(samples: int) -> FloatArray:
@@ -176,25 +205,24 @@ def _service_power(signal: FloatArray) -> FloatArray:
 def error_margin(
     fit: LoopFit, error: PlantErrorBound, gains: Gains, settings: ControllerSettings
 ) -> ErrorMargin:
-    """The largest Ms and the unknown band of a loop with these gains."""
+    """What a bound leaves of the robustness, and the unknown band, of a loop with these gains."""
     theta, controller, loop, stable = loop_response(fit.model, gains, settings)
     if not stable:
-        return ErrorMargin(math.inf, None)
+        return ErrorMargin(-math.inf, None)
     inside = theta >= error.theta[0]
     bound = np.interp(theta[inside], error.theta, error.bound)
     size = np.abs(1.0 + loop[inside])
     share = np.abs(controller[inside]) * bound / size
     least = float(np.min(size * (1.0 - share)))
     unknown = np.flatnonzero(share > UNKNOWN_FROM)
-    sensitivity = 1.0 / least if least > 0.0 else math.inf
     if not unknown.size:
-        return ErrorMargin(sensitivity, None)
+        return ErrorMargin(least, None)
     angles = theta[inside]
     left = np.interp(angles, error.theta, error.unexplained)
     ends = float(angles[unknown[0]]), float(angles[unknown[-1]])
     enough = np.abs(controller[inside]) * left > UNKNOWN_FROM * size
     excited = bool(np.any(enough & (left > MOST * bound)))
-    return ErrorMargin(sensitivity, ends, excited)
+    return ErrorMargin(least, ends, excited)
 
 
 def unknown_band(unknown: tuple[float, float], sampling_Hz: float) -> str:
