@@ -29,6 +29,7 @@ from experiments.sample_efficiency.problems import step_trial
 from plants.effects import CoulombFriction, EyeletFriction
 from plants.simulation.noise import NoiseSource
 from tests.support_binomial import least_hits
+from tests.support_loops import loop_of_taps
 
 SAMPLING_HZ = 200.0
 W = 2.0 * math.pi * 5.0
@@ -55,7 +56,7 @@ def exact_model():
     """The plant under zero-order hold; y_k depends on u_{k-1} at the earliest."""
     sampled = control.c2d(SYSTEM, 1.0 / SAMPLING_HZ)
     numerator, denominator = sampled.num[0][0], sampled.den[0][0]
-    return LoopModel.of_taps(tuple(denominator[1:]), (*numerator[-2:], 0.0), 2)
+    return loop_of_taps(tuple(denominator[1:]), (*numerator[-2:], 0.0), 2)
 
 
 @pytest.mark.parametrize("roots", [(0.9, 0.0), (0.9, 0.5), (0.8 + 0.3j, 0.8 - 0.3j)])

@@ -26,11 +26,12 @@ from estune.trial.profiles import StepProfile
 from experiments.loop_claims import true_sensitivity
 from plants.effects import StructuralMode
 from plants.simulation.noise import NoiseSource
+from tests.support_loops import loop_of_taps
 
 RATE_HZ = 200.0
 SETTLING_S = 0.2
 SETTINGS = ControllerSettings(RATE_HZ, 0.01, -1e9, 1e9)
-PLANT = LoopModel.of_taps((-1.85, 0.87), (0.008, 0.011, 0.001), 2)
+PLANT = loop_of_taps((-1.85, 0.87), (0.008, 0.011, 0.001), 2)
 GAINS = Gains(0.3, 4.0, 0.008, 0.02)
 
 
@@ -69,7 +70,7 @@ def with_mode(frequency_Hz, share, damping):
 
 @pytest.mark.parametrize("I", [0.0, 1.0])
 def test_robustness_finds_a_real_unstable_pole_of_a_negative_gain(I):
-    model = LoopModel.of_taps((-0.9, 0.0), (-0.1, 0.0, 0.0), 0)
+    model = loop_of_taps((-0.9, 0.0), (-0.1, 0.0, 0.0), 0)
     gains, settings = Gains(1.2, I, 0.0, 0.01), ControllerSettings(100.0, 0.0, -1e9, 1e9)
     radius = np.abs(np.roots(close_loop(model, gains, settings).characteristic)).max()
     assert radius > 1.01

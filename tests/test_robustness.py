@@ -18,7 +18,6 @@ from estune.loop_model.claim import claim
 from estune.loop_model.fitting import fit_loop
 from estune.loop_model.half_widths import HalfWidths
 from estune.loop_model.limit_price import price_of
-from estune.loop_model.model import LoopModel
 from estune.loop_model.optimum import RobustnessLimits
 from estune.loop_model.plant_error import plant_error
 from estune.loop_model.prediction import StepTrial
@@ -29,6 +28,7 @@ from estune.run.robustness import not_robust
 from estune.trial.profiles import StepProfile
 from experiments.loop_claims import true_sensitivity
 from experiments.sample_efficiency.problems import PROBLEMS
+from tests.support_loops import loop_of_taps
 
 
 def tune(target, **settings):
@@ -234,7 +234,7 @@ def test_plant_without_steady_state_is_not_claimed():
 def test_natural_period_of_a_model_is_that_of_its_poles():
     w, z = 0.1, 0.3
     radius, angle = math.exp(-z * w), w * math.sqrt(1.0 - z * z)
-    model = LoopModel.of_taps((-2.0 * radius * math.cos(angle), radius**2), (0.0, 0.0, 0.0), 0)
+    model = loop_of_taps((-2.0 * radius * math.cos(angle), radius**2), (0.0, 0.0, 0.0), 0)
     assert model.natural_period == pytest.approx(2.0 * math.pi / w)
 
 

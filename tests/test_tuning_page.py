@@ -24,11 +24,12 @@ from estune.run.results.tuning_data import tuning_data
 from estune.web.server import PageServer
 from estune.web.views import run_view
 from tests.support_browser import check_forms, needs_browser, opened, serious
+from tests.support_loops import loop_of_taps
 
 pytestmark = needs_browser
 
 RATE_HZ = 200.0
-MODEL = LoopModel.of_taps((-1.62, 0.66), (0.012, 0.02, 0.006), 3)
+MODEL = loop_of_taps((-1.62, 0.66), (0.012, 0.02, 0.006), 3)
 FOUR_POLES = LoopModel(
     (*MODEL.coordinates, math.log(0.9), math.log(0.02)), (*MODEL.numerator, 0.05, 0.01), 1
 )
@@ -119,7 +120,7 @@ CASES = {
     "price of the effort": (MODEL, trial(criterion="ise", effort_weight=0.1)),
     "four poles": (FOUR_POLES, trial()),
     "four poles, limits that act": (FOUR_POLES, trial(limit_N=1.5)),
-    "integrator": (LoopModel.of_taps((-1.8, 0.8), (0.002, 0.002, 0.0), 1), trial()),
+    "integrator": (loop_of_taps((-1.8, 0.8), (0.002, 0.002, 0.0), 1), trial()),
 }
 
 

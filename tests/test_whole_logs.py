@@ -8,13 +8,13 @@ import pytest
 from estune.core.controller_form import ControllerForm
 from estune.core.gains import Gains
 from estune.loop_model.margins import robustness
-from estune.loop_model.model import LoopModel
 from estune.recordings.loop_log import LoopLog
 from estune.service_records.suggestion import Suggestion, suggest
 from experiments.service_records.short_logs import verdict
+from tests.support_loops import loop_of_taps
 
 FORM = ControllerForm(integral="backward")
-PLANT = LoopModel.of_taps((-1.8, 0.805), (0.0004,), 2)  # two lags of 10 and 15 samples
+PLANT = loop_of_taps((-1.8, 0.805), (0.0004,), 2)  # two lags of 10 and 15 samples
 GAINS = Gains(60.0, 2.0, 0.0, 0.0)
 
 

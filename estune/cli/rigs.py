@@ -212,7 +212,6 @@ def _backed_off_sentence(result: "TuneResult", gains: Gains, share: float) -> st
 
 
 def _gain(rig: RigDescription, name: str) -> str:
-    """A live gain of a rig with its unit."""
     return with_unit(getattr(rig.gains, name), rig.gain_units[name], 6)
 
 

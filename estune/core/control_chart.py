@@ -202,7 +202,6 @@ def average_run_length(smoothing: float, limit: float, shift: float = 0.0) -> fl
 
 
 def _learn(state: ChartState, x: float) -> ChartState:
-    """The state with a value added to its baseline."""
     if state.known >= BASELINE_MAX:
         return state
     known = state.known + 1

@@ -350,7 +350,6 @@ def _bare(hint: Any) -> Any:
 
 
 def _without_none(hint: Any) -> Any:
-    """A type without None."""
     if get_origin(hint) not in (Union, UnionType):
         return hint
     left = tuple(part for part in get_args(hint) if part is not NoneType)

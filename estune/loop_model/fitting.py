@@ -275,7 +275,6 @@ def prediction_error(fit: LoopFit, record: LoopRecord) -> FloatArray:
 def _with_all(
     fit: LoopFit, records: Sequence[LoopRecord], fitted: list[int], out: tuple[int, ...]
 ) -> LoopFit:
-    """The fit with the records that it leaves out."""
     misfits = [math.nan] * len(records)
     unexplained, errors = [np.zeros(0)] * len(records), [np.zeros(0)] * len(records)
     for i, number in enumerate(fitted):

@@ -10,7 +10,6 @@ All signals are deviations from a steady state.
 """
 
 import math
-from collections.abc import Sequence
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -21,7 +20,7 @@ from estune.core.filtering import lfilter
 from estune.core.gains import Gains
 from estune.core.pidf import ControllerSettings
 from estune.core.quantities import FloatArray
-from estune.loop_model.poles import PoleSection, pair_coordinates, polynomial, sections_of
+from estune.loop_model.poles import PoleSection, polynomial, sections_of
 
 
 class LoopModel(NamedTuple):
@@ -38,20 +37,6 @@ class LoopModel(NamedTuple):
     numerator: tuple[float, ...]
     dead_samples: int
     friction: float = 0.0
-
-    @classmethod
-    def of_taps(
-        cls, poles: tuple[float, float], zeros: Sequence[float], dead_samples: int
-    ) -> "LoopModel":
-        """A model of two stable poles by the coefficients of its polynomials in q^-1.
-
-        Args:
-            poles: a1 and a2 of A = 1 + a1 q^-1 + a2 q^-2.
-            zeros: Coefficients of B, the first of q^0.
-            dead_samples: Whole samples of dead time.
-        """
-        coordinates = tuple(pair_coordinates(*poles).tolist())
-        return cls(coordinates, tuple(exchanged(np.array(zeros)).tolist()), dead_samples)
 
     @property
     def order(self) -> int:

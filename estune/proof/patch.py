@@ -200,7 +200,6 @@ def _why_not(offer: Mapping[str, Any]) -> str:
 
 
 def _numbers(name: str, value: Any) -> Iterator[tuple[str, float]]:
-    """The numbers of a table with their names."""
     if isinstance(value, Mapping):
         for key, one in value.items():
             yield from _numbers(f"{name}.{key}", one)

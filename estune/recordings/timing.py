@@ -269,7 +269,6 @@ def _runs(mask: BoolArray) -> list[slice]:
 
 
 def _rate(time_s: FloatArray) -> float:
-    """Rate by regression of the stamps."""
     k = np.arange(time_s.size) - (time_s.size - 1) / 2.0
     return float((k @ k) / (k @ time_s)) if time_s.size > 1 else np.inf
 

@@ -311,7 +311,6 @@ def _record_trial(
 def _advanced(
     tuning: TuningRun, record: TrialRecord, cost: float, margin: float, reason: str
 ) -> Session:
-    """The session after a trial."""
     plan, rig, before = tuning.plan, tuning.description, tuning.session
     learning = before.phase in (Phase.BASELINE, Phase.SEARCH, Phase.EXCITE)
     first = not before.baseline

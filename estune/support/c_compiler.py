@@ -141,7 +141,6 @@ def _temporary() -> tempfile.TemporaryDirectory[str]:
 
 
 def _load_cached(folder: Path, key: str) -> ctypes.CDLL | None:
-    """The library if it is in the folder and intact."""
     for path in (folder / key[:2]).glob(f"{key}-*.so"):
         if path.name == _name(key, path.read_bytes()):
             return ctypes.CDLL(str(path))
@@ -150,7 +149,6 @@ def _load_cached(folder: Path, key: str) -> ctypes.CDLL | None:
 
 
 def _compile(folder: Path, key: str, source: str, command: tuple[str, ...]) -> ctypes.CDLL:
-    """Compiles the source into the folder and loads it."""
     with tempfile.TemporaryDirectory(prefix="making-", dir=folder) as workshop:
         written, product = Path(workshop, "generated.c"), Path(workshop, "generated.so")
         written.write_text(source)

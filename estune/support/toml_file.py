@@ -137,7 +137,6 @@ def _without(data: dict[str, Any], places: Iterable[tuple[int | str, ...]]) -> d
 
 
 def _keys(kind: type[TomlTable], place: tuple[int | str, ...]) -> list[str]:
-    """The keys of the table at a path."""
     table: type[TomlTable] = kind
     for step in place:
         if isinstance(step, str) and step in table.model_fields:

@@ -80,7 +80,6 @@ def _residual(
 
 
 def _forms() -> Iterator[ControllerForm]:
-    """All forms."""
     kinds = get_type_hints(ControllerForm)
     for values in product(*(get_args(kinds[field.name]) for field in fields(ControllerForm))):
         yield ControllerForm(*values)

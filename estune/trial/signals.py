@@ -97,6 +97,5 @@ REEL = Signals()
 
 
 def _split(label: str) -> tuple[str, str]:
-    """Name and unit of a signal."""
     name, _, unit = label.rpartition(", ")
     return (name, unit) if name else (label, "")

@@ -337,12 +337,10 @@ class SafeBayesianTuner:
         return self.global_trials * (2 if noisy and state.noise > NOISE_HIGH else 1)
 
     def _global_model(self, state: SafeBayesianState) -> GaussianProcess:
-        """The Gaussian process of all trials."""
         prior = cost_prior(self.space.directions)
         return fit_gaussian_process(*self._observations(state), state.noise, prior)
 
     def _local_model(self, state: SafeBayesianState) -> LocalCubicModel:
-        """The local model about the centre."""
         points, values = self._observations(state)
         prior = cost_prior(self.space.directions).curvature
         curvature = np.reshape(state.curvature, prior.shape) if state.curvature else prior

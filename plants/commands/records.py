@@ -108,7 +108,6 @@ def records(
 
 
 def _drum(model: str | None) -> "Drum":
-    """The drum of a model; that of no reel without one."""
     from estune.recordings.units import NO_DRUM  # noqa: PLC0415  slow to import
 
     if model is None:

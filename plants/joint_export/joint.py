@@ -113,8 +113,6 @@ def joint_of(diagnosis: Any) -> Joint:
 def _with(
     joint: Joint, effect: Effect, intervals: Mapping[str, tuple[float, float]], model: Any
 ) -> Joint:
-    """The joint with one effect more."""
-
     def number(name: str) -> JointNumber:
         at = intervals.get(f"{effect.name}.{name}", (math.nan, math.nan))
         return JointNumber(getattr(effect, name), *at)

@@ -68,7 +68,6 @@ def _is_system(given: Any) -> bool:
 
 
 def _takes(function: Callable[..., Any], count: int) -> bool:
-    """Whether a function takes so many arguments."""
     try:
         inspect.signature(function).bind(*[None] * count)
     except (TypeError, ValueError):  # ValueError: a built-in without a signature

@@ -68,7 +68,6 @@ class LinearPlant(MountedModel):
 
     @cached_property
     def _factorised(self) -> tuple[PoleZeroForm, dict[str, float]]:
-        """Kinds of the poles and zeros, and their parameters."""
         if self.model is None:
             raise PlantError("the plant is given in discrete time; give it in continuous time")
         return factorise(self.model)
@@ -282,7 +281,6 @@ def _rate(system: Any, sampling_Hz: float | None) -> float:
 
 
 def _as_sampled(system: Any, dead_time_s: float, sampling_Hz: float) -> SampledPlant:
-    """A discrete model as a sampled plant."""
     from control import ss  # noqa: PLC0415  slow to import
 
     if (system.ninputs, system.noutputs) != (1, 1):

@@ -198,7 +198,6 @@ def _text(path: Path) -> str:
 
 
 def _kind(tables: Mapping[str, Any], problems: list[str]) -> ModelKind | None:
-    """The kind of the one model table."""
     known = [kind.table for kind in KINDS]
     problems += [
         f"[{name}]: there is no such table{_near(name, [*known, *_BESIDE])}"
@@ -219,13 +218,11 @@ def _kind(tables: Mapping[str, Any], problems: list[str]) -> ModelKind | None:
 
 
 def _model(kind: ModelKind, values: Mapping[str, Any], problems: list[str]) -> Any:
-    """The model of a table; None where its values are invalid."""
     place = f"[{kind.table}]"
     return _make(kind.make, _read_values(values, kind.keys, place, problems), place, problems)
 
 
 def _key_of(kind: ModelKind, name: str) -> str:
-    """Key of a model's own field in its table."""
     keys: Mapping[str, str] = getattr(kind.type, "FIELDS", {})
     return next((key for key, of in keys.items() if of == name), name)
 

@@ -161,8 +161,6 @@ class PythonPlant(MountedModel):
         return len(drive.setpoint_N)
 
     def _call(self, state: Any, effort: float, dt_s: float, k: int) -> tuple[Any, float]:
-        """One checked call of the function."""
-
         def fail(what: str) -> PlantError:
             expected = "expected (state, measurement), the measurement a finite number"
             return PlantError(f"the plant's function returned {what} at sample {k}; {expected}")

@@ -3,7 +3,7 @@
 import hashlib
 import struct
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Annotated, Any, Literal, NamedTuple
 
@@ -188,12 +188,6 @@ class Verb(NamedTuple):
     threads: int = 0
     right: Right = Right.COMMAND
     optional: bool = False
-
-    @property
-    def needs_lease(self) -> bool:
-        """Whether only the lease holder may send it: it has to name its lease."""
-        names = {field.name for field in fields(self.message)}  # type: ignore[arg-type]
-        return self.message is not Lease and "lease" in names
 
 
 VERBS: Mapping[str, Verb] = MappingProxyType(

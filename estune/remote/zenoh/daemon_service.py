@@ -135,7 +135,6 @@ def _rows(query: Callable[[Request], Message], payload: bytes) -> Message:
 
 
 def _encoded(key: str, answer: _Answer, payload: bytes) -> bytes:
-    """The answer, or the error that prevents it."""
     try:
         return encode(answer(payload))
     except EstuneError as error:

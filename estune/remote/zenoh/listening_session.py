@@ -272,7 +272,6 @@ def _listen_behind_front(
 def _listen(
     endpoint: str, routers: tuple[str, ...], security: Security
 ) -> tuple[zenoh.Session, str]:
-    """A listening session, and its endpoint with the port that was selected."""
     for tries_left in reversed(range(_PORT_TRIES)):
         actual = with_port(endpoint)
         try:

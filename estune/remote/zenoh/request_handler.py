@@ -333,7 +333,6 @@ class RequestHandler(MessageDispatcher):
         return Handled(Answer(ReplyCode.ACCEPTED, trial_id), partial(self._run, trial))
 
     def _run(self, trial: ActiveTrial, *, begun: bool = False) -> bytes | EstuneError:
-        """Runs a noted trial to its end."""
         began_s = time.monotonic()
         result = self._executor.run(trial, begun=begun)
         quick = isinstance(result, bytes) and time.monotonic() - began_s < PROMPT_S

@@ -44,7 +44,6 @@ class TrialExchange:
         at_rest: threading.Event,
         expected_s: float,
     ) -> None:
-        """Prepares the request."""
         self.digest = messages.digest(request)
         self._connection = connection
         self._lease = lease

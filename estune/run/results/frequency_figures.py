@@ -192,7 +192,6 @@ def _controller(
 
 
 def _grid(rate: float, settling_time_s: float) -> tuple[FloatArray, FloatArray]:
-    """Frequencies in Hz, and in rad/sample."""
     lowest = min(1.0 / (_SETTLINGS * settling_time_s), 0.05 * rate)
     frequency = np.geomspace(lowest, 0.499 * rate, _POINTS)
     return frequency, 2.0 * np.pi * frequency / rate

@@ -285,7 +285,6 @@ def _settings(result: RunResult) -> dict[str, str]:
 
 
 def _limits_asked(limits: RobustnessLimits | None) -> str:
-    """The limits by which the gains are judged."""
     if limits is None:
         return "none"
     shown = (
@@ -298,7 +297,6 @@ def _limits_asked(limits: RobustnessLimits | None) -> str:
 
 
 def _cost(cost: StepCost) -> Iterator[str]:
-    """The criterion and its settings."""
     if cost.function:
         yield cost.function
         return

@@ -145,7 +145,6 @@ def _intervals(session: Session) -> tuple[tuple[str, float, float], ...]:
 
 
 def _mean(costs: tuple[float, ...]) -> tuple[float, float]:
-    """Mean and its standard error."""
     if not costs:
         return math.nan, 0.0
     return fmean(costs), math.sqrt(variance(costs) / len(costs)) if len(costs) > 1 else 0.0
@@ -211,7 +210,6 @@ class Performance:
         return {**cells, **dict(metrics), **dict(load), **dict(margin_cells(self.margins))}
 
     def _gain(self, name: str, unit: str) -> str:
-        """A gain with its interval, if it has one."""
         value = getattr(self.gains, name)
         ends = self.intervals.get(name)
         return with_unit(value, unit, 4) if ends is None else interval_text(value, ends, unit, 4)

@@ -56,7 +56,6 @@ def _columns(numbers: FloatArray, names: Sequence[str]) -> FloatArray:
 
 
 def _shares(terms: FloatArray, weights: Weights) -> FloatArray:
-    """Shares of the classes."""
     mean, deviation = np.array(weights.mean), np.array(weights.deviation)
     away = np.clip((terms - mean) / deviation, -FARTHEST, FARTHEST)
     score = np.array(weights.constant) + np.array(weights.slopes) @ away

@@ -157,7 +157,6 @@ def _median(rows: Sequence[FloatArray]) -> FloatArray:
 
 
 def _running_mean(values: FloatArray, width: int) -> FloatArray:
-    """Means of `width` consecutive values."""
     if values.size < width:
         return values[:0]
     return np.convolve(values, np.full(width, 1.0 / width), mode="valid")

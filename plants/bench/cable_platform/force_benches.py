@@ -60,7 +60,6 @@ class ServedForceBench:
     """
 
     def __init__(self, rig: RemoteRig, far: RemoteRig | None, drum_radius_m: float) -> None:
-        """Takes the rigs; the drum radius is that of both."""
         self._rig, self._far, self._radius_m = rig, far, drum_radius_m
         self._stream = SetpointStream([rig, far] if far else [rig], RATE_HZ)
         self.period_s = 1.0 / RATE_HZ

@@ -98,7 +98,6 @@ def noise_floor(measurements: Sequence[MeasuredRecord]) -> NoiseFloor:
 
 
 def _noise(m: MeasuredRecord, column: FloatArray, repeated: float | None) -> Noise:
-    """The noise of one channel of one record."""
     lsb = step_of(column)
     rms, how = (repeated, SOURCES[0]) if repeated is not None else _alone(m, column)
     if rms > (most := CONSTANTS.upper_most * upper_rms(column)):

@@ -65,7 +65,6 @@ class DiagnosedLinear(DiagnosedPlant):
 
     @property
     def _linear(self) -> Any:
-        """The continuous model."""
         return self.model.model
 
     def _calibrations(self) -> list[Slot]:

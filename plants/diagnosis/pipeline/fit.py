@@ -79,7 +79,6 @@ def fit(plant: DiagnosedModel, noise: NoiseFloor, choices: EffectChoices) -> Bas
 def _base_fit(
     plant: DiagnosedModel, measurements: tuple[MeasuredRecord, ...], noise: NoiseFloor
 ) -> tuple[ModelFitter, CandidateFit]:
-    """The model fitted to some records."""
     if measurements != plant.measurements:
         plant = plant.for_records(measurements)
     fitter = ModelFitter(plant, measurements, noise)

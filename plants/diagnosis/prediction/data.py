@@ -193,7 +193,6 @@ def _rests(
     deviation: FloatArray,
     noise: NoiseFloor,
 ) -> bool:
-    """Whether a record begins at rest."""
     output = m.channel(model.placed_by or "")
     if output is None:
         return True

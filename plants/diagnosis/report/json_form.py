@@ -58,7 +58,6 @@ def to_json(d: DiagnosisResult) -> dict[str, Any]:
 
 
 def _fields(value: Any, without: str = "") -> dict[str, Any]:
-    """The fields of a dataclass, without one of them."""
     return {f.name: getattr(value, f.name) for f in fields(value) if f.name != without}
 
 

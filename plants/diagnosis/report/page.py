@@ -190,7 +190,6 @@ def _table(table: summary.TextTable) -> html_page.Table:
 def _plot(
     draw: Callable[[Axes], Axes], name: str, alt: str, height_in: float = 3.0
 ) -> html_page.Drawing:
-    """A drawing with one pair of axes."""
     figure = new_figure(WIDTH_in, height_in)
     draw(figure.add_subplot())
     return Drawing(figure, name, alt)

@@ -130,7 +130,6 @@ def _rest(models: FittedModels, decision: Decision, others: Sequence[ModelSummar
 
 
 def _title(models: FittedModels, slug: str) -> str:
-    """Title of an effect that was fitted."""
     effects = (e for fit in models.with_effects.values() for e in fit.effects)
     return next((e.title for e in effects if e.name == slug), "")
 

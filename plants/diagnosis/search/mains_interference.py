@@ -133,7 +133,6 @@ def _cleaned(
     frequency_Hz: float,
     phases: dict[int, float],
 ) -> tuple[MeasuredRecord, ...]:
-    """The records without the line and its overtones."""
     cleaned = list(measurements)
     for line in lines:
         m = cleaned[line.number]

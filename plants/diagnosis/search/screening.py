@@ -247,7 +247,6 @@ class Directions:
         return row
 
     def _shapes(self) -> list[dict[str, float]]:
-        """Combinations of the shapes' values."""
         grids = self._grids()
         most = CONSTANTS.combinations * (2 if self.effect.named(Role.FREQUENCY) else 1)
         while math.prod(map(len, grids.values())) > most:
@@ -259,7 +258,6 @@ class Directions:
         ]
 
     def _grids(self) -> dict[str, list[float]]:
-        """Values to try of the shapes."""
         shapes = self.effect.named(Role.SHAPE, Role.FREQUENCY, Role.PERIODS)
         return {name: self._grid(name) for name in shapes}
 
