@@ -12,6 +12,8 @@ from estune.core.cost import StepCost
 from estune.core.gains import Gains
 from estune.core.margins import loop_margins, sample_plant
 from estune.core.pidf import ControllerSettings
+from estune.core.response import LoadStep
+from estune.loop_model import closed_loops
 from estune.loop_model.claim import claim
 from estune.loop_model.fitting import better_fit, fit_loop, fit_with_excitations
 from estune.loop_model.intervals import predict_with_intervals
@@ -331,6 +333,24 @@ def test_predictions_of_several_loops_are_those_of_each():
             np.testing.assert_allclose(np.hstack(one), np.hstack(other), rtol=1e-9)
     assert predictions([exact], trial, gains) == predictions([exact] * 3, trial, gains)
     assert predictions(models, trial, [GAINS]) == predictions(models, trial, [GAINS] * 3)
+
+
+def test_predictions_without_a_compiler_are_the_same(monkeypatch):
+    exact, trial = exact_model(), step_trial(linear(), COST)
+    loaded = replace(trial, step=trial.step._replace(load=LoadStep(trial.samples // 2, 0.5)))
+    models = [exact._replace(coordinates=(*exact.coordinates, x)) for x in (0.1, 0.4)]
+    of = [exact_model()._replace(numerator=(b, 0.0, 0.0)) for b in (0.01, 5.0)]
+    gains = [GAINS, replace(GAINS, I=0.0), replace(GAINS, D=0.0)]
+    asked = [
+        (several, one, some)
+        for several, some in ((models, [GAINS]), ([exact], gains), (of, gains[:2]))
+        for one in (trial, loaded)
+    ]
+    compiled = [predictions(*one, NOISE_N) for one in asked]
+    monkeypatch.setattr(closed_loops, "_library", lambda: None)
+    for found, one in zip(compiled, asked, strict=True):
+        for prediction, same in zip(found, predictions(*one, NOISE_N), strict=True):
+            np.testing.assert_allclose(np.hstack(prediction), np.hstack(same), rtol=1e-9)
 
 
 @pytest.mark.parametrize(("is_white", "said"), [(True, ""), (False, "leaves 0.1% of the step")])

@@ -97,7 +97,7 @@ def controller_polynomials(
         unfiltered = np.convolve(Nf, _DIFFERENCE) / h
         T = with_derivative(Nf, slope if form.filter_on == "derivative" else unfiltered)
     return ControllerPolynomials(
-        T, S, np.convolve(_DIFFERENCE, Nf), *_setpoint_filter(form, h, gains), p
+        T, S, np.convolve(_DIFFERENCE, Nf), *setpoint_filter(form, h, gains), p
     )
 
 
@@ -150,9 +150,7 @@ def _derivative(form: ControllerForm, h: float, lag: float) -> tuple[float, floa
     return p, 1.0 / lag
 
 
-def _setpoint_filter(
-    form: ControllerForm, h: float, gains: Gains
-) -> tuple[FloatArray, FloatArray]:
+def setpoint_filter(form: ControllerForm, h: float, gains: Gains) -> tuple[FloatArray, FloatArray]:
     """Numerator and denominator of F."""
     lag = gains.setpoint_filter_s
     if form.setpoint_filter == "exact" or lag == 0.0:

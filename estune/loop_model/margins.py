@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from estune.core.gains import Gains
 from estune.core.pidf import ControllerSettings
 from estune.core.quantities import FloatArray
-from estune.loop_model.model import LoopModel, controller_law
+from estune.loop_model.closed_loops import ClosedLoops, Inputs, closed_loops
+from estune.loop_model.model import Laws, LoopModel
 from estune.loop_model.poles import ComplexArray
 
 GRID_POINTS = 250
@@ -143,8 +144,8 @@ class LoopResponse(NamedTuple):
 
 def loop_response(model: LoopModel, gains: Gains, settings: ControllerSettings) -> LoopResponse:
     """The loop of a model and a controller over frequency."""
-    grid, laws = frequency_grid((model,)), _Controllers.of([gains], settings)
-    measured, R = laws.at(grid.later)
+    grid, laws = frequency_grid((model,)), Laws.of([gains], settings)
+    measured, R = _law_at(laws, grid.later)
     controller = measured / R
     loop = grid.zeros / grid.poles * controller
     characteristic = grid.poles * R + grid.zeros * measured
@@ -152,32 +153,13 @@ def loop_response(model: LoopModel, gains: Gains, settings: ControllerSettings) 
     return LoopResponse(grid.theta[0], controller[0], loop[0], stable)
 
 
-class _Controllers(NamedTuple):
-    """S and R of some controllers, shape (controllers, terms) each."""
-
-    measurement: FloatArray
-    denominator: FloatArray
-
-    @classmethod
-    def of(cls, gains: Sequence[Gains], settings: ControllerSettings) -> "_Controllers":
-        laws = [controller_law(settings, one) for one in gains]
-        terms = (
-            max(law.measurement.size for law in laws),
-            max(law.denominator.size for law in laws),
-        )
-        S, R = (np.zeros((len(laws), size)) for size in terms)
-        for row, law in enumerate(laws):
-            S[row, : law.measurement.size] = law.measurement
-            R[row, : law.denominator.size] = law.denominator
-        return cls(S, R)
-
-    def at(self, later: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
-        """S and R at q^-1."""
-        return _polynomial_at(self.measurement, later), _polynomial_at(self.denominator, later)
+def _law_at(laws: Laws, later: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
+    """S and R at q^-1."""
+    return _polynomial_at(laws.measurement, later), _polynomial_at(laws.denominator, later)
 
 
 def _are_stable(
-    models: Sequence[LoopModel], laws: _Controllers, characteristic: ComplexArray
+    models: Sequence[LoopModel], laws: Laws, characteristic: ComplexArray
 ) -> NDArray[np.bool_]:
     """Whether loops are stable, by their characteristic polynomials over frequency, (loops,).
 
@@ -214,9 +196,42 @@ def robustness_of(
         gains: One for all models, or one for each.
         settings: The fixed part of the controller.
     """
-    count = max(len(models), len(gains))
-    grid, laws = frequency_grid(tuple(models)), _Controllers.of(gains, settings)
-    S, R = laws.at(grid.later)
+    found = compiled_loops(models, gains, settings)
+    return found[0] if found else _robustness_of(models, Laws.of(gains, settings))
+
+
+def compiled_loops(
+    models: Sequence[LoopModel],
+    gains: Sequence[Gains],
+    settings: ControllerSettings,
+    inputs: Inputs | None = None,
+) -> tuple[list[Robustness], ClosedLoops] | None:
+    """The margins of several loops and their answers to some inputs; None without a compiler."""
+    grid = _compiled_grid(models[0].dead_samples)
+    found = closed_loops(models, Laws.of(gains, settings), grid, inputs)
+    if found is None:
+        return None
+    rows = zip(found.stable, found.margin_deg.tolist(), found.peaks.tolist(), strict=True)
+    return [
+        Robustness(max(peaks), margin, tuple(peaks)) if stable else UNSTABLE
+        for stable, margin, peaks in rows
+    ], found
+
+
+@lru_cache(maxsize=16)
+def _compiled_grid(dead_samples: int) -> tuple[FloatArray, FloatArray, int]:
+    """The grid as `closed_loops` takes it."""
+    theta = _angles(dead_samples)
+    half, late = 0.5 * theta, (dead_samples + 1) * theta
+    table = np.array([theta, np.sin(half), np.cos(half), np.cos(late), np.sin(late)])
+    return table, ABOUT_A_POLE, BANDS
+
+
+def _robustness_of(models: Sequence[LoopModel], laws: Laws) -> list[Robustness]:
+    """The same without a compiler."""
+    count = max(len(models), len(laws.setpoint))
+    grid = frequency_grid(tuple(models))
+    S, R = _law_at(laws, grid.later)
     forward, feedback = grid.poles * R, grid.zeros * S
     characteristic = forward + feedback
     stable = _are_stable(models, laws, characteristic)
@@ -240,7 +255,7 @@ def robustness_of(
 
 
 def _lowest_in_bands(
-    models: Sequence[LoopModel], laws: _Controllers, theta: FloatArray, size: FloatArray
+    models: Sequence[LoopModel], laws: Laws, theta: FloatArray, size: FloatArray
 ) -> FloatArray:
     """Lowest |1 + L| in each band, shape (loops, bands).
 
@@ -263,7 +278,7 @@ def _lowest_in_bands(
     share = ZOOM_REACH * np.linspace(-1.0, 1.0, ZOOMED)
     near = middle + share * np.where(share < 0.0, middle - begin, end - middle)
     zoom = FrequencyGrid.at(models, near.reshape(count, -1))
-    S, R = laws.at(zoom.later)
+    S, R = _law_at(laws, zoom.later)
     forward = zoom.poles * R
     zoomed = (np.abs(forward + zoom.zeros * S) / np.abs(forward)).reshape(-1, ZOOMED)
     refined = _refined(zoomed).reshape(count, BANDS)

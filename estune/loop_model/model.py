@@ -10,12 +10,18 @@ All signals are deviations from a steady state.
 """
 
 import math
+from collections.abc import Sequence
 from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
 
-from estune.core.controller_equation import ControllerPolynomials, controller_polynomials
+from estune.core.controller_equation import (
+    ControllerPolynomials,
+    controller_polynomials,
+    setpoint_filter,
+)
+from estune.core.controller_form import OWN_FORM
 from estune.core.filtering import lfilter
 from estune.core.gains import Gains
 from estune.core.pidf import ControllerSettings
@@ -107,6 +113,59 @@ def controller_law(settings: ControllerSettings, gains: Gains) -> ControllerPoly
 def _summed(polynomial: FloatArray) -> FloatArray:
     """A polynomial in q^-1 over 1 - q^-1, which is a factor of it."""
     return np.cumsum(polynomial)[:-1]
+
+
+class Laws(NamedTuple):
+    """Equations of a controller with several gains, in powers of q^-1, (gains, terms) each.
+
+    Attributes:
+        setpoint: T.
+        measurement: S.
+        denominator: R.
+        filters: Both terms of the numerator of F and the pole of it, shape (gains, 3).
+    """
+
+    setpoint: FloatArray
+    measurement: FloatArray
+    denominator: FloatArray
+    filters: FloatArray
+
+    @classmethod
+    def of(cls, gains: Sequence[Gains], settings: ControllerSettings) -> "Laws":
+        """The equations as `controller_law` has them: T and S are sums over P, I, D and I D/P."""
+        shares = np.array([(g.P, g.I, g.D, g.I * g.D / g.P) for g in gains])
+        *basis, R = law_basis(settings)
+        # Row by row, so that a loop is the same whatever others it comes with.
+        T, S = ((shares[:, :, np.newaxis] * of_each).sum(axis=1) for of_each in basis)
+        R = np.tile(R, (len(gains), 1))
+        still = np.flatnonzero(shares[:, 1] == 0.0)
+        if still.size:
+            for each in (T, S, R):
+                each[still] = np.cumsum(each[still], axis=1)
+        form, h = settings.form or OWN_FORM, 1.0 / settings.sampling_Hz
+        filters = np.zeros((len(gains), 3))
+        for row, one in zip(filters, gains, strict=True):
+            numerator, denominator = setpoint_filter(form, h, one)
+            row[: numerator.size], row[2] = numerator, -denominator[1]
+        return cls(T, S, R, filters)
+
+
+@lru_cache(maxsize=16)
+def law_basis(settings: ControllerSettings) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """T and S of P, I, D and I D/P, shape (4, terms), and R, of as many terms."""
+    at = [Gains(1.0, i, d, 0.0) for i, d in ((0.0, 0.0), (1.0, 0.0), (0.0, 1.0), (1.0, 1.0))]
+    forms = [controller_polynomials(settings, gains) for gains in at]
+    terms = max(one.size for form in forms for one in form[:3])
+
+    def padded(one: FloatArray) -> FloatArray:
+        return np.pad(one, (0, terms - one.size))
+
+    def parts(columns: Sequence[FloatArray]) -> FloatArray:
+        of_p, p_i, p_d, p_i_d = map(padded, columns)
+        return np.array([of_p, p_i - of_p, p_d - of_p, p_i_d - p_i - p_d + of_p])
+
+    T, S = parts([form.setpoint for form in forms]), parts([form.measurement for form in forms])
+    return T, S, padded(forms[0].denominator)
 
 
 class ClosedLoop(NamedTuple):

@@ -14,6 +14,7 @@ from estune.core.pidf import ControllerSettings
 from estune.core.quantities import FloatArray
 from estune.core.response import StepShape
 from estune.loop_model import margins
+from estune.loop_model.closed_loops import ClosedLoops, Inputs
 from estune.loop_model.model import ClosedLoop, LoopModel, close_loop
 from estune.loop_model.sampled_loop import sampled_response
 
@@ -99,22 +100,64 @@ def predictions(
         gains: One for all models, or one for each.
         noise_std: Standard deviation of the measurement noise.
     """
-    robust = margins.robustness_of(models, gains, trial.controller)
+    by_variance = trial.cost.is_quadratic and trial.step.load is None
+    begin, noise = trial.step.sample, noise_std * fixed_noise(trial.samples)
+    inputs = Inputs(
+        trial.setpoint[begin:],
+        trial.loads[begin:] if trial.step.load else None,
+        None if by_variance else noise,
+    )
+    compiled = margins.compiled_loops(models, gains, trial.controller, inputs)
+    robust = compiled[0] if compiled else margins.robustness_of(models, gains, trial.controller)
     found = [UNSTABLE] * len(robust)
     stable = [i for i, one in enumerate(robust) if math.isfinite(one.sensitivity)]
     if not stable:
         return found
     pairs = [(models[i % len(models)], gains[i % len(gains)]) for i in stable]
-    loops = [close_loop(model, at, trial.controller) for model, at in pairs]
-    responses = [
-        _response(model, loop, trial, at) for (model, at), loop in zip(pairs, loops, strict=True)
-    ]
-    output, effort = (np.array(signals) for signals in zip(*responses, strict=True))
-    costs = _expected_costs(loops, trial, output, effort, noise_std)
+    if compiled:
+        output, effort, answers = _compiled_responses(pairs, trial, compiled[1], stable)
+    else:
+        loops = [close_loop(model, at, trial.controller) for model, at in pairs]
+        responses = [
+            _response(model, loop, trial, at)
+            for (model, at), loop in zip(pairs, loops, strict=True)
+        ]
+        output, effort = (np.array(signals) for signals in zip(*responses, strict=True))
+        answers = np.array(
+            [
+                loop.noise_gains(trial.samples - begin)
+                if by_variance
+                else loop.noise_response(noise)
+                for loop in loops
+            ]
+        )
+    costs = _expected_costs(trial, output, effort, answers, noise_std)
     tops = np.max(output[:, trial.step.sample : trial.end] / trial.step.size, axis=1) - 1.0
     for i, cost, top in zip(stable, costs.tolist(), tops.tolist(), strict=True):
         found[i] = Prediction(cost, max(top, 0.0), *robust[i])
     return found
+
+
+def _compiled_responses(
+    pairs: Sequence[tuple[LoopModel, Gains]],
+    trial: StepTrial,
+    loops: ClosedLoops,
+    stable: Sequence[int],
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Outputs and efforts of stable loops, shape (loops, samples), and what noise adds to them.
+
+    By samples those with friction, or where limits act.
+    """
+    settings, begin = trial.controller, trial.step.sample
+    output, effort = np.zeros((2, len(stable), trial.samples))
+    output[:, begin:], effort[:, begin:] = loops.output[stable], loops.effort[stable]
+    total = effort + trial.rest_effort
+    free = (settings.output_min_N <= total.min(1)) & (total.max(1) <= settings.output_max_N)
+    for i, (model, gains) in enumerate(pairs):
+        if model.friction or not free[i]:
+            loop = close_loop(model, gains, settings)
+            output[i], effort[i] = _response(model, loop, trial, gains)
+    return output, effort, loops.noise[stable]
 
 
 def expected_response(model: LoopModel, trial: StepTrial, gains: Gains) -> FloatArray:
@@ -153,16 +196,24 @@ def cost_deviation(model: LoopModel, trial: StepTrial, gains: Gains, noise_std: 
 
 
 def _expected_costs(
-    loops: Sequence[ClosedLoop],
     trial: StepTrial,
     output: FloatArray,
     effort: FloatArray,
+    answers: FloatArray,
     noise_std: float,
 ) -> FloatArray:
     """Costs of responses with the measurement noise in them, shape (loops,).
 
     Where the share of the noise is not known from the weights of the error, it is the mean over
     one fixed sequence of noise and its negative, which leaves out the terms of odd order.
+
+    Args:
+        trial: The step trial.
+        output: Shape (loops, samples).
+        effort: The same.
+        answers: Of measurement and effort to the noise, shape (loops, 2, samples); or variances
+            by it, shape (loops, 2), as of `ClosedLoop.noise_gains`.
+        noise_std: Of the measurement.
     """
 
     def cost(measurement: FloatArray, command: FloatArray) -> FloatArray:
@@ -172,12 +223,12 @@ def _expected_costs(
 
     if noise_std == 0.0:
         return cost(output, effort)
-    if trial.cost.is_quadratic and trial.step.load is None:
-        shares = np.array([_noise_cost(loop, trial, noise_std) for loop in loops])
-        return np.asarray(cost(output, effort) + shares)
-    noise = noise_std * fixed_noise(trial.samples)
-    both = [loop.noise_response(noise) for loop in loops]
-    y, u = (np.array(signals) for signals in zip(*both, strict=True))
+    if answers.ndim == 2:
+        after = trial.samples - trial.step.sample
+        weights = np.array([trial.error_weight, trial.cost.move_weight * after])
+        share = (noise_std / trial.step.size) ** 2 * (answers @ weights)
+        return np.asarray(cost(output, effort) + share)
+    y, u = answers[:, 0], answers[:, 1]
     return np.asarray(0.5 * (cost(output + y, effort + u) + cost(output - y, effort - u)))
 
 
@@ -185,12 +236,3 @@ def _expected_costs(
 def fixed_noise(samples: int) -> FloatArray:
     """White noise of standard deviation one, the same at all gains."""
     return np.random.default_rng(0).standard_normal(samples)
-
-
-def _noise_cost(loop: ClosedLoop, trial: StepTrial, noise_std: float) -> float:
-    """Expected share of the measurement noise in a quadratic cost."""
-    after = trial.samples - trial.step.sample
-    error, move = loop.noise_gains(after)
-    return (noise_std / trial.step.size) ** 2 * (
-        trial.error_weight * error + trial.cost.move_weight * after * move
-    )

@@ -6,12 +6,10 @@ from typing import Any
 
 import numpy as np
 
-from estune.core.controller_equation import controller_polynomials
 from estune.core.controller_form import OWN_FORM
-from estune.core.gains import Gains
 from estune.core.pidf import ControllerSettings
 from estune.core.response import StepShape
-from estune.loop_model.model import LoopModel
+from estune.loop_model.model import LoopModel, law_basis
 from estune.loop_model.prediction import StepTrial, fixed_noise
 
 DIGITS = 10
@@ -69,16 +67,8 @@ def _model(model: LoopModel) -> dict[str, Any]:
 
 def _controller(settings: ControllerSettings) -> dict[str, Any]:
     """S and T as sums over P, I, D and I D / P, which is what every form of controller is."""
-    at = [Gains(1.0, i, d, 0.0) for i, d in ((0.0, 0.0), (1.0, 0.0), (0.0, 1.0), (1.0, 1.0))]
-    forms = [controller_polynomials(settings, gains) for gains in at]
+    T, S, R = law_basis(settings)
     form = settings.form or OWN_FORM
-
-    def basis(name: str) -> list[list[float]]:
-        columns = [np.asarray(getattr(c, name)) for c in forms]
-        size = max(column.size for column in columns)
-        of_p, p_i, p_d, p_i_d = (np.pad(c, (0, size - c.size)) for c in columns)
-        return [list(c.tolist()) for c in (of_p, p_i - of_p, p_d - of_p, p_i_d - p_i - p_d + of_p)]
-
     return {
         "sampling_Hz": settings.sampling_Hz,
         "derivative_filter_s": settings.derivative_filter_s,
@@ -87,9 +77,9 @@ def _controller(settings: ControllerSettings) -> dict[str, Any]:
             for limit in (settings.output_min_N, settings.output_max_N)
         ],
         "own": form == OWN_FORM,
-        "S": basis("measurement"),
-        "T": basis("setpoint"),
-        "R": list(forms[0].denominator.tolist()),
+        "S": S.tolist(),
+        "T": T.tolist(),
+        "R": R.tolist(),
         "setpoint_filter": form.setpoint_filter,
     }
 

@@ -62,6 +62,15 @@ def load(source: str, optimise: str = "-O3") -> ctypes.CDLL:
     raise PlantError(reason)
 
 
+def load_beside(module: str, name: str) -> ctypes.CDLL:
+    """The library of a C source in a file beside that of a module.
+
+    Raises:
+        PlantError: as of `load`.
+    """
+    return load(Path(module).with_name(name).read_text(encoding="utf-8"))
+
+
 def load_named(name: str, written: Callable[[], str], optimise: str = "-O3") -> ctypes.CDLL:
     """The library of a C source that takes long to write, by a name of it.
 

@@ -1,0 +1,450 @@
+/* Closed loops of linear models and controllers: margins over frequency, answers over time.
+
+The same as `margins.robustness_of` and `model.ClosedLoop`, which say why; loops of one order and
+dead time at once. Polynomials are in q^-1 but where `powers` are of d = 1 - q^-1. With A of the
+poles, B of the numerator and S, T, R of the controller the characteristic polynomial is
+A R + q^-late B S. Python checks all sizes. */
+
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+
+#define PI 3.14159265358979323846
+#define BANDS 16
+#define ZOOMED 13
+#define ZOOM_REACH 0.6
+#define LEAST -25.0
+#define GREATEST 6.0
+#define OUTSIDE 100.0
+#define MOST_GROWTH 1.0
+#define MOST_SECTIONS 16
+#define MOST_TERMS 64
+
+typedef struct {
+    long models, laws, loops;             /* models and laws: one for all loops, or one each */
+    long order, terms, dead, law_terms;   /* S, T and R have the same number of terms */
+    long angles, offsets, samples, drawn; /* drawn: samples of the noise; zero for its variance */
+    const double *coordinates;            /* (models, order) */
+    const double *numerators;             /* (models, terms), powers of d */
+    const double *S, *T, *R;              /* (laws, law_terms) */
+    const double *filters;                /* (laws, 3): numerator, and what is kept of the last */
+    const double *grid;                   /* (5, angles): theta, sine and cosine of its half, */
+    const double *about;                  /* cosine and sine of late theta; (offsets,) */
+    const double *setpoint, *load, *noise; /* (samples,), the load or NULL; (drawn,) */
+    double *stable, *margin, *peaks;      /* (loops,), (loops,), (loops, BANDS) */
+    double *output, *effort;              /* (loops, samples); NULL where only margins are asked */
+    double *noise_gains;                  /* (loops, 2): over samples, or (loops, 2, drawn) */
+} Task;
+
+typedef struct {
+    long sections, pairs;
+    double powers[MOST_SECTIONS][3], log_re[MOST_SECTIONS][2], log_im[MOST_SECTIONS][2];
+    double A[MOST_TERMS], B[MOST_TERMS];
+    const double *numerator;
+} Plant;
+
+static double clipped(double x, double low, double high)
+{
+    return x < low ? low : x > high ? high : x;
+}
+
+static int grows(double x)
+{
+    return OUTSIDE / 2.0 < x && x < 1.5 * OUTSIDE;
+}
+
+static double growth(double x)
+{
+    return exp(clipped(x - OUTSIDE, LEAST, MOST_GROWTH));
+}
+
+static void multiply(double *product, long degree, const double *by, long more)
+{
+    long i, j;
+    for (i = degree + more; i >= 0; i--) {
+        double sum = 0.0;
+        for (j = 0; j <= more; j++)
+            if (i - j >= 0 && i - j <= degree)
+                sum += by[j] * product[i - j];
+        product[i] = sum;
+    }
+}
+
+/* Logarithms of a pair of poles. */
+static void pair(double x, double y, double *re, double *im)
+{
+    double w, z, turn;
+    if (grows(x) && !grows(y)) {
+        re[0] = growth(x), re[1] = -exp(clipped(y, LEAST, GREATEST)), im[0] = im[1] = 0.0;
+        return;
+    }
+    if (grows(x)) {
+        pair(x - OUTSIDE, y - OUTSIDE, re, im);
+        re[0] = fmin(-re[0], exp(MOST_GROWTH)), re[1] = fmin(-re[1], exp(MOST_GROWTH));
+        im[0] = -im[0], im[1] = -im[1];
+        return;
+    }
+    w = exp(clipped(x, LEAST, GREATEST)), z = exp(clipped(y, LEAST, -LEAST));
+    if (z < 1.0) {
+        turn = w * sqrt(1.0 - z * z);
+        re[0] = re[1] = -z * w, im[0] = turn, im[1] = -turn;
+        return;
+    }
+    turn = w * sqrt(z * z - 1.0);
+    re[0] = -w * w / (z * w + turn), re[1] = -(z * w + turn), im[0] = im[1] = 0.0;
+}
+
+static void read_plant(const Task *t, long model, Plant *p)
+{
+    const double *x = t->coordinates + model * t->order;
+    double power[MOST_TERMS] = {1.0}, step[2] = {1.0, -1.0};
+    long i, k, n = 0;
+    p->pairs = t->order / 2, p->sections = p->pairs + t->order % 2;
+    memset(p->A, 0, sizeof p->A), memset(p->B, 0, sizeof p->B);
+    p->A[0] = 1.0;
+    for (i = 0; i < p->sections; i++) {
+        double taps[3] = {1.0, 0.0, 0.0}, *powers = p->powers[i];
+        if (i < p->pairs) {
+            double *re = p->log_re[i], *im = p->log_im[i], r[2], m[2], ur[2], ui[2];
+            pair(x[2 * i], x[2 * i + 1], re, im);
+            for (k = 0; k < 2; k++) {
+                double half = sin(0.5 * im[k]), size = exp(re[k]);
+                r[k] = size * cos(im[k]), m[k] = size * sin(im[k]);
+                ur[k] = 2.0 * half * half - expm1(re[k]) * cos(im[k]), ui[k] = -m[k];
+            }
+            taps[1] = -(r[0] + r[1]);
+            taps[2] = powers[2] = r[0] * r[1] - m[0] * m[1];
+            powers[0] = ur[0] * ur[1] - ui[0] * ui[1];
+            powers[1] = r[0] * ur[1] - m[0] * ui[1] + r[1] * ur[0] - m[1] * ui[0];
+            multiply(p->A, n, taps, 2), n += 2;
+        } else {
+            double last = x[2 * i];
+            double log_p = grows(last) ? growth(last) : -exp(clipped(last, LEAST, GREATEST));
+            taps[1] = -exp(log_p);
+            powers[0] = -expm1(log_p), powers[1] = -taps[1], powers[2] = 0.0;
+            multiply(p->A, n, taps, 1), n += 1;
+        }
+    }
+    p->numerator = t->numerators + model * t->terms;
+    for (k = 0; k < t->terms; k++) {
+        for (i = 0; i <= k; i++)
+            p->B[i] += p->numerator[k] * power[i];
+        if (k + 1 < t->terms)
+            multiply(power, k, step, 1);
+    }
+}
+
+/* Real polynomial of complex x at n points. */
+static void polynomial(long terms, const double *c, long n, const double *xr, const double *xi,
+                       double *yr, double *yi)
+{
+    long i, k;
+    for (i = 0; i < n; i++)
+        yr[i] = c[terms - 1], yi[i] = 0.0;
+    for (k = terms - 2; k >= 0; k--)
+        for (i = 0; i < n; i++) {
+            double r = yr[i] * xr[i] - yi[i] * xi[i] + c[k];
+            yi[i] = yr[i] * xi[i] + yi[i] * xr[i], yr[i] = r;
+        }
+}
+
+static void times(long n, const double *xr, const double *xi, double *yr, double *yi)
+{
+    long i;
+    for (i = 0; i < n; i++) {
+        double r = yr[i] * xr[i] - yi[i] * xi[i];
+        yi[i] = yr[i] * xi[i] + yi[i] * xr[i], yr[i] = r;
+    }
+}
+
+/* Columns of a grid of n angles, each of n numbers. */
+enum { THETA, HALF_SINE, HALF_COSINE, LATE_COSINE, LATE_SINE,
+       DR, DI, ZR, ZI, AR, AI, BR, BI, FR, FI, KR, KI, TR, TI, COLUMNS };
+#define AT(column) (g + (column) * n)
+
+/* d, q^-1, A and q^-late B at the angles of a grid. */
+static void plant_at(const Plant *p, long terms, long n, double *g)
+{
+    long i;
+    for (i = 0; i < n; i++) {
+        double s = AT(HALF_SINE)[i];
+        AT(DR)[i] = 2.0 * s * s, AT(DI)[i] = 2.0 * s * AT(HALF_COSINE)[i];
+        AT(ZR)[i] = 1.0 - AT(DR)[i], AT(ZI)[i] = -AT(DI)[i];
+    }
+    for (i = 0; i < p->sections; i++) {
+        long few = i < p->pairs ? 3 : 2;
+        double *r = i ? AT(TR) : AT(AR), *m = i ? AT(TI) : AT(AI);
+        polynomial(few, p->powers[i], n, AT(DR), AT(DI), r, m);
+        if (i)
+            times(n, r, m, AT(AR), AT(AI));
+    }
+    polynomial(terms, p->numerator, n, AT(DR), AT(DI), AT(BR), AT(BI));
+    for (i = 0; i < n; i++) {
+        double r = AT(BR)[i], m = AT(BI)[i], c = AT(LATE_COSINE)[i], s = AT(LATE_SINE)[i];
+        AT(BR)[i] = r * c + m * s, AT(BI)[i] = m * c - r * s;
+    }
+}
+
+/* A R and q^-late B S at the angles of a grid. */
+static void law_at(const Task *t, long law, long n, double *g)
+{
+    polynomial(t->law_terms, t->R + law * t->law_terms, n, AT(ZR), AT(ZI), AT(FR), AT(FI));
+    times(n, AT(AR), AT(AI), AT(FR), AT(FI));
+    polynomial(t->law_terms, t->S + law * t->law_terms, n, AT(ZR), AT(ZI), AT(KR), AT(KI));
+    times(n, AT(BR), AT(BI), AT(KR), AT(KI));
+}
+
+static int rising(const void *one, const void *other)
+{
+    double a = *(const double *)one, b = *(const double *)other;
+    return (a > b) - (a < b);
+}
+
+/* The angles of all models with those about the resonances of one, in order; n of them. */
+static void fill_grid(const Task *t, const Plant *p, long n, double *g, double *extra)
+{
+    long i, j, k, at, rows = t->angles, more = 0;
+    double late = (double)(t->dead + 1);
+    for (i = 0; i < p->pairs; i++)
+        for (k = 0; k < 2; k++) {
+            int swings = p->log_im[i][k] > 0.0;
+            double middle = swings ? p->log_im[i][k] : PI;
+            double width = fmax(swings ? fabs(p->log_re[i][k]) : 0.0, 1e-6);
+            for (j = 0; j < t->offsets; j++)
+                extra[more++] = clipped(middle + width * t->about[j], t->grid[0], PI);
+        }
+    qsort(extra, more, sizeof *extra, rising);
+    for (i = j = 0, at = 0; at < n; at++) {
+        if (j < more && (i >= rows || extra[j] < t->grid[i])) {
+            double theta = extra[j++];
+            AT(THETA)[at] = theta;
+            AT(HALF_SINE)[at] = sin(0.5 * theta), AT(HALF_COSINE)[at] = cos(0.5 * theta);
+            AT(LATE_COSINE)[at] = cos(late * theta), AT(LATE_SINE)[at] = sin(late * theta);
+        } else {
+            for (k = THETA; k <= LATE_SINE; k++)
+                AT(k)[at] = t->grid[k * rows + i];
+            i++;
+        }
+    }
+}
+
+static int is_stable(const Task *t, const Plant *p, long law, long n, const double *g)
+{
+    const double *S = t->S + law * t->law_terms, *R = t->R + law * t->law_terms;
+    double poles = 1.0, S_sum = 0.0, R_sum = 0.0;
+    long i, turns = 0;
+    for (i = 0; i < p->sections; i++)
+        poles *= p->powers[i][0];
+    for (i = 0; i < t->law_terms; i++)
+        S_sum += S[i], R_sum += R[i];
+    for (i = 0; i + 1 < n; i++) {
+        double y = AT(FI)[i] + AT(KI)[i], next = AT(FI)[i + 1] + AT(KI)[i + 1];
+        if ((y >= 0.0) != (next >= 0.0)) {
+            double x = AT(FR)[i] + AT(KR)[i], x_next = AT(FR)[i + 1] + AT(KR)[i + 1];
+            double turned = x * next - x_next * y;
+            turns += (y >= 0.0 && turned > 0.0) - (next >= 0.0 && turned < 0.0);
+        }
+    }
+    return poles * R_sum + p->numerator[0] * S_sum > 0.0
+           && AT(FR)[n - 1] + AT(KR)[n - 1] > 0.0 && !turns;
+}
+
+static double phase_margin(long n, const double *g)
+{
+    double least = HUGE_VAL;
+    long i;
+    for (i = 0; i + 1 < n; i++) {
+        double F = AT(FR)[i] * AT(FR)[i] + AT(FI)[i] * AT(FI)[i];
+        double K = AT(KR)[i] * AT(KR)[i] + AT(KI)[i] * AT(KI)[i];
+        double F_next = AT(FR)[i + 1] * AT(FR)[i + 1] + AT(FI)[i + 1] * AT(FI)[i + 1];
+        double K_next = AT(KR)[i + 1] * AT(KR)[i + 1] + AT(KI)[i + 1] * AT(KI)[i + 1];
+        if ((K > F) != (K_next > F_next)) {
+            double before = log(K / F), after = log(K_next / F_next);
+            double fr = AT(FR)[i], fi = AT(FI)[i], kr = AT(KR)[i], ki = AT(KI)[i];
+            double hr = kr * fr + ki * fi, hi = ki * fr - kr * fi;
+            double gr = AT(KR)[i + 1] * AT(FR)[i + 1] + AT(KI)[i + 1] * AT(FI)[i + 1];
+            double gi = AT(KI)[i + 1] * AT(FR)[i + 1] - AT(KR)[i + 1] * AT(FI)[i + 1];
+            double turn = atan2(gi * hr - gr * hi, gr * hr + gi * hi);
+            double angle = fabs(atan2(-hi, -hr) + before / (before - after) * turn);
+            least = fmin(least, angle * 180.0 / PI);
+        }
+    }
+    return least;
+}
+
+/* |1 + L|^2 at one angle of a grid. */
+static double size_at(long n, const double *g, long i)
+{
+    double x = AT(FR)[i] + AT(KR)[i], y = AT(FI)[i] + AT(KI)[i];
+    return (x * x + y * y) / (AT(FR)[i] * AT(FR)[i] + AT(FI)[i] * AT(FI)[i]);
+}
+
+static long lowest_of(long n, const double *g, long first, long last)
+{
+    long i, at = first;
+    double least = size_at(n, g, first);
+    for (i = first + 1; i <= last; i++) {
+        double size = size_at(n, g, i);
+        if (size < least)
+            least = size, at = i;
+    }
+    return at;
+}
+
+/* Lowest |1 + L| about an inner angle of a grid, on a second grid. */
+static double refined(const Task *t, const Plant *p, long law, double begin, double middle,
+                      double end)
+{
+    enum { n = ZOOMED };
+    double g[COLUMNS * ZOOMED], late = (double)(t->dead + 1), left, own, right, bend;
+    long i, at, inner;
+    for (i = 0; i < n; i++) {
+        double share = ZOOM_REACH * (i - n / 2) / (n / 2);
+        double theta = middle + share * (share < 0.0 ? middle - begin : end - middle);
+        AT(HALF_SINE)[i] = sin(0.5 * theta), AT(HALF_COSINE)[i] = cos(0.5 * theta);
+        AT(LATE_COSINE)[i] = cos(late * theta), AT(LATE_SINE)[i] = sin(late * theta);
+    }
+    plant_at(p, t->terms, n, g);
+    law_at(t, law, n, g);
+    at = lowest_of(n, g, 0, n - 1);
+    inner = at < 1 ? 1 : at > n - 2 ? n - 2 : at;
+    left = 0.5 * log(size_at(n, g, inner - 1)), own = 0.5 * log(size_at(n, g, inner));
+    right = 0.5 * log(size_at(n, g, inner + 1)), bend = left - 2.0 * own + right;
+    if (inner == at && bend > 0.0)
+        return exp(own - (left - right) * (left - right) / (8.0 * bend));
+    return sqrt(size_at(n, g, at));
+}
+
+static void peaks_of(const Task *t, const Plant *p, long law, long n, const double *g,
+                     double *peaks)
+{
+    long band;
+    for (band = 0; band < BANDS; band++) {
+        long first = (long)(band * ((n - 1) / (double)BANDS));
+        long last = band + 1 < BANDS ? (long)((band + 1) * ((n - 1) / (double)BANDS)) : n - 1;
+        long at = lowest_of(n, g, first, last);
+        if (first < at && at < last)
+            peaks[band] = 1.0 / refined(t, p, law, AT(THETA)[at - 1], AT(THETA)[at],
+                                        AT(THETA)[at + 1]);
+        else
+            peaks[band] = 1.0 / sqrt(size_at(n, g, at));
+    }
+}
+
+/* Signals through q^-late c; w has zeros before its first sample. */
+static void moving(long terms, const double *c, long late, long n, const double *w, double *out)
+{
+    long i, j;
+    memset(out, 0, n * sizeof *out);
+    for (j = 0; j < terms; j++)
+        for (i = 0; i < n; i++)
+            out[i] += c[j] * w[i - late - j];
+}
+
+typedef struct {
+    long late, bs, ar, history; /* terms of B S and of A R; zeros before each signal */
+    double AR[MOST_TERMS], BS[MOST_TERMS];
+} Characteristic;
+
+/* A signal over the characteristic polynomial. In several sums, for each waits for its last term. */
+static void driven(const Characteristic *c, long n, const double *x, double *w)
+{
+    long i, j;
+    for (i = 0; i < n; i++) {
+        const double *before = w + i - c->late;
+        double even = x[i], odd = 0.0, own = 0.0;
+        for (j = 0; j + 1 < c->bs; j += 2)
+            even -= c->BS[j] * before[-j], odd -= c->BS[j + 1] * before[-j - 1];
+        if (j < c->bs)
+            even -= c->BS[j] * before[-j];
+        for (j = c->ar - 1; j > 0; j--)
+            own -= c->AR[j] * w[i - j];
+        w[i] = even + odd + own;
+    }
+}
+
+static void respond(const Task *t, const Plant *p, long law, long loop, double *work)
+{
+    long i, n = t->samples, k = t->law_terms, longest = n > t->drawn ? n : t->drawn;
+    const double *S = t->S + law * k, *T = t->T + law * k, *R = t->R + law * k;
+    const double *f = t->filters + 3 * law;
+    double AT_[MOST_TERMS], BT[MOST_TERMS], AS[MOST_TERMS], BR_[MOST_TERMS], kept = 0.0;
+    double *y = t->output + loop * n, *u = t->effort + loop * n;
+    double *w, *x, *one, *other;
+    Characteristic c;
+    c.late = t->dead + 1, c.bs = t->terms + k - 1, c.ar = t->order + k;
+    c.history = c.late + c.bs + c.ar;
+    memcpy(c.AR, p->A, sizeof c.AR), multiply(c.AR, t->order, R, k - 1);
+    memcpy(AT_, p->A, sizeof AT_), multiply(AT_, t->order, T, k - 1);
+    memcpy(AS, p->A, sizeof AS), multiply(AS, t->order, S, k - 1);
+    memcpy(c.BS, p->B, sizeof c.BS), multiply(c.BS, t->terms - 1, S, k - 1);
+    memcpy(BT, p->B, sizeof BT), multiply(BT, t->terms - 1, T, k - 1);
+    memcpy(BR_, p->B, sizeof BR_), multiply(BR_, t->terms - 1, R, k - 1);
+    w = work + c.history, x = w + longest, one = x + longest, other = one + longest;
+    memset(work, 0, c.history * sizeof *work);
+    for (i = 0; i < n; i++) {
+        kept = f[0] * t->setpoint[i] + f[1] * (i ? t->setpoint[i - 1] : 0.0) + f[2] * kept;
+        x[i] = kept;
+    }
+    driven(&c, n, x, w);
+    moving(c.bs, BT, c.late, n, w, y);
+    moving(c.ar, AT_, 0, n, w, u);
+    if (t->load) {
+        driven(&c, n, t->load, w);
+        moving(c.bs, BR_, c.late, n, w, one);
+        moving(c.bs, c.BS, c.late, n, w, other);
+        for (i = 0; i < n; i++)
+            y[i] += one[i], u[i] -= other[i];
+    }
+    if (!t->noise_gains)
+        return;
+    if (t->drawn) {
+        double *drawn = t->noise_gains + 2 * loop * t->drawn;
+        driven(&c, t->drawn, t->noise, w);
+        moving(c.ar, c.AR, 0, t->drawn, w, drawn);
+        moving(c.ar, AS, 0, t->drawn, w, drawn + t->drawn);
+        for (i = 0; i < t->drawn; i++)
+            drawn[t->drawn + i] = -drawn[t->drawn + i];
+    } else {
+        double error = 0.0, moves = 0.0;
+        memset(x, 0, n * sizeof *x), x[0] = 1.0;
+        driven(&c, n, x, w);
+        moving(c.ar, c.AR, 0, n, w, one);
+        moving(c.ar, AS, 0, n, w, other);
+        for (i = 0; i < n; i++) {
+            double move = other[i] - (i ? other[i - 1] : 0.0);
+            error += one[i] * one[i], moves += move * move;
+        }
+        t->noise_gains[2 * loop] = error, t->noise_gains[2 * loop + 1] = moves;
+    }
+}
+
+/* Returns zero, or one where there is no memory. */
+__attribute__((visibility("default"))) int estune_closed_loops(const Task *t)
+{
+    long i, model = -1, law, extra = t->order / 2 * 2 * t->offsets, n = t->angles + extra;
+    long longest = t->samples > t->drawn ? t->samples : t->drawn;
+    double *g = malloc((COLUMNS * n + extra + 1) * sizeof *g);
+    double *work = malloc((4 * longest + t->dead + 4 * MOST_TERMS) * sizeof *work);
+    Plant p;
+    for (i = 0; g && work && i < t->loops; i++) {
+        if (model < 0 || t->models > 1) {
+            model = i;
+            read_plant(t, model, &p);
+            fill_grid(t, &p, n, g, g + COLUMNS * n);
+            plant_at(&p, t->terms, n, g);
+        }
+        law = t->laws > 1 ? i : 0;
+        law_at(t, law, n, g);
+        t->stable[i] = is_stable(t, &p, law, n, g);
+        if (!t->stable[i])
+            continue;
+        t->margin[i] = phase_margin(n, g);
+        peaks_of(t, &p, law, n, g, t->peaks + i * BANDS);
+        if (t->output)
+            respond(t, &p, law, i, work);
+    }
+    i = !(g && work);
+    free(g), free(work);
+    return (int)i;
+}

@@ -1,0 +1,137 @@
+"""Closed loops of several models or gains at once, as compiled C (`closed_loops.c`).
+
+A search asks for thousands of them, each of a few hundred samples and angles, where NumPy takes
+most of its time to begin. Without a compiler there are none, and the same is found without.
+"""
+
+import ctypes
+import math
+from collections.abc import Sequence
+from functools import cache
+from itertools import accumulate
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from estune.core.quantities import FloatArray
+from estune.errors import PlantError
+from estune.loop_model.model import Laws, LoopModel
+from estune.support import c_compiler
+
+_COUNTS = ("models", "laws", "loops", "order", "terms", "dead", "law_terms")
+_COUNTS_OF_GRID = ("angles", "offsets", "samples", "drawn")
+_ARRAYS = ("coordinates", "numerators", "S", "T", "R", "filters", "grid", "about", "setpoint")
+_ANSWERS = ("load", "noise", "stable", "margin", "peaks", "output", "effort", "noise_gains")
+
+
+class _Task(ctypes.Structure):
+    """Argument of `estune_closed_loops`."""
+
+    _fields_ = (
+        *((name, ctypes.c_long) for name in (*_COUNTS, *_COUNTS_OF_GRID)),
+        *((name, ctypes.c_void_p) for name in (*_ARRAYS, *_ANSWERS)),
+    )
+
+
+class Inputs(NamedTuple):
+    """What loops answer to.
+
+    Attributes:
+        setpoint: Deviation from the step on, shape (samples,).
+        load: Load from the step on, or None.
+        noise: Noise of the measurement, shape (drawn,); None asks for variances in `samples`.
+    """
+
+    setpoint: FloatArray
+    load: FloatArray | None = None
+    noise: FloatArray | None = None
+
+
+class ClosedLoops(NamedTuple):
+    """Margins and answers of loops; those of an unstable one are not set.
+
+    Attributes:
+        stable: Whether each is stable, shape (loops,).
+        margin_deg: Smallest phase margin, degrees.
+        peaks: Largest |S| in each band, shape (loops, bands).
+        output: Without noise, shape (loops, samples).
+        effort: The same.
+        noise: Variance of measurement and of a move of the effort per variance of the noise,
+            shape (loops, 2); or the answers of both to the noise, shape (loops, 2, drawn).
+    """
+
+    stable: FloatArray
+    margin_deg: FloatArray
+    peaks: FloatArray
+    output: FloatArray
+    effort: FloatArray
+    noise: FloatArray
+
+
+@cache
+def _library() -> Any:
+    """The compiled function; None without a compiler."""
+    try:
+        function = c_compiler.load_beside(__file__, "closed_loops.c").estune_closed_loops
+    except PlantError:
+        return None
+    function.argtypes = (ctypes.c_void_p,)
+    return function
+
+
+def closed_loops(
+    models: Sequence[LoopModel],
+    laws: Laws,
+    grid: tuple[FloatArray, FloatArray, int],
+    inputs: Inputs | None = None,
+) -> ClosedLoops | None:
+    """The loops of models and controllers; None without a compiler.
+
+    Args:
+        models: Of one order and dead time; one for all controllers, or one for each.
+        laws: One for all models, or one for each.
+        grid: Angles of all models, shape (5, angles) as in the C source; the distances of further
+            ones from a resonance in its half widths; the number of bands.
+        inputs: What they answer to; None asks for margins only.
+
+    Raises:
+        MemoryError: there is not enough memory.
+    """
+    call = _library()
+    if call is None:
+        return None
+    table, about, bands = grid
+    coordinates = np.array([model.coordinates for model in models])
+    numerators = np.array([model.numerator for model in models])
+    count = max(len(models), len(laws.setpoint))
+    samples, drawn, signals = 0, 0, [0, 0, 0]
+    if inputs is not None:
+        signals = [0 if one is None else one.ctypes.data for one in inputs]
+        samples, drawn = inputs.setpoint.size, 0 if inputs.noise is None else inputs.noise.size
+    noise = (count, 2, drawn) if drawn else (count, 2)
+    shapes = ((count,), (count,), (count, bands), *[(count, samples)] * 2, noise)
+    # One block of memory for each direction: an address takes longer to ask for than to fill.
+    given = (coordinates, numerators, laws.measurement, laws.setpoint, laws.denominator)
+    block = np.concatenate([one.ravel() for one in (*given, laws.filters)])
+    from_block = _places(block, [one.size for one in (*given, laws.filters)])
+    sizes = [math.prod(shape) for shape in shapes]
+    answers = np.empty(sum(sizes))
+    places = _places(answers, sizes)
+    task = _Task(
+        *(len(models), len(laws.setpoint), count, *coordinates.shape[1:], *numerators.shape[1:]),
+        *(models[0].dead_samples, laws.setpoint.shape[1]),
+        *(table.shape[1], about.size, samples, drawn),
+        *from_block,
+        *(table.ctypes.data, about.ctypes.data, *signals),
+        *(places if samples else places[:3]),
+    )
+    if call(ctypes.byref(task)):
+        raise MemoryError("no memory for closed loops; predict fewer at once")
+    parts = np.split(answers, np.cumsum(sizes)[:-1])
+    return ClosedLoops(*(part.reshape(of) for part, of in zip(parts, shapes, strict=True)))
+
+
+def _places(block: FloatArray, sizes: Sequence[int]) -> list[int]:
+    """Addresses of consecutive arrays of such sizes."""
+    first = block.ctypes.data
+    return [first + block.itemsize * before for before in accumulate((0, *sizes[:-1]))]
