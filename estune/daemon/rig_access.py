@@ -40,7 +40,7 @@ VOID_TRIALS_MAX = 5
 HOLDER_PREFIX = "estune daemon"
 """Beginning of a daemon's name as the holder of a rig's lease."""
 
-_ABORT_PERIOD_S = 0.05
+_ABORT_PERIOD_S = 0.05  # a trial that is just beginning may miss the first abort
 _log = logging.getLogger(__name__)
 
 

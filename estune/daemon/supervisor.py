@@ -34,7 +34,7 @@ from estune.run.phase import Phase
 from estune.run.tuning_run import TuningRun
 
 _POLL_S = 0.5
-_JITTER = 0.5
+_JITTER = 0.5  # rigs that were lost together must not return together
 _log = logging.getLogger(__name__)
 
 

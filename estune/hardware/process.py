@@ -23,8 +23,8 @@ BEAT_s = 0.02
 ANSWER_WITHIN_s = 2.0
 """Timeout of the answers to commands that move nothing."""
 
-_START_WITHIN_s = 30.0
-_STALLED_s = 1.0
+_START_WITHIN_s = 30.0  # compiling the controller and opening a driver included
+_STALLED_s = 1.0  # a loop that stood still for so long is killed, not waited for
 _POLL_s = 0.05
 _LOGGED_EVERY_s = 1.0
 """Least time between two lines of the log on bad readings, of which there may be one a sample."""

@@ -12,7 +12,7 @@ from typing import Self
 from estune.errors import InvalidInput
 from estune.reel.calibration import Axis, CurrentCalibration, GaugeCalibration
 
-_ROUNDING = 1e-9
+_ROUNDING = 1e-9  # of the scaled ends: a value at the end of the range is in it
 _NEWTON_STEPS = 20
 
 

@@ -34,7 +34,7 @@ BEAT_s = 0.1
 _POLL_s = 0.01
 _TRIALS_MOVED = 8
 """Trials whose samples the black box may be late for."""
-_PART, _BODY_MAX = 28, 236
+_PART, _BODY_MAX = 28, 236  # numbers, bytes: LONGEST of the C text less the sample's number
 _NUMBERS = ("tension", "effort", "angle")
 _OUTCOMES = {
     1: Outcome.DONE,

@@ -10,7 +10,7 @@ from estune.errors import InvalidInput
 from estune.remote.certificate_faults import fault_found, fault_told, own_fault
 from estune.remote.security import OPEN, Security, Tls
 
-_PROBE_WITHIN_S = 2.0
+_PROBE_WITHIN_S = 2.0  # only to explain a connection that has failed already
 
 
 def intended_endpoint(text: str) -> str:

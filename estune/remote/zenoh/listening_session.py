@@ -24,8 +24,8 @@ Reply = Callable[[bytes], None]
 _Handle = Callable[[zenoh.Query, bytes], None]
 
 _END_WITHIN_S = 1.0
-_PORT_TRIES = 5
-_WAITING_MAX = 256
+_PORT_TRIES = 5  # another process may take the free port before Zenoh does
+_WAITING_MAX = 256  # a flood costs its own senders their replies, and no memory
 _log = logging.getLogger(__name__)
 
 

@@ -46,8 +46,8 @@ from estune.trial import (
     empty_record,
 )
 
-_SAMPLES_WAITING_MAX = 64
-_STOPPED_WITHIN_S = 0.3
+_SAMPLES_WAITING_MAX = 64  # messages; a slow reader loses the oldest, and no one waits
+_STOPPED_WITHIN_S = 0.3  # then the stop is sent again, by a session of its own
 
 
 class RemoteRig(Closing):

@@ -43,7 +43,7 @@ from estune.remote.zenoh.trial_execution import (
 )
 from estune.trial import SETPOINT_S, Rig, Telemetry, TelemetrySource
 
-PROMPT_S = 0.01
+PROMPT_S = 0.01  # a reply that takes longer would delay those behind it
 CLOSE_WITHIN_S = 10.0
 
 _log = logging.getLogger(__name__)

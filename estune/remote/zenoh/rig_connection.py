@@ -17,7 +17,7 @@ from estune.remote.state_machine.client import PATIENCE_S, ClientInput
 from estune.remote.zenoh.zenoh_session import AGAIN_S
 
 ASK_S = 1.0
-_REPORTED_AFTER_S = 1.5
+_REPORTED_AFTER_S = 1.5  # a query that was lost once is answered before that
 _SHOWN_WITHIN_S = 0.3
 """Time in which a verb is shown to a client that may send it, s; 20 ms at the most on loopback."""
 _SHOWN_AGAIN_S = 0.01

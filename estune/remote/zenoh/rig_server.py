@@ -23,7 +23,7 @@ from estune.trial import Rig
 SHOW_S = 0.05
 """Publication interval of live samples, s."""
 
-_STATUS_REST_S = 0.02
+_STATUS_REST_S = 0.02  # changes faster than this are published as one
 
 _log = logging.getLogger(__name__)
 

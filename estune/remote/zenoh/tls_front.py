@@ -36,10 +36,10 @@ OPEN_FILES = 16384
 TOLD_AGAIN_S = 60.0
 """Time for which a fault of one host's certificate is not logged again."""
 
-_TOLD_MAX = 1000
-_WAITING_BYTES_MAX = 2**16
-_ACCEPT_AGAIN_S = 0.1
-_ACCEPTED_AT_ONCE = 32
+_TOLD_MAX = 1000  # hosts remembered: a flood from many takes no more memory
+_WAITING_BYTES_MAX = 2**16  # what a client may send before the session is open
+_ACCEPT_AGAIN_S = 0.1  # without a free file the socket would wake the loop on and on
+_ACCEPTED_AT_ONCE = 32  # the bytes of open sessions wait for no flood
 _END_WITHIN_S = 2.0
 
 _log = logging.getLogger(__name__)

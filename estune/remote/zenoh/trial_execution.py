@@ -40,7 +40,7 @@ from estune.trial import (
     record_frame,
 )
 
-_ABORT_AGAIN_S = 0.05
+_ABORT_AGAIN_S = 0.05  # a trial that is just beginning may miss the first
 _RIG_WITHIN_S = 0.2  # below the client's timeout: it hears "occupied", not silence
 
 _log = logging.getLogger(__name__)
