@@ -13,23 +13,18 @@ costs decide what is kept.
 """
 
 import math
-import sys
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
 import numpy as np
 
-from estune.core.quantities import FloatArray
 from estune.loop_model.excitation import UnknownLoop
 from estune.loop_model.fitting import fit_loop, fit_with_excitations
 from estune.loop_model.half_widths import HalfWidths, half_widths
 from estune.loop_model.loop_fit import LoopFit
-from estune.loop_model.margins import robustness
 from estune.loop_model.model import LoopModel
 from estune.loop_model.optimum import (
-    DERIVATIVE,
-    SLOW_FILTER,
     TOLERANCE,
     Optimum,
     RegionSearch,
@@ -41,6 +36,7 @@ from estune.tuners.identified_loop_state import IdentifiedLoopState
 from estune.tuners.interface import ConvergenceEstimate, CostPrediction
 from estune.tuners.model_convergence import SearchedLoop, model_convergence
 from estune.tuners.observation import Observation, log_cost
+from estune.tuners.points_by_loop import furthest_stable, with_other_derivative
 from estune.tuners.predictions import cost_noise, difference, log_of_cost, measured_overshoot
 from estune.tuners.residual_surface import ResidualSurface
 from estune.tuners.safe_bayesian import SafeBayesianTuner
@@ -259,29 +255,12 @@ class IdentifiedLoopTuner:
         )
 
     def _stable(self, state: IdentifiedLoopState, proposal: Point) -> Point:
-        """The furthest point on the way to a proposal at which the identified loop is stable.
-
-        An oscillation that grows slowly may cost little within a trial. From gains beyond the
-        limit of Ms, which are only just stable, no point of a larger Ms. The proposal itself
-        where no model is known, or where that is wrong of the best trial.
-        """
-        fit, base = state.fit, np.array(state.base)
+        """The furthest stable point on the way to a proposal; that itself without a model."""
+        fit = state.fit
         if fit is None or not fit.responds:
             return proposal
-        wanted = np.array(self.space.coordinates(proposal))
-        settings = self._trial(state).controller
-
-        def sensitivity(point: Point) -> float:
-            return robustness(fit.model, self.space.gains(point), settings).sensitivity
-
-        here = sensitivity(self.space.point(tuple(base.tolist())))
-        if not math.isfinite(here):
-            return proposal
-        limit = self.limits.max_sensitivity
-        most = sys.float_info.max if limit is None or here <= limit else here
-        on_the_way = [base + share * (wanted - base) for share in (0.7, 0.45, 0.25, 0.1, 0.0)]
-        points = [proposal, *(self.space.point(tuple(x.tolist())) for x in on_the_way)]
-        return next((point for point in points if sensitivity(point) <= most), points[-1])
+        settings, limit = self._trial(state).controller, self.limits.max_sensitivity
+        return furthest_stable(self.space, (state.base, proposal), fit.model, settings, limit)
 
     def _learn(
         self,
@@ -357,7 +336,9 @@ class IdentifiedLoopTuner:
             [np.array(state.centre), best, *search.ends(best)],
             iterations=FIRST_ITERATIONS if len(state.costs) < CLOSE_FROM else ITERATIONS,
             scattered=0 if foreseen else SCATTERED,
-            apart=() if foreseen else self._apart(state),
+            apart=()
+            if foreseen
+            else with_other_derivative(self.space, state.centre, self._scales[1]),
         )
         if not math.isfinite(optimum.prediction.cost):
             return self._fall_back(state)
@@ -374,20 +355,6 @@ class IdentifiedLoopTuner:
             estimate=self._convergence(state, fit, optimum, beside),
             fallen_back=False,
         )
-
-    def _apart(self, state: IdentifiedLoopState) -> list[FloatArray]:
-        """The centre with a derivative that matters, and that with a slow filter of the setpoint.
-
-        None where the derivative is not tuned.
-        """
-        settling_s = self._scales[1]
-        gains = self.space.gains(self.space.point(state.centre))
-        if not gains.D:
-            return []
-        one = replace(gains, D=DERIVATIVE * gains.P * settling_s)
-        slow = replace(one, setpoint_filter_s=SLOW_FILTER * settling_s)
-        points = map(self.space.point_of, (one, slow) if gains.setpoint_filter_s else (one,))
-        return [np.array(self.space.coordinates(point)) for point in points]
 
     def _search(
         self, state: IdentifiedLoopState, model: LoopModel, beside: HalfWidths | None = None
