@@ -140,6 +140,10 @@ def diagnosis(**changes) -> Diagnosis:
                 "the noise. 63 % of it depends only on the direction of motion"
             ),
         ),
+        unexplained=ResidualLocation(
+            blocks=(),
+            sentence="The model with the effects leaves nothing unexplained above the noise",
+        ),
         calibrations=(
             BaseParameter(
                 "drum_inertia_kg_m2", "kg m2", 2e-3, interval(2.31e-3, 4e-5),
@@ -200,5 +204,6 @@ def nothing_found(**changes) -> Diagnosis:
         steps=(SearchStep(None, 0.045, 0.043, 1.05),),
         traces=(replace(same, after=same.before),),
         augmented=REEL,
+        unexplained=NO_BLOCKS,
         **changes,
     )

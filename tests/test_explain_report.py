@@ -73,7 +73,7 @@ def test_page_contains_all_of_the_diagnosis(named):
         *named.not_excited.values(),
     ):
         assert sentence.replace("\N{NO-BREAK SPACE}", " ") in found.text, sentence
-    assert named.where.sentence[1:] in found.text
+    assert named.unexplained.sentence[1:] in found.text
     for name in (*named.not_excited, *(c.name for c in named.candidates), "attenuation"):
         assert name in found.cells
     for value in ("0.58 N", "0.047 N", "0.043 N", "0.91 N", "99.7 %", "0.9279 to 0.9341"):

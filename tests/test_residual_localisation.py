@@ -7,7 +7,6 @@ from functools import cache
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
-from scipy.signal import lfilter
 
 from estune.trial import LinearModel, TrialRequest
 from experiments.paper.identify.excitation import Band, chirp, multisine
@@ -17,7 +16,6 @@ from plants.diagnosis.data.measured_record import MeasuredRecord
 from plants.diagnosis.data.noise_floor import noise_floor
 from plants.diagnosis.data.smoothing import Smoother
 from plants.diagnosis.models.base import BaseNumbers
-from plants.diagnosis.residual.dependence import independent_share
 from plants.diagnosis.residual.localisation import localise
 from plants.effects import (
     CableStiffening,
@@ -65,7 +63,7 @@ TRACED = {
     "coulomb": (CoulombFriction(0.03), "force", {"velocity sign", "velocity"}, FORCES),
     "eyelet": (EyeletFriction(), "eyelet", {"velocity sign and tension"}, "eyelet"),
     "ripple": (TorqueRipple(), "force", {"position period", "angle", "tension"}, FORCES),
-    "late": (DeadTime(), "force", {"command rate"}, FORCES),
+    "late": (DeadTime(), "force", {"command rate", "frequency"}, FORCES),
     "stiffening": (CableStiffening(), "gauge", {"tension"}, "cable"),
     "drift": (GaugeDrift(), "gauge", {"time"}, "gauge's reading"),
 }
@@ -145,13 +143,6 @@ def test_smoothed_derivatives_equal_those_of_the_smoothed_signal():
     # A straight line that is held lags half a sample, and by the delay.
     held_signal = smoother.held(t, 0.0123, 1.0)
     assert np.allclose(held_signal[inside], t[inside] - 0.0005 - 0.0123, atol=1e-9)
-
-
-def test_independent_samples_of_an_autoregression_are_counted():
-    rng = np.random.default_rng(4)
-    a, n = 0.8, 200_000
-    x = lfilter([1.0], [1.0, -a], rng.standard_normal(n))
-    assert independent_share(x) == pytest.approx((1.0 - a**2) / (1.0 + a**2), rel=0.05)
 
 
 def test_localisation_as_json():

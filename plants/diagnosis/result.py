@@ -272,6 +272,7 @@ class DiagnosisResult:
         before: Errors of the refitted base model; of short predictions on data left out.
         floor: Noise floor, same unit.
         where: Localisation of the base model's residual.
+        unexplained: That of what the model with the effects leaves.
         calibrations: The base model's numbers and how they shifted.
         not_excited: Effects that these records cannot show, with the reason.
         not_of_the_plant: Those of them that such a plant cannot have.
@@ -302,6 +303,7 @@ class DiagnosisResult:
     floor: float
     noise: NoiseFloor
     where: ResidualLocation
+    unexplained: ResidualLocation
     calibrations: tuple[BaseParameter, ...]
     not_excited: Mapping[str, str]
     next_experiment: NextExperiment | None

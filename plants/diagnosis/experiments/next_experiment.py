@@ -259,17 +259,17 @@ def _excited(regime: str, m: MeasuredRecord) -> float:
             edges = np.flatnonzero(np.diff(command, prepend=np.nan, append=np.nan))
             held = np.abs(command[edges[:-1]] - m.preload_N)
             return float((np.diff(edges) * held).max(initial=0.0))
-        case "velocity sign" | "velocity sign and tension":
+        case "velocity sign" | "velocity sign and tension" | "velocity sign and load":
             # Slow travel in both directions, where friction outweighs inertia.
             slow = np.abs(velocity) < np.median(np.abs(velocity))
             turns = np.count_nonzero(np.diff(np.sign(velocity[slow])))
             travel = float(np.abs(np.diff(output)).sum())
             return turns * travel / max(float(np.abs(velocity).max()), 1e-300)
-        case "tension":
+        case "tension" | "load":
             return float(output.std())
         case "angle" | "position period":
             return float(np.ptp(angle))
-        case "command rate":
+        case "command rate" | "frequency":
             return float(np.diff(command).std()) * m.sampling_Hz
         case _:
             return float(velocity.std())

@@ -8,6 +8,7 @@ from estune.core.gains import Gains
 from estune.trial import RigDescription
 from plants.diagnosis.constants import CONSTANTS
 from plants.diagnosis.data.measured_record import OUTPUTS
+from plants.diagnosis.data.noise_floor import NoiseFloor
 from plants.diagnosis.data.records import FolderContents
 from plants.diagnosis.declared_effects import declared_effects
 from plants.diagnosis.experiments.next_experiment import Evidence, next_experiment
@@ -18,9 +19,11 @@ from plants.diagnosis.models.diagnosed_model import DiagnosedModel
 from plants.diagnosis.models.free_parameters import BASE
 from plants.diagnosis.pipeline.compare import EffectComparison
 from plants.diagnosis.pipeline.intervals import StatedIntervals
+from plants.diagnosis.prediction.prediction import Prediction
 from plants.diagnosis.recording_plan import NextRecording
 from plants.diagnosis.report.diagnosis import Diagnosis
 from plants.diagnosis.report.plant_units import in_own_units, located_in_own_units
+from plants.diagnosis.residual.localisation import ResidualLocation, localise
 from plants.diagnosis.result import (
     BaseParameter,
     Limitation,
@@ -69,6 +72,10 @@ def report(
         values |= {f"{effect.name}.{n}": getattr(effect, n) for n in effect.parameters()}
     limits = limitations(after.fitter.measurements, usable.findings, believed, scale)
     following = _next(compared, rig)
+    runs = [each.fitter.free_run(each.fit) for each in (before, after)]
+    unexplained = fitted.where
+    if effects and compared.waves is None:  # waves of the torque are in no run
+        unexplained = _unexplained(after, runs[1], fitted.noise)
     return Diagnosis(
         verdict=compared.verdict,
         sentence=_sentence(compared, effects, limits, stated),
@@ -82,6 +89,7 @@ def report(
         floor=steps[0].floor,
         noise=fitted.noise,
         where=located_in_own_units(fitted.where, scale),
+        unexplained=located_in_own_units(unexplained, scale),
         calibrations=_calibrations(before.fit, stated, scale),
         not_excited={
             **not_excited(compared.screening, compared.effects),
@@ -92,7 +100,7 @@ def report(
         next_recording=None if following is not None else _recording(compared),
         findings=usable.findings,
         steps=steps,
-        traces=_traces(before, after),
+        traces=_traces(before, after, runs),
         model=model,
         base_model=plant.calibrated(compared.start.values),
         augmented=plant.calibrated(values, compared.effects),
@@ -237,9 +245,23 @@ def _calibrations(
     return tuple(listed)
 
 
-def _traces(before: ModelStage, after: ModelStage) -> tuple[Trace, ...]:
+def _unexplained(
+    last: ModelStage, runs: Sequence[Prediction], noise: NoiseFloor
+) -> ResidualLocation:
+    """Where the model with the effects leaves something."""
+    model = last.fitter.model.calibrated(last.fit.values)
+    records = last.fitter.measurements
+    numbers = [BaseNumbers.of(model, m) for m in records]
+    simulated = [
+        {name: rows[0] for name, rows in run._asdict().items() if rows is not None} for run in runs
+    ]
+    return localise(records, numbers, noise, simulated)
+
+
+def _traces(
+    before: ModelStage, after: ModelStage, simulated: Sequence[Sequence[Prediction]]
+) -> tuple[Trace, ...]:
     """Each record from its start, with no reset on the way, before and after."""
-    simulated = [stage.fitter.free_run(stage.fit) for stage in (before, after)]
     scale = PlantScale.of(before.fitter.model.model)
     traces = []
     pairs = zip(before.fitter.measurements, after.fitter.measurements, strict=True)

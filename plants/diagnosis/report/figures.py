@@ -208,7 +208,7 @@ def overview(d: DiagnosisResult) -> Figure:
     grid = figure.add_gridspec(2, 2)
     if d.traces:
         draw_trace(figure.add_subplot(grid[0, :]), worst_trace(d))
-    draw_gap(figure.add_subplot(grid[1, 0] if d.where.blocks else grid[1, :]), d)
-    if d.where.blocks:
-        draw_shares(figure.add_subplot(grid[1, 1]), d.where)
+    draw_gap(figure.add_subplot(grid[1, 0] if d.unexplained.blocks else grid[1, :]), d)
+    if d.unexplained.blocks:
+        draw_shares(figure.add_subplot(grid[1, 1]), d.unexplained)
     return figure

@@ -40,6 +40,7 @@ def to_json(d: DiagnosisResult) -> dict[str, Any]:
         "closure": d.closure,
         **{f"free_run_{name}_{unit}": e.rms for name, e in errors.items()},
         "where": d.where.to_json(),
+        "unexplained": d.unexplained.to_json(),
         "not_excited": d.not_excited,
         "ruled_out": d.ruled_out,
         "next_experiment": d.next_experiment and _trial(d.next_experiment),

@@ -10,6 +10,7 @@ from estune.support import html_page
 from estune.support.html_page import Block, Drawing, Heading, Page, Paragraph, Section
 from estune.support.plot_style import WIDTH_in, new_figure
 from plants.diagnosis.report import figures, residual_figures, summary
+from plants.diagnosis.residual.localisation import ResidualLocation
 from plants.diagnosis.result import DiagnosisResult, Trace
 from plants.remedies import text as remedies
 
@@ -32,8 +33,9 @@ def page(d: DiagnosisResult) -> Page:
     sections = (
         Section("What was found", _effects(d)),
         Section("Before and after" if d.effects else "What the model predicts", _traces(d)),
+        Section("What is unexplained", _where(d.unexplained, _LEFT)),
         Section("What can be done", _remedies(d)),
-        Section("Where it shows", _where(d)),
+        *([Section("Where the effects show", _where(d.where, _EFFECTS))] if d.effects else ()),
         Section("What was tried", _ranking(d)),
         Section("The base model's numbers", _calibrations(d)),
         Section("What to measure next", _next_experiment(d)),
@@ -96,17 +98,24 @@ def _remedies(d: DiagnosisResult) -> list[Block]:
     ]
 
 
-def _where(d: DiagnosisResult) -> list[Block]:
-    where = d.where
+_LEFT = (
+    "What the model leaves of each of its balance equations, with the effects that were found. "
+    "Shares are of the power on stretches of time that are left out: each variable takes off so "
+    "much by its mean in each of a few bins, the strongest first. Over frequency it is what "
+    "follows the explained part by any linear response. Grey is the level of noise alone."
+)
+_EFFECTS = (
+    "The residual of the refitted base model, without any added effect. A missing effect appears "
+    "in the balance it acts on."
+)
+
+
+def _where(where: ResidualLocation, text: str) -> list[Block]:
     if not where.blocks:
         return []
     height = 1.0 + 0.32 * len({v.name for b in where.blocks for v in b.views})
     blocks: list[Block] = [
-        Paragraph(
-            "The residual of the refitted base model, without any added effect. Each block is one "
-            "of the model's balance equations: a missing effect appears in the block it acts on. "
-            "Grey is the level that noise alone would give."
-        ),
+        Paragraph(text),
         _plot(lambda ax: residual_figures.draw_shares(ax, where), "shares", "shares", height),
     ]
     for block in where.blocks:

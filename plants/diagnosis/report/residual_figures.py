@@ -49,17 +49,19 @@ def draw_shares(ax: Axes, where: ResidualLocation) -> Axes:
 
 
 def block_figure(block: Block) -> Figure:
-    """Location of a block's residual: its spectrum, and its mean over each variable."""
-    panels = 1 + len(block.views)
-    columns = 3
-    rows = -(-panels // columns)
+    """A block's residual over each variable, the one it follows first, and its spectrum."""
+    first = block.regime
+    others = [view for view in block.views if view is not first]
+    columns, wide = 3, 0 if first is None else 2
+    places = [divmod(n, columns) for n in range(wide, wide + 1 + len(others))]
+    rows = places[-1][0] + 1
     figure = new_figure(WIDTH_in, 1.75 * rows)
-    axes = figure.subplots(rows, columns, squeeze=False).ravel()
-    draw_block_spectrum(axes[0], block)
-    for ax, view in zip(axes[1:], sorted(block.views, key=lambda v: -v.share), strict=False):
-        draw_view(ax, block, view)
-    for ax in axes[panels:]:
-        ax.set_visible(False)
+    grid = figure.add_gridspec(rows, columns)
+    if first is not None:
+        draw_view(figure.add_subplot(grid[0, :wide]), block, first)
+    draw_block_spectrum(figure.add_subplot(grid[places[0]]), block)
+    for place, view in zip(places[1:], others, strict=True):
+        draw_view(figure.add_subplot(grid[place]), block, view)
     return figure
 
 
@@ -73,7 +75,7 @@ def draw_block_spectrum(ax: Axes, block: Block) -> Axes:
     ax.set_yscale("log")
     if block.low_Hz < block.high_Hz:
         ax.axvspan(block.low_Hz, block.high_Hz, color=LIGHT, alpha=0.6, linewidth=0, zorder=0)
-    ax.set_title(f"frequency: {block.band}".rstrip(": "), fontsize=8, loc="left")
+    ax.set_title(f"spectrum: {block.band}".rstrip(": "), fontsize=8, loc="left")
     finish(ax, f"residual, {block.unit}/√Hz", "Hz")
     return _small(ax)
 
@@ -91,6 +93,8 @@ def draw_view(ax: Axes, block: Block, view: ResidualDependence) -> Axes:
         parts = list(zip(np.split(view.at, starts), np.split(view.mean, starts), strict=True))
         for (at, mean), look in zip(parts, _signs(len(parts)), strict=False):
             ax.plot(at, mean, "o-", markersize=2.6, linewidth=1.0, **look)
+        if view.name == "frequency":
+            ax.set_xscale("log")
         if len(parts) > 1:
             ax.legend(fontsize=7, frameon=False, handlelength=1.2)
     ax.axhspan(-block.noise_rms, block.noise_rms, color=LIGHT, alpha=0.6, linewidth=0, zorder=0)

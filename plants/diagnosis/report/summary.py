@@ -74,7 +74,7 @@ def sentences(d: DiagnosisResult) -> tuple[str, ...]:
     """The verdict, each effect with its size, and where it shows, in plain words."""
     sizes = [e.sentence for e in d.effects if e.sentence not in d.sentence]
     declared = [effect.sentence for effect in d.declared]
-    texts = (d.sentence, *sizes, *declared, d.where.sentence)
+    texts = (d.sentence, *sizes, *declared, d.unexplained.sentence)
     return tuple(full_sentence(text) for text in texts if text)
 
 

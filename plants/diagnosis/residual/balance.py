@@ -32,12 +32,16 @@ is no reel), `reference_N`, `current_A`."""
 
 
 class Record(NamedTuple):
-    """One measurement with the model's numbers, its signals, and simulated noise of each."""
+    """One measurement with the model's numbers, its signals, and simulated noise of each.
+
+    `run` has the signals as the model with its effects gives them; None for one without.
+    """
 
     measurement: MeasuredRecord
     numbers: BaseNumbers
     signals: Signals
     noise: Signals
+    run: Signals | None = None
 
 
 class Terms(NamedTuple):

@@ -17,12 +17,22 @@ from plants.diagnosis.data.measured_record import MeasuredRecord
 from plants.diagnosis.data.noise_floor import NoiseFloor
 from plants.diagnosis.data.smoothing import Smoother
 from plants.diagnosis.models.base import BaseNumbers
-from plants.diagnosis.residual.balance import Equation, Record, equations, smoother_for
+from plants.diagnosis.residual.balance import (
+    Equation,
+    Record,
+    Signals,
+    equations,
+    smoother_for,
+)
 from plants.diagnosis.residual.dependence import (
+    FOLDS,
+    LEVELS,
+    STRETCHES,
     Fit,
     ResidualDependence,
     Variable,
-    independent_share,
+    over_frequency,
+    quantiles,
     strongest,
     views,
 )
@@ -42,7 +52,7 @@ READING = "gauge's reading"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Block:
-    """The residual of one balance of the base model.
+    """The residual of one balance of a model.
 
     Attributes:
         name: `force` (torque balance at the drum), `gauge` (cable and gauge), `eyelet`,
@@ -117,7 +127,7 @@ class Block:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ResidualLocation:
-    """Localisation of the base model's residual.
+    """Localisation of what a model leaves.
 
     Attributes:
         blocks: The blocks that the channels allow, the one furthest above its noise first.
@@ -141,9 +151,18 @@ def localise(
     measurements: Sequence[MeasuredRecord],
     numbers: Sequence[BaseNumbers | None],
     floor: NoiseFloor,
+    runs: Sequence[Signals] | None = None,
 ) -> ResidualLocation:
-    """Localises the base model's residual; `numbers` are those of the model at each record."""
-    records = prepared(measurements, numbers, floor)
+    """Localises what a model leaves unexplained.
+
+    Args:
+        measurements: The records.
+        numbers: Numbers of the model, without its effects, at each record.
+        floor: The noise.
+        runs: Channels of each record as the model with its effects has them: what these leave of
+            a balance is not unexplained. None for a model without.
+    """
+    records = prepared(measurements, numbers, floor, runs)
     best: dict[str, Block] = {}
     if records:
         motion = variables(records)
@@ -155,7 +174,8 @@ def localise(
             ):
                 best[equation.name] = block
     blocks = _responsible(list(best.values()), records[0].measurement.sampling_Hz) if best else []
-    return ResidualLocation(tuple(blocks), _of_blocks(blocks))
+    model = "refitted model" if runs is None else "model with the effects"
+    return ResidualLocation(tuple(blocks), _of_blocks(blocks, model))
 
 
 def _block(
@@ -179,8 +199,13 @@ def _block(
     frequency, power = spectrum(each, rate)
     _, noise_power = spectrum(np.split(fitted.noise, ends), rate)
     low_Hz, high_Hz = _band(frequency, np.maximum(power - noise_power, 0.0))
-    dependence = _dependence(equation, smoother, fitted, inside, ends)
-    allowance = CONSTANTS.allowance * float(fitted.known[inside].std())
+    if equation.name == "force":
+        motion = [*motion, *_loads(fitted.carried, motion)]
+    listed = views(_dependence(equation, smoother, fitted, inside, ends), motion, fitted.slope)
+    signal, of_noise = (np.split(one, ends) for one in (fitted.carried, fitted.noise_carried))
+    response = over_frequency(each, signal, of_noise, rate)
+    listed += [] if response is None else [response]
+    allowance = CONSTANTS.allowance * float((fitted.carried + fitted.residual)[inside].std())
     return Block(
         name=equation.name,
         title=equation.title,
@@ -190,7 +215,7 @@ def _block(
         smoothing_s=smoother.width_s,
         low_Hz=low_Hz,
         high_Hz=high_Hz,
-        views=tuple(views(dependence, motion, fitted.slope)),
+        views=tuple(sorted(listed, key=lambda view: -view.share)),
         frequency_Hz=frequency,
         power=power,
         noise_power=noise_power,
@@ -208,8 +233,9 @@ def _dependence(
     """The residual for the dependence on variables, of many samples some."""
     stride = max(1, int(inside.sum() // CONSTANTS.screened))
     chosen = np.flatnonzero(inside)[::stride]
-    known = (part[np.isfinite(part)] for part in np.split(fitted.residual, ends))
-    loose = [independent_share(part) for part in known if part.size >= CONSTANTS.fewest]
+    sizes = np.diff([0, *ends, fitted.residual.size])
+    # Dealt out in turn, so that every part has some of each record, and of all its time.
+    stretch = [n + np.arange(size) * STRETCHES // size for n, size in enumerate(sizes)]
 
     def spread(columns: FloatArray) -> FloatArray:
         split = np.split(columns, ends)
@@ -217,13 +243,24 @@ def _dependence(
 
     return Fit(
         residual=fitted.residual[chosen],
-        noise=fitted.noise[chosen],
         basis=np.linalg.qr(fitted.columns[chosen])[0],
         chosen=chosen,
+        fold=np.concatenate(stretch)[chosen] % FOLDS,
         spread=spread if equation.smooth else np.asarray,
-        # Parts between gaps may all be too short to show it: then nothing is proven by them.
-        independent=max(2.0, min(1.0, stride * float(np.mean(loose or [0.0]))) * chosen.size),
     )
+
+
+def _loads(carried: FloatArray, motion: Sequence[Variable]) -> list[Variable]:
+    """What a drive carries by size, alone and in each direction; none where tension is known."""
+    if any(variable.name == "tension" for variable in motion):
+        return []
+    load = np.abs(carried)
+    way = next(v.label for v in motion if v.label is not None and v.name == "velocity sign")
+    crossed = np.where((way < 0) | ~np.isfinite(load), -1, way * LEVELS + quantiles(load, LEVELS))
+    return [
+        Variable("load", "N m", load),
+        Variable("velocity sign and load", "N m", load, crossed),
+    ]
 
 
 def _responsible(blocks: Sequence[Block], sampling_Hz: float) -> list[Block]:
@@ -278,22 +315,26 @@ _VARIABLES = {
     "velocity sign": "the direction of motion, as dry friction does",
     "velocity sign and tension": "the direction of motion and the tension, as friction in an "
     "eyelet does",
-    "time": "time, as a drift does",
+    "velocity sign and load": "the direction of motion and the load, as friction in a gear does",
+    "velocity": "speed and direction",
+    "position period": "the position",
+    "time": "time, as a drift or warming does",
+    "frequency": "frequency, as of a mode, a lag or a delay",
 }
 """Variables that a residual depends on, where their names say too little."""
 
 
-def _of_blocks(blocks: Sequence[Block]) -> str:
+def _of_blocks(blocks: Sequence[Block], model: str) -> str:
     """Where the residual is, in words."""
     if not blocks:
         return "The model's equations cannot be balanced against these channels."
     first = blocks[0]
     if not first.is_above_noise:
         return (
-            "The refitted model leaves nothing unexplained above the noise; the largest residual "
+            f"The {model} leaves nothing unexplained above the noise; the largest residual "
             f"is in the {first.title}, {first.ratio:.2g} times the noise."
         )
-    sentence = f"What the refitted model leaves unexplained in the {first.title} is "
+    sentence = f"What the {model} leaves unexplained in the {first.title} is "
     sentence += f"{first.ratio:.2g} times "
     sentence += f"the noise, mostly {first.band}. " if first.band else "the noise. "
     regime = first.regime

@@ -12,8 +12,8 @@ from plants.diagnosis.data.measured_record import MeasuredRecord
 from plants.diagnosis.data.noise_floor import NoiseFloor
 from plants.diagnosis.data.smoothing import Smoother, least_width
 from plants.diagnosis.models.base import BaseNumbers
-from plants.diagnosis.residual.balance import Equation, Record
-from plants.diagnosis.residual.dependence import Variable, quantiles
+from plants.diagnosis.residual.balance import ACTUATOR, Equation, Record, Signals, Terms
+from plants.diagnosis.residual.dependence import LEVELS, Variable, quantiles
 
 
 def of_usual_rate(measurements: Sequence[MeasuredRecord]) -> list[int]:
@@ -31,8 +31,16 @@ def prepared(
     measurements: Sequence[MeasuredRecord],
     numbers: Sequence[BaseNumbers | None],
     floor: NoiseFloor,
+    runs: Sequence[Signals] | None = None,
 ) -> list[Record]:
-    """The measurements of the usual sampling rate, so that spectra share a grid."""
+    """The measurements of the usual sampling rate, so that spectra share a grid.
+
+    Args:
+        measurements: The records.
+        numbers: Numbers of the model, of each record.
+        floor: The noise.
+        runs: Channels of each record as a model with effects has them.
+    """
     rng = np.random.default_rng(0)
     records = []
     for n in of_usual_rate(measurements):
@@ -45,16 +53,27 @@ def prepared(
         signals |= {name: column for name, column in columns.items() if column is not None}
         rms = {"effort_N": 0.0} | {name: n.rms for name, n in floor.channels.items()}
         noise = {name: rng.normal(0.0, rms[name], m.samples) for name in signals}
-        records.append(Record(m, b, signals, noise))
+        run = None if runs is None else {**signals, **runs[n]}
+        records.append(Record(m, b, signals, noise, run))
     return records
 
 
 class BalanceFit(NamedTuple):
-    """A fitted balance over the concatenated records."""
+    """A fitted balance over the concatenated records.
+
+    Attributes:
+        residual: What it leaves, shape (samples,).
+        noise: What noise alone leaves, same shape.
+        carried: What the model explains, same shape.
+        noise_carried: The same of noise alone.
+        columns: Terms that were fitted, shape (samples, parameters).
+        slope: The last of them before the fit, shape (samples,).
+    """
 
     residual: FloatArray
     noise: FloatArray
-    known: FloatArray
+    carried: FloatArray
+    noise_carried: FloatArray
     columns: FloatArray
     slope: FloatArray
 
@@ -70,7 +89,7 @@ def fit_balance(equation: Equation, records: Sequence[Record], smoother: Smoothe
     """Residual of the balance, and of noise alone, with the base-model parameters free."""
     own = [smoother._replace(sampling_Hz=r.measurement.sampling_Hz) for r in records]
     pairs = list(zip(records, own, strict=True))
-    terms = [equation.balance(r.numbers, r.signals, s) for r, s in pairs]
+    terms = [_without_effects(equation, r, s) for r, s in pairs]
     noises = [equation.balance(r.numbers, r.noise, s) for r, s in pairs]
     lengths = np.array([r.measurement.cable_length_m or 0.0 for r in records])
     lengths = lengths - lengths.mean()
@@ -94,9 +113,19 @@ def fit_balance(equation: Equation, records: Sequence[Record], smoother: Smoothe
     noise_known = np.concatenate([t.known for t in noises])
     noise_A = columns([t.columns for t in noises], offsets=False)
     slope = np.concatenate([t.columns[:, -1] for t in terms])
+    carried, noise_carried = A @ parameters, noise_A @ parameters
     return BalanceFit(
-        known - A @ parameters, noise_known - noise_A @ parameters, known, A / size, slope
+        known - carried, noise_known - noise_carried, carried, noise_carried, A / size, slope
     )
+
+
+def _without_effects(equation: Equation, r: Record, smoother: Smoother) -> Terms:
+    """A balance less what the model's effects make of it in the motion that the model runs."""
+    terms = equation.balance(r.numbers, r.signals, smoother)
+    if r.run is None or equation is ACTUATOR:
+        return terms
+    own = equation.balance(r.numbers, r.run, smoother)
+    return terms._replace(known=terms.known - (own.known - own.columns.sum(axis=1)))
 
 
 def variables(records: Sequence[Record]) -> list[Variable]:
@@ -129,8 +158,7 @@ def variables(records: Sequence[Record]) -> list[Variable]:
     ]
     if has_tension:
         T = np.concatenate([smoother.sampled(r.signals["tension_N"], 1.0) for r in records])
-        levels = 3
-        crossed = np.where((way < 0) | ~np.isfinite(T), -1, way * levels + quantiles(T, levels))
+        crossed = np.where((way < 0) | ~np.isfinite(T), -1, way * LEVELS + quantiles(T, LEVELS))
         listed.append(Variable("tension", "N", T))
         listed.append(Variable("velocity sign and tension", "N", T, crossed))
     if has_angle and (first.numbers.linear is None or not has_tension):
