@@ -1,10 +1,14 @@
 """Errors of fitted values: coloured residuals, groups that alone determine a value, laws."""
 
+from dataclasses import replace
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
 from plants.diagnosis.models.free_parameters import from_zero, positive, prior_deviation
-from plants.diagnosis.search.intervals import greatest_shifts, jackknife
+from plants.diagnosis.search.intervals import greatest_shifts, intervals, jackknife
+from plants.effects.viscous_damping import ViscousDamping
 
 GROUPS, EACH = 40, 50
 
@@ -69,6 +73,35 @@ def test_groups_that_know_nothing_of_a_value_do_not_narrow_its_interval():
     knowing = group < 4
     alone = jackknife(columns[:, knowing], residuals[knowing], group[knowing], unequal=True)
     assert jackknife(columns, residuals, group, unequal=True) == pytest.approx(alone, rel=1e-3)
+
+
+def test_number_that_an_effect_corrects_has_no_interval_beside_the_effects():
+    rng, group = np.random.default_rng(5), np.repeat(np.arange(GROUPS), EACH)
+    friction = positive("viscous_friction_Nms", "N m s/rad", 0.02)
+    added = from_zero("viscous_damping.damping_Nms", "N m s/rad", 0.01, 1.0)
+    added = replace(added, owner="viscous_damping", neutral=0.0)
+    slopes, residuals = rng.standard_normal((group.size, 3)), rng.standard_normal(group.size)
+    fitted = SimpleNamespace(
+        predictor=SimpleNamespace(
+            free=(positive("drum_inertia_kg_m2", "kg m2", 2e-3), friction, added),
+            index=SimpleNamespace(measurement=group),
+            linearise=lambda _values, moves, *_: (residuals, slopes[:, moves]),
+        ),
+        values=np.array([2e-3, 0.02, 0.01]),
+        entries=np.arange(group.size),
+        residuals=residuals,
+    )
+    fitter = SimpleNamespace(
+        moves=lambda _: np.arange(3),
+        model=SimpleNamespace(model=None),
+        group=group,
+        floor=SimpleNamespace(channels={}),
+    )
+    base, damped = (
+        SimpleNamespace(effects=e, fitted=fitted, J=1.0) for e in ((), (ViscousDamping,))
+    )
+    assert set(intervals(fitter, damped, base)) == {"drum_inertia_kg_m2", added.name}
+    assert friction.name in intervals(fitter, base, base)
 
 
 def test_prior_deviation_is_relative_on_a_log_scale_and_absolute_on_a_linear_one():
