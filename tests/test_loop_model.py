@@ -15,7 +15,7 @@ from estune.core.pidf import ControllerSettings
 from estune.core.response import LoadStep
 from estune.loop_model import closed_loops
 from estune.loop_model.claim import claim
-from estune.loop_model.fitting import better_fit, fit_loop, fit_with_excitations
+from estune.loop_model.fitting import fit_loop, fit_with_excitations
 from estune.loop_model.intervals import predict_with_intervals
 from estune.loop_model.margins import robustness
 from estune.loop_model.model import LoopModel, close_loop, exchanged
@@ -221,18 +221,6 @@ def test_searches_from_all_starts_end_at_one_optimum_where_peaks_of_the_sensitiv
     assert all(one.feasible for one in found)
     costs = [one.prediction.cost for one in found]
     assert max(costs) < 1.01 * min(costs)
-
-
-def test_fit_of_two_that_knows_less_of_the_loop_is_not_preferred():
-    plant = linear()
-    records = [record_of(plant, GAINS, number) for number in range(2)]
-    found = fit_loop(records, SAMPLING_HZ, COST.settling_time_s)
-    late = found.model._replace(dead_samples=12)
-    worse = found._replace(model=late, errors=tuple(1.1 * e for e in found.errors))
-    assert better_fit((worse, ()), (found, ()), records)[0] is found
-    assert better_fit((found, ()), (worse, ()), records)[0] is found
-    fewer = found._replace(left_out=(1,))
-    assert better_fit((fewer, ()), (worse, ()), records)[0] is worse
 
 
 def test_search_finds_the_derivative_that_a_lag_of_many_orders_wants():

@@ -50,14 +50,15 @@ def contradicting_sensitivities(
 
 
 def _by_gains(fit: LoopFit, records: Sequence[LoopRecord]) -> Iterator[list[int]]:
-    """Numbers of the fitted trials from rest of each gains; the setpoint filter is not the loop's.
+    """Numbers of the fitted trials from rest of each gains and setpoint.
 
-    None where there is but one.
+    The setpoint filter is not the loop's. None where there is but one.
     """
-    found = dict[tuple[float, ...], list[int]]()
+    found = dict[tuple[tuple[float, ...], bytes], list[int]]()
     for i, record in enumerate(records):
         if record.at_rest and record.gains is not None and i not in fit.left_out:
-            found.setdefault(record.gains.as_tuple()[:3], []).append(i)
+            key = record.gains.as_tuple()[:3], record.setpoint.tobytes()
+            found.setdefault(key, []).append(i)
     if len(found) > 1:
         yield from found.values()
 

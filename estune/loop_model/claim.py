@@ -12,7 +12,6 @@ from typing import NamedTuple
 import numpy as np
 
 from estune.core.gains import Gains
-from estune.core.quantities import FloatArray
 from estune.loop_model.agreement import contradicting_sensitivities
 from estune.loop_model.intervals import (
     PredictedMargins,
@@ -20,21 +19,15 @@ from estune.loop_model.intervals import (
     predict_with_intervals,
 )
 from estune.loop_model.loop_fit import LoopFit
+from estune.loop_model.near_fit import TRIALS_MIN, is_near
 from estune.loop_model.peak import shown_overshoot
 from estune.loop_model.plant_error import ErrorMargin, error_margin, plant_error, unknown_band
 from estune.loop_model.prediction import StepTrial, cost_deviation, predict
 from estune.loop_model.records import LoopRecord
 
-TRIALS_MIN = 2
-"""Trials at or near the gains in question that a claim needs: without any, friction that timid
-trials hide is not seen, and one alone may be disturbed."""
-
 COST_ERROR = 0.02
 """Error of a predicted cost that is always allowed: on the emulated reel the costs of trials up
 to 3.3 logarithms away were predicted to 1.2 %, where the cost itself scatters by 1.5 %."""
-
-NEAR = 0.5
-"""Distance in the logarithm of each gain up to which a trial counts as near."""
 
 
 class Claim(NamedTuple):
@@ -109,7 +102,7 @@ def claim(
     near = [
         rho
         for i, (rho, record) in enumerate(zip(fit.misfits, records, strict=True))
-        if i not in fit.left_out and record.gains and _distance(gains, record.gains) < NEAR
+        if i not in fit.left_out and is_near(record, gains)
     ]
     misfit = float(np.sqrt(np.mean(np.square(near)))) if near else float("nan")
     settings = trial.controller
@@ -164,15 +157,3 @@ def unexplained(misfit: float) -> str:
         f"the model leaves {misfit:.1%} of the step unexplained beyond the noise; find what is "
         "missing with estune explain"
     )
-
-
-def _distance(one: Gains, other: Gains) -> float:
-    """Largest difference in the logarithm of a gain that is above zero in both."""
-    a, b = _logarithms(one), _logarithms(other)
-    both = np.isfinite(a) & np.isfinite(b)
-    return float(np.abs(a[both] - b[both]).max(initial=0.0))
-
-
-def _logarithms(gains: Gains) -> FloatArray:
-    with np.errstate(divide="ignore"):
-        return np.asarray(np.log(gains.as_tuple()))

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Sequence
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -188,26 +189,6 @@ def fit_with_excitations(
     return (alone, ()) if _power(spoilt) > chance * _power(own) else (fit, tuple(excitations))
 
 
-def better_fit(
-    one: tuple[LoopFit, tuple[LoopRecord, ...]],
-    other: tuple[LoopFit, tuple[LoopRecord, ...]],
-    steps: Sequence[LoopRecord],
-) -> tuple[LoopFit, tuple[LoopRecord, ...]]:
-    """The better of two fits of the same step trials, each with the excitations that it holds.
-
-    That of more records, or else of the smaller criterion.
-    """
-
-    def rank(found: tuple[LoopFit, tuple[LoopRecord, ...]]) -> tuple[int, float]:
-        fit, excitations = found
-        records = (*steps, *excitations)
-        kept = [record for i, record in enumerate(records) if i not in fit.left_out]
-        signals = signals_of(kept, fit.settling_samples, round(fit.settling_samples))
-        return -len(kept), _criterion(fit, signals)
-
-    return min(one, other, key=rank)
-
-
 def _standing_out(fit: LoopFit) -> list[int]:
     """The records of the largest residuals by far, beyond what chance gives.
 
@@ -272,6 +253,23 @@ def prediction_error(fit: LoopFit, record: LoopRecord) -> FloatArray:
     return np.concatenate([np.zeros(record.samples - at.residual.size), at.residual])
 
 
+def with_predicted(fit: LoopFit, records: Sequence[LoopRecord]) -> LoopFit:
+    """The fit with the errors of further records by it, which it was not fitted to."""
+    errors = tuple(prediction_error(fit, record) for record in records)
+    return fit._replace(
+        misfits=(*fit.misfits, *(map(partial(_misfit, fit), errors, records))),
+        unexplained=(*fit.unexplained, *errors),
+        errors=(*fit.errors, *errors),
+        is_white=False,
+    )
+
+
+def _misfit(fit: LoopFit, error: FloatArray, record: LoopRecord) -> float:
+    """The rho of a record that was not fitted."""
+    beyond = max(_power(error) - fit.residual_std**2, 0.0)
+    return math.sqrt(beyond) / max(record.span, 1e-300)
+
+
 def _with_all(
     fit: LoopFit, records: Sequence[LoopRecord], fitted: list[int], out: tuple[int, ...]
 ) -> LoopFit:
@@ -281,10 +279,8 @@ def _with_all(
         misfits[number], errors[number] = fit.misfits[i], fit.errors[i]
         unexplained[number] = fit.unexplained[i]
     for number in out:
-        error, span = prediction_error(fit, records[number]), records[number].span
-        unexplained[number] = errors[number] = error
-        beyond = max(_power(error) - fit.residual_std**2, 0.0)
-        misfits[number] = math.sqrt(beyond) / max(span, 1e-300)
+        unexplained[number] = errors[number] = prediction_error(fit, records[number])
+        misfits[number] = _misfit(fit, errors[number], records[number])
     return fit._replace(
         misfits=tuple(misfits), unexplained=tuple(unexplained), errors=tuple(errors), left_out=out
     )
@@ -311,7 +307,7 @@ def _fit(
     fit = min(fits, key=lambda one: _criterion(one, signals) + GROWTH_GAIN * one.model.grows)
     # In records of service a load may take the place of a pole.
     in_motion = any(group.history for group in signals.groups)
-    if fit.order != 2 or fit.model.friction or in_motion:
+    if fit.order != 2 or fit.model.friction or in_motion or not fit.noise.is_white:
         return fit
     two = PoleFit(math.nan, np.array(fit.model.coordinates), fit.model.dead_samples)
     return _summarised(records, signals, without_spare_pole(signals, two))

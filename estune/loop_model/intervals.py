@@ -23,9 +23,9 @@ MODEL_ERROR = 0.005
 """Error of Ms that always remains, relative to it, in trials from rest: on the 27 plants of
 `experiments.batch` the estimate was off by at most 0.16 %, and every interval held without it."""
 
-FRICTION_ERROR = 0.015
-"""Error of Ms where friction was identified, relative to it: up to 1.2 % on the reference reel
-with 0.005 to 0.05 N m, whose friction acts between the samples."""
+NONLINEAR_ERROR = 0.015
+"""Error of Ms of a loop that is not linear, relative to it: with friction up to 1.2 % on the
+reference reel with 0.005 to 0.05 N m, whose friction acts between the samples."""
 
 
 class Interval(NamedTuple):
@@ -77,7 +77,8 @@ def predict_with_intervals(
         ends = _ends(np.array([_transformed(one) for one in drawn]))
         low, high = np.fmin(low, ends[0]), np.fmax(high, ends[1])
     low, high = np.fmin(low, centre), np.fmax(high, centre)
-    error = math.hypot(model_error, FRICTION_ERROR if fit.model.friction else 0.0)
+    is_linear = fit.is_of_all and not fit.model.friction
+    error = math.hypot(model_error, 0.0 if is_linear else NONLINEAR_ERROR)
     if math.isfinite(centre[2]):  # an unstable loop has no Ms to widen
         low[2] = centre[2] - math.hypot(centre[2] - low[2], error)
         high[2] = centre[2] + math.hypot(high[2] - centre[2], error)

@@ -56,12 +56,14 @@ class RecordGroup(NamedTuple):
         measurement: Shape (records, samples).
         history: Samples at the beginning that serve as the past of the others only.
         members: Their numbers among all records.
+        rest: Samples before the first step of any; zero of records of service.
     """
 
     effort: FloatArray
     measurement: FloatArray
     history: int
     members: tuple[int, ...]
+    rest: int
 
 
 class FitSignals(NamedTuple):
@@ -127,7 +129,8 @@ def signals_of(
         measurement -= np.array(
             [[row[s].mean()] for row, s in zip(measurement, before, strict=True)]
         )
-        groups.append(RecordGroup(effort, measurement, history, tuple(members)))
+        rest = min(r.step_index for r in chosen) if at_rest else 0
+        groups.append(RecordGroup(effort, measurement, history, tuple(members), rest))
     largest = max(float(np.abs(g.measurement).max(initial=0.0)) for g in groups)
     return FitSignals(tuple(groups), settling_samples, RESOLUTION * largest, hum_of(records))
 

@@ -150,13 +150,9 @@ def _edges(samples: int) -> FloatArray:
 def _spectra(
     fit: LoopFit, record: LoopRecord, number: int, centres: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Power of what is left, of the effort and of the noise in each band, and the number of bins.
-
-    In a trial from rest a load or drift is no noise: what looks like one may be the answer of a
-    plant that is not linear, which is the same in every trial and does not average out.
-    """
+    """Power of what is left, of the effort and of the noise, and bins, in each band."""
     left, effort, noise_std = fit.unexplained[number], record.effort, fit.noise_std
-    if not (record.at_rest or fit.noise.is_white):
+    if not fit.noise.is_white:
         H = shaping(fit.model.coordinates, fit.noise, fit.settling_samples)
         effort = whiten((effort - effort[0])[np.newaxis], H.zeros, H.poles)[0]
         left, noise_std = fit.errors[number], fit.residual_std

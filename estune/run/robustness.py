@@ -13,12 +13,13 @@ from estune.core.gains import Gains
 from estune.core.metrics import BAND, NOISE_SIGMAS, steady_samples
 from estune.core.quantities import FloatArray
 from estune.loop_model.claim import Claim, CostCheck, claim
-from estune.loop_model.fitting import better_fit, fit_loop, fit_with_excitations
+from estune.loop_model.fitting import fit_loop, fit_with_excitations
 from estune.loop_model.half_widths import half_widths
 from estune.loop_model.intervals import PredictedMargins
 from estune.loop_model.limit_price import LimitPrice, price_of
 from estune.loop_model.loop_fit import LoopFit
 from estune.loop_model.margins import robustness
+from estune.loop_model.near_fit import fit_near, is_explained
 from estune.loop_model.optimum import RobustnessLimits
 from estune.loop_model.prediction import expected_response
 from estune.loop_model.records import LoopRecord
@@ -108,17 +109,21 @@ def identify(
     excitations: Sequence[TrialRecord],
     plan: Plan,
     rig: RigDescription,
+    *,
     own: LoopFit | None = None,
+    gains: Gains | None = None,
 ) -> IdentifiedLoop:
     """The loop identified from the last step trials of a run and its excitations.
+
+    Where no linear model explains them, it is that of the trials near the gains in question.
 
     Args:
         records: Records of step trials.
         excitations: Those of excitations.
         plan: The plan of the run.
         rig: The rig.
-        own: The fit of the tuner, from which the search begins. Where that does not explain the
-            records, one begins anew, too, which must not contradict it with a worse fit.
+        own: The fit of the tuner, from which the search begins.
+        gains: The gains in question; None for the loop of all records.
     """
     records = records[-RECORDS_MAX:]
     steps, reasons = list[StepRecord](), Counter[str]()
@@ -140,11 +145,13 @@ def identify(
     excited = tuple(record for record in made_of if record is not None)
     signals = [step.signals for step in steps]
     rate, asked_s = rig.controller.sampling_Hz, plan.cost.settling_time_s
-    found = fit_with_excitations(signals, excited, rate, asked_s, own)
-    if own is not None and not found[0].is_white:
-        anew = fit_with_excitations(signals, excited, rate, asked_s)
-        found = better_fit(found, anew, signals)
-    return IdentifiedLoop(found[0], "", tuple(steps), found[1], remarks)
+    fit, kept = fit_with_excitations(signals, excited, rate, asked_s, own)
+    if gains is not None and not is_explained(fit):
+        near = fit_near(gains, signals, excited, rate, asked_s)
+        if near is not None:
+            steps = [steps[i] for i in near.steps]
+            fit, kept = near.fit, near.excitations
+    return IdentifiedLoop(fit, "", tuple(steps), kept, remarks)
 
 
 @one_blas_thread()
@@ -155,7 +162,7 @@ def claim_from(loop: IdentifiedLoop, plan: Plan, rig: RigDescription, gains: Gai
     here = [step.record.gains == gains for step in loop.steps]
     earlier = here.index(True) if any(here) else 0
     check = None
-    if earlier:
+    if earlier and loop.fit.is_of_all:
         rate, asked_s = rig.controller.sampling_Hz, plan.cost.settling_time_s
         known = (*(step.signals for step in loop.steps[:earlier]), *loop.excitations)
         before = fit_loop(known, rate, asked_s, loop.fit)
@@ -212,17 +219,20 @@ def verdict_on(run: TuningRun, change: Change | None) -> Verdict:
     gains, plan, rig = run.session.candidate, run.plan, run.description
     if gains is None or change is None or plan.limits is None:
         return Verdict()
-    loop = identify(
-        list(run.recent_records), run.excitations, plan, rig, fit_of(run.session.tuner_state)
-    )
+    records, own = list(run.recent_records), fit_of(run.session.tuner_state)
+    loop = identify(records, run.excitations, plan, rig, own=own, gains=gains)
     claimed = claim_from(loop, plan, rig, gains)
     broken = ""
     if not change.is_decrease and claimed.margins and plan.limits.broken_by(claimed.margins) == "":
-        start = claim_from(loop, plan, rig, plan.start)
+        if loop.fit is None or loop.fit.is_of_all:
+            at_start = loop
+        else:
+            at_start = identify(records, run.excitations, plan, rig, own=own, gains=plan.start)
+        start = claim_from(at_start, plan, rig, plan.start)
         broken = plan.limits.broken_by(start.margins) if start.margins else ""
     if not (change.is_decrease or broken):
         return Verdict(loop=loop, claim=claimed)
-    records = loop.undisturbed(run.recent_records)
+    records = loop.undisturbed(records)
     expected = loop.expected_response(plan, rig, gains)
     fault = not_robust(records, plan, claimed, gains, rig, expected=expected)
     return Verdict(fault, broken, loop, claimed, limit_verdict(plan, claimed, gains, records))

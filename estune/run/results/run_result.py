@@ -141,7 +141,8 @@ class RunResult(OptimizeResult):  # type: ignore[misc]  # scipy ships no type in
     def identified(self) -> IdentifiedLoop:
         """The loop identified from the last records."""
         own = fit_of(self.session.tuner_state)
-        return identify(self.recent_records, self.excitations, self.plan, self.rig, own)
+        records, excited = self.recent_records, self.excitations
+        return identify(records, excited, self.plan, self.rig, own=own, gains=self.gains)
 
     def load_rejection(self, gains: Gains) -> LoadRejection | None:
         """What a load step does with some gains, by the identified loop; None without one."""
