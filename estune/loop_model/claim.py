@@ -16,18 +16,13 @@ from estune.loop_model.agreement import contradicting_sensitivities
 from estune.loop_model.intervals import (
     PredictedMargins,
     margins_by_records,
-    predict_with_intervals,
 )
 from estune.loop_model.loop_fit import LoopFit
 from estune.loop_model.near_fit import TRIALS_MIN, is_near
 from estune.loop_model.peak import shown_overshoot
 from estune.loop_model.plant_error import ErrorMargin, error_margin, plant_error, unknown_band
-from estune.loop_model.prediction import StepTrial, cost_deviation, predict
+from estune.loop_model.prediction import StepTrial, predict
 from estune.loop_model.records import LoopRecord
-
-COST_ERROR = 0.02
-"""Error of a predicted cost that is always allowed: on the emulated reel the costs of trials up
-to 3.3 logarithms away were predicted to 1.2 %, where the cost itself scatters by 1.5 %."""
 
 
 class Claim(NamedTuple):
@@ -46,46 +41,11 @@ class Claim(NamedTuple):
     is_white: bool = False
 
 
-class CostCheck(NamedTuple):
-    """Repeats of the gains in question, and what was known before the first of them.
-
-    Attributes:
-        fit: The loop identified from the earlier records.
-    """
-
-    fit: LoopFit
-    costs: tuple[float, ...]
-
-    def fault(self, trial: StepTrial, gains: Gains) -> str:
-        """A sentence on a mean cost outside the prediction's interval; empty where it agrees.
-
-        Three standard errors of the mean and of the prediction, whose noise is one sequence and
-        its negative, and `COST_ERROR` are allowed beside the interval. Two repeats may agree by
-        chance: their errors are those that the noise makes at least.
-        """
-        costs = np.array(self.costs)
-        cost = float(costs.mean())
-        predicted = predict_with_intervals(self.fit, trial, gains).cost
-        if not math.isfinite(predicted.value):
-            return f"they cost {cost:.3g} where the trials before foretold an unstable loop"
-        noise = cost_deviation(self.fit.model, trial, gains, self.fit.noise_std)
-        scatter = max(float(costs.std(ddof=1)) if costs.size > 1 else 0.0, noise)
-        error = math.hypot(scatter / math.sqrt(costs.size), noise / math.sqrt(2.0))
-        allowed = 3.0 * error + COST_ERROR * cost
-        if predicted.low - allowed <= cost <= predicted.high + allowed:
-            return ""
-        return (
-            f"these gains cost {cost:.3g} where the trials before foretold {predicted.low:.3g} to "
-            f"{predicted.high:.3g}"
-        )
-
-
 def claim(
     fit: LoopFit,
     records: Sequence[LoopRecord],
     trial: StepTrial,
     gains: Gains,
-    check: CostCheck | None = None,
 ) -> Claim:
     """The claims that the fit allows about the loop with these gains.
 
@@ -97,7 +57,6 @@ def claim(
         records: The records given to the fit.
         trial: The step trial.
         gains: The gains in question.
-        check: The cost of these gains as predicted before they ran; None without a prediction.
     """
     near = [
         rho
@@ -116,7 +75,6 @@ def claim(
     else:
         margin = error_margin(fit, plant_error(fit, records), gains, settings)
         reason = _unknown(fit, margin, settings.sampling_Hz)
-        reason = reason or (check.fault(trial, gains) if check and check.costs else "")
         if not reason:
             others = contradicting_sensitivities(fit, records, gains, settings)
             margins = _widened(margins_by_records(fit, records, trial, gains), margin, others)

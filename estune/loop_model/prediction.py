@@ -183,18 +183,6 @@ def _response(
     )
 
 
-def cost_deviation(model: LoopModel, trial: StepTrial, gains: Gains, noise_std: float) -> float:
-    """Standard deviation of the cost of one trial of a stable loop by its measurement noise."""
-    loop = close_loop(model, gains, trial.controller)
-    response = _response(model, loop, trial, gains)
-    noise = noise_std * fixed_noise(SEQUENCES * trial.samples).reshape(SEQUENCES, trial.samples)
-    pairs = [loop.noise_response(one) for one in noise]
-    y, u = (np.array(signals) for signals in zip(*pairs, strict=True))
-    columns = trial.setpoint, response[0] + y, response[1] + u
-    costs = trial.cost.evaluate(trial.controller.sampling_Hz, trial.step, *columns)
-    return float(np.std(costs, ddof=1))
-
-
 def _expected_costs(
     trial: StepTrial,
     output: FloatArray,

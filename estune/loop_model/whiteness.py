@@ -1,7 +1,6 @@
 """Whether prediction errors are white."""
 
-import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
@@ -18,22 +17,18 @@ criterion still decides."""
 
 def is_white(signals: FitSignals, errors: FloatArray) -> bool:
     """Whether prediction errors are white, by their autocorrelation and their largest line."""
-    from scipy.special import chdtrc, gammaincc  # noqa: PLC0415  slow to import
+    from scipy.special import gammaincc  # noqa: PLC0415  slow to import
 
     rows = list(rows_of(signals, errors))
     power = float(errors @ errors) / errors.size
     if power <= signals.resolution**2:
         return True
-    moments, lines = np.zeros(LAGS), []
+    if _is_correlated(rows):
+        return False
+    lines = []
     for row in rows:
-        lags = min(LAGS, row.shape[1] - 1)
-        for lag in range(1, lags + 1):
-            moments[lag - 1] += float(np.vdot(row[:, lag:], row[:, :-lag]))
         spectrum = np.abs(np.fft.rfft(row, axis=1))[:, 1:-1] ** 2 / row.shape[1]
         lines.append((spectrum.sum(axis=0), row.shape[0]))
-    portmanteau = float(np.sum((moments / (power * math.sqrt(errors.size))) ** 2))
-    if chdtrc(LAGS, portmanteau) < CHANCE:
-        return False
     return all(
         gammaincc(count, float(line.max()) / power) * line.size > CHANCE for line, count in lines
     )
@@ -44,32 +39,31 @@ def is_disturbed(signals: FitSignals, errors: FloatArray) -> bool:
 
     There nothing answers a step that the model does not explain. Both the errors and the
     measurement have to show it: a loop feeds its noise back, and a drum that friction holds does
-    not follow the effort as the model does.
+    not follow the effort as the model does. A mean is no sign: the offsets of a record take up
+    what the model leaves after its step.
     """
-    rows = list(rows_of(signals, errors))
-    seen = [group.measurement for group in signals.groups]
-    return all(_is_coloured_before(signals, of) for of in (rows, seen))
+    of_errors, of_measurement = list[FloatArray](), list[FloatArray]()
+    for row, group in zip(rows_of(signals, errors), signals.groups, strict=True):
+        if group.rest >= 2 * LAGS:
+            for rows, of in ((row, of_errors), (group.measurement, of_measurement)):
+                before = rows[:, : group.rest]
+                of.append(before - before.mean(axis=1, keepdims=True))
+    power = sum(float(np.vdot(row, row)) for row in of_errors)
+    if not power > signals.resolution**2 * sum(row.size for row in of_errors):
+        return False
+    return _is_correlated(of_errors) and _is_correlated(of_measurement)
 
 
-def _is_coloured_before(signals: FitSignals, rows: list[FloatArray]) -> bool:
-    """Whether rows of each group are not white before the steps, but for a mean of each.
-
-    The offsets of a record take up what the model leaves after its step.
-    """
+def _is_correlated(rows: Sequence[FloatArray]) -> bool:
+    """Whether rows have an autocorrelation, by the test of Box and Pierce."""
     from scipy.special import chdtrc  # noqa: PLC0415  slow to import
 
-    moments, power, count = np.zeros(LAGS), 0.0, 0
-    for row, group in zip(rows, signals.groups, strict=True):
-        before = row[:, : group.rest]
-        if group.rest < 2 * LAGS:
-            continue
-        before = before - before.mean(axis=1, keepdims=True)
-        power, count = power + float(np.vdot(before, before)), count + before.size
-        for lag in range(1, LAGS + 1):
-            moments[lag - 1] += float(np.vdot(before[:, lag:], before[:, :-lag]))
-    if not power > count * signals.resolution**2:
-        return False
-    portmanteau = count * float(np.sum((moments / power) ** 2))
+    moments = np.zeros(LAGS)
+    for row in rows:
+        for lag in range(1, min(LAGS, row.shape[1] - 1) + 1):
+            moments[lag - 1] += float(np.vdot(row[:, lag:], row[:, :-lag]))
+    squares = sum(float(np.vdot(row, row)) for row in rows)
+    portmanteau = sum(row.size for row in rows) * float(np.sum((moments / squares) ** 2))
     return bool(chdtrc(LAGS, portmanteau) < CHANCE)
 
 

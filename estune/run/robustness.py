@@ -12,8 +12,8 @@ from estune.core.comparison import Change
 from estune.core.gains import Gains
 from estune.core.metrics import BAND, NOISE_SIGMAS, steady_samples
 from estune.core.quantities import FloatArray
-from estune.loop_model.claim import Claim, CostCheck, claim
-from estune.loop_model.fitting import fit_loop, fit_with_excitations
+from estune.loop_model.claim import Claim, claim
+from estune.loop_model.fitting import fit_with_excitations
 from estune.loop_model.half_widths import half_widths
 from estune.loop_model.intervals import PredictedMargins
 from estune.loop_model.limit_price import LimitPrice, price_of
@@ -30,7 +30,6 @@ from estune.run.tuning_run import TuningRun
 from estune.support.blas import one_blas_thread
 from estune.trial import Outcome, RigDescription, TrialRecord
 from estune.trial.loop_records import loop_signals
-from estune.trial.scoring import cost_of
 from estune.tuners.identified_loop_state import fit_of
 
 RECORDS_MAX = 20
@@ -53,7 +52,6 @@ class StepRecord(NamedTuple):
 
     record: TrialRecord
     signals: LoopRecord
-    cost: float
 
 
 class IdentifiedLoop(NamedTuple):
@@ -132,8 +130,7 @@ def identify(
         if made.record is None:
             reasons[made.reason] += 1
         else:
-            cost = cost_of(record, plan.step, plan.cost, rig.newtons_per_ampere)
-            steps.append(StepRecord(record, made.record, cost))
+            steps.append(StepRecord(record, made.record))
     remarks = tuple(
         f"{count} of the last {len(records)} records cannot identify the loop: {reason}"
         for reason, count in reasons.items()
@@ -159,16 +156,7 @@ def claim_from(loop: IdentifiedLoop, plan: Plan, rig: RigDescription, gains: Gai
     """The margins of some gains by an identified loop."""
     if loop.fit is None:
         return Claim(None, loop.reason, math.nan)
-    here = [step.record.gains == gains for step in loop.steps]
-    earlier = here.index(True) if any(here) else 0
-    check = None
-    if earlier and loop.fit.is_of_all:
-        rate, asked_s = rig.controller.sampling_Hz, plan.cost.settling_time_s
-        known = (*(step.signals for step in loop.steps[:earlier]), *loop.excitations)
-        before = fit_loop(known, rate, asked_s, loop.fit)
-        costs = tuple(step.cost for step, at in zip(loop.steps, here, strict=True) if at)
-        check = CostCheck(before, costs)
-    return claim(loop.fit, loop.signals, step_trial(rig, plan.step, plan.cost), gains, check)
+    return claim(loop.fit, loop.signals, step_trial(rig, plan.step, plan.cost), gains)
 
 
 def limit_price(
