@@ -159,27 +159,6 @@ def test_overshoot_within_its_noise_of_the_limit_is_not_shown(peaks):
     assert limit_verdict(plan(limits), unknown, rig.best, records).state is LimitState.NOT_SHOWN
 
 
-@pytest.mark.parametrize(
-    ("high", "misfit", "more"),
-    [
-        # The half-width of 0.16 becomes that of the room, 0.1, but for the 0.5 % that remain.
-        (1.66, 0.0, f"{math.ceil(2 * (0.16**2 - 0.0075**2) / (0.1**2 - 0.0075**2))} repeats"),
-        (1.66, 0.01, ""),
-        (3.0, 0.0, ""),
-    ],
-    ids=["noise", "something unexplained", "far too wide"],
-)
-def test_number_of_repeats_that_would_show_a_limit_is_told(high, misfit, more):
-    limits = RobustnessLimits(max_sensitivity=1.6, max_overshoot=None)
-    rig = ArithmeticRig()
-    step = rig.describe().step
-    records = [rig.run(TrialRequest("run", number, rig.best, step)) for number in (0, 1)]
-    claim = claimed(Interval(1.5, 1.4, high))._replace(misfit=misfit)
-    verdict = limit_verdict(plan(limits), claim, rig.best, records)
-    assert verdict.state is LimitState.NOT_SHOWN
-    assert (more in verdict.reason) if more else ("repeats" not in verdict.reason)
-
-
 def test_nothing_claimed_is_not_shown_and_says_why():
     unknown = Claim(None, "the records do not excite it", math.nan)
     verdict = limit_verdict(plan(RobustnessLimits()), unknown, ArithmeticRig.best, ())

@@ -115,13 +115,13 @@ class InterleavedRepeats(NamedTuple):
     Attributes:
         rounds: Repeats of each that are wanted.
         costs: Costs of each, in the order of the gains; infinite where a repeat was unsafe.
-        recorded: Index of the gains that a record of the repeats has next; None without one.
+        ahead: Index of the gains that are next out of turn; None without any.
     """
 
     gains: tuple[Gains, ...]
     rounds: int
     costs: tuple[tuple[float, ...], ...]
-    recorded: int | None = None
+    ahead: int | None = None
 
     @classmethod
     def new(cls, gains: tuple[Gains, ...], rounds: int, known: Sequence[float] = ()) -> Self:
@@ -139,8 +139,8 @@ class InterleavedRepeats(NamedTuple):
         safe = self.safe
         if len(safe) < 2:
             return None
-        if self.recorded is not None:
-            return self.recorded
+        if self.ahead is not None:
+            return self.ahead
         done = min(len(self.costs[i]) for i in safe)
         if done >= self.rounds:
             return None
@@ -152,7 +152,7 @@ class InterleavedRepeats(NamedTuple):
         """Number of repeats to come if all of them are safe."""
         if self.next_index is None:
             return 0
-        return sum(self.rounds - len(self.costs[i]) for i in self.safe)
+        return sum(max(self.rounds - len(self.costs[i]), 0) for i in self.safe)
 
     @property
     def best(self) -> int | None:
@@ -186,4 +186,4 @@ class InterleavedRepeats(NamedTuple):
         """The comparison with the cost of the gains run last; infinite if unsafe."""
         here = self.next_index
         costs = tuple((*c, cost) if i == here else c for i, c in enumerate(self.costs))
-        return self._replace(costs=costs, recorded=None)
+        return self._replace(costs=costs, ahead=None)

@@ -58,11 +58,7 @@ def claim(
         trial: The step trial.
         gains: The gains in question.
     """
-    near = [
-        rho
-        for i, (rho, record) in enumerate(zip(fit.misfits, records, strict=True))
-        if i not in fit.left_out and is_near(record, gains)
-    ]
+    near = near_trials(fit, records, gains)
     misfit = float(np.sqrt(np.mean(np.square(near)))) if near else float("nan")
     settings = trial.controller
     if len(near) < TRIALS_MIN:
@@ -88,6 +84,15 @@ def claim(
                     f"no one model explains the trials of all gains: {unexplained(fit.misfit)}"
                 )
     return Claim(None, reason, misfit)
+
+
+def near_trials(fit: LoopFit, records: Sequence[LoopRecord], gains: Gains) -> list[float]:
+    """The misfit of each of the trials at or near some gains that were fitted."""
+    return [
+        rho
+        for i, (rho, record) in enumerate(zip(fit.misfits, records, strict=True))
+        if i not in fit.left_out and is_near(record, gains)
+    ]
 
 
 def _unknown(fit: LoopFit, margin: ErrorMargin, sampling_Hz: float) -> str:

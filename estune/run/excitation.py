@@ -14,9 +14,9 @@ from typing import NamedTuple
 import numpy as np
 
 from estune.core.gains import Gains
-from estune.core.quantities import FloatArray
 from estune.loop_model.excitation import UnknownLoop, deviations, wanted_setpoint
 from estune.loop_model.plant_error import ErrorMargin
+from estune.loop_model.records import LoopRecord
 from estune.run.plan import Plan
 from estune.trial import RigDescription
 from estune.trial.profiles import MOST_LINES, MultisineProfile
@@ -40,14 +40,12 @@ class ForeseenExcitation(NamedTuple):
 
     Attributes:
         trial: The trial.
-        moves: Deviation of its setpoint, shape (samples,).
-        effort: That of the effort.
+        answer: Its record, without noise.
         margin: What the plant's error will leave of the loop in question.
     """
 
     trial: ExcitationTrial
-    moves: FloatArray
-    effort: FloatArray
+    answer: LoopRecord
     margin: ErrorMargin
 
 
@@ -88,7 +86,9 @@ def best_excitation(
         profile = replace(unit, preload_N=largest.preload, rms_N=rms)
         trial = ExcitationTrial(unknown.excited_at, profile)
         margin = unknown.margin(powers.bound(rms * effort))
-        found.append(ForeseenExcitation(trial, rms * wave, rms * effort, margin))
+        moves = rms * effort, rms * output, rms * wave
+        answer = LoopRecord(*moves, unknown.excited_at, at_rest=True)
+        found.append(ForeseenExcitation(trial, answer, margin))
     return max(found, key=lambda one: one.margin.distance, default=None)
 
 

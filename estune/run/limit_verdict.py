@@ -9,11 +9,11 @@ import numpy as np
 
 from estune.core.gains import Gains
 from estune.loop_model.claim import Claim
-from estune.loop_model.intervals import MODEL_ERROR, Interval
+from estune.loop_model.intervals import Interval
 from estune.loop_model.optimum import RobustnessLimits
 from estune.run.ending import RunEnding
 from estune.run.plan import Plan
-from estune.trial import Outcome, TrialRecord
+from estune.trial import TrialRecord
 from estune.trial.scoring import metrics_of
 
 PEAK_SCATTER = 0.7
@@ -23,10 +23,6 @@ PEAK_SCATTER = 0.7
 NORMAL_QUANTILE = 1.96
 MEDIAN_OF_DIFFERENCE = 0.6745 * math.sqrt(2.0)
 """Median of the magnitude of a difference of two normal variables of standard deviation one."""
-
-EXPLAINED, MOST = 0.002, 50
-"""Share of the step that a model may leave unexplained, up to which its interval is one of the
-noise and falls with the root of the number of repeats; and most repeats that are worth naming."""
 
 FEWEST_REPEATS = 4
 """Repeats from which their own scatter gives the interval: of two its quantile is 12.7."""
@@ -73,9 +69,8 @@ def limit_verdict(
     if limits is None:  # a run of an earlier version is not judged
         return LimitVerdict()
     records = list(records)
-    count = sum(r.outcome is Outcome.DONE and r.gains == gains for r in records)
     overshoot = measured_overshoot(plan, gains, records, claim)
-    found = list(_judged(limits, claim, overshoot, count))
+    found = list(_judged(limits, claim, overshoot))
     for state in (LimitState.BROKEN, LimitState.NOT_SHOWN):
         reasons = dict.fromkeys(reason for judged, reason in found if judged is state)
         if reasons:
@@ -122,12 +117,12 @@ Judged = tuple[LimitState, str]
 
 
 def _judged(
-    limits: RobustnessLimits, claim: Claim, overshoot: Interval | None, repeats: int
+    limits: RobustnessLimits, claim: Claim, overshoot: Interval | None
 ) -> Iterator[Judged]:
     margins, unknown = claim.margins, f"no sensitivity is claimed from the records: {claim.reason}"
     if (limit := limits.max_sensitivity) is not None:
         yield (
-            _above("sensitivity Ms", margins.sensitivity, limit, _of_Ms(claim, repeats))
+            _above("sensitivity Ms", margins.sensitivity, limit)
             if margins
             else (LimitState.NOT_SHOWN, unknown)
         )
@@ -139,42 +134,18 @@ def _judged(
         )
     if (limit := limits.max_overshoot) is not None:
         yield (
-            _above("overshoot", overshoot, limit, (repeats, 0.0), percent=True)
+            _above("overshoot", overshoot, limit, percent=True)
             if overshoot
             else (LimitState.NOT_SHOWN, "no record shows the overshoot")
         )
 
 
-Repeats = tuple[int, float]
-"""Repeats that an interval rests on, and its half-width with ever so many of them."""
-
-
-def _of_Ms(claim: Claim, repeats: int) -> Repeats:
-    """Repeats of an interval of Ms: none where more would not make it narrower."""
-    assert claim.margins is not None  # noqa: S101  the caller has margins
-    least = MODEL_ERROR * claim.margins.sensitivity.value
-    return (repeats if claim.misfit < EXPLAINED else 0), least
-
-
-def _enough(at: Interval, limit: float, repeats: Repeats) -> str:
-    """How many repeats would show that a limit is kept; empty where they would not, or many."""
-    count, least = repeats
-    room, half = limit - at.value, at.high - at.value
-    if not (count and least < room < half < math.inf):
-        return ""
-    needed = math.ceil(count * (half**2 - least**2) / (room**2 - least**2))
-    return f"; about {needed} repeats would show it (--repeats {needed})" * (needed <= MOST)
-
-
-def _above(
-    name: str, at: Interval, limit: float, repeats: Repeats, *, percent: bool = False
-) -> Judged:
+def _above(name: str, at: Interval, limit: float, *, percent: bool = False) -> Judged:
     """Judgement of a quantity with a greatest value."""
     ends = [f"{100.0 * v:.1f} %" if percent else f"{v:.2f}" for v in (at.value, at.low, at.high)]
     most = f"{100.0 * limit:.3g} %" if percent else f"{limit:g}"
     state = _state(at.low > limit, not at.high <= limit)
-    more = _enough(at, limit, repeats) if state is LimitState.NOT_SHOWN else ""
-    return state, _reason(state, name, ends, f"above the limit of {most}{more}")
+    return state, _reason(state, name, ends, f"above the limit of {most}")
 
 
 def _below(name: str, at: Interval, limit: float) -> Judged:

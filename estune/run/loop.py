@@ -23,6 +23,7 @@ from estune.run.session import (
     next_request,
     with_excitation,
 )
+from estune.run.showing_limits import showing_limits
 from estune.run.start import first_record_fault
 from estune.run.tally import is_unsafe
 from estune.run.trial_quality import check_noise
@@ -98,6 +99,9 @@ def replay(plan: Plan, description: RigDescription, journal: Journal) -> TuningR
         _extend_where_due(tuning, extensions)
         recorded = entry.trial_id, entry.gain_values
         requested = _requested(tuning.session)
+        if requested is None:
+            tuning.session = _shown_so_far(tuning, entry.number)
+            requested = _requested(tuning.session)
         # The last digits of a fit differ between processors: the trial that ran is what counts.
         if requested != recorded:
             tuning.session = with_recorded(tuning.session, entry.gains)
@@ -115,6 +119,17 @@ def replay(plan: Plan, description: RigDescription, journal: Journal) -> TuningR
     return tuning
 
 
+def _shown_so_far(tuning: TuningRun, number: int) -> Session:
+    """The session of a confirmed run with one more trial, by the trials before one."""
+    assert tuning.journal is not None  # noqa: S101  its trials are replayed
+    before = [entry for entry in tuning.entries if entry.number < number]
+    known = TuningRun(
+        tuning.plan, tuning.description, tuning.session, before, tuning.journal, None, None
+    )
+    read_kept_records(known, tuning.journal)
+    return showing_limits(known)
+
+
 def extend(tuning: TuningRun, trials: int) -> None:
     """Gives a run a greater number of search trials, and notes it in its journal.
 
@@ -129,7 +144,7 @@ def extend(tuning: TuningRun, trials: int) -> None:
             f"trials is {trials}; the search of run {run} took {session.search_trials}: give more"
         )
     # The repeats are of gains chosen from this search: more of it could change the choice.
-    if session.phase in (Phase.CHOOSE, Phase.CONFIRM):
+    if session.showing or session.phase in (Phase.CHOOSE, Phase.CONFIRM):
         raise InvalidInput(
             f"run {run} is confirming its gains; resume it without trials first, so that it ends"
         )
@@ -296,6 +311,7 @@ def _record_trial(
         *(record.outcome, reason, cost, margin),
     )
     tuning.session = _advanced(tuning, record, cost, margin, reason)
+    tuning.session = _showing_limits(tuning, entry, record)
     following = next_request(tuning.session)
     _commit(tuning, CompletedTrial(request, record, cost, margin, reason), following)
     tuning.entries.append(entry)
@@ -306,6 +322,22 @@ def _record_trial(
     for listener in listeners:
         listener(Progress(tuning.session, entry, unsafe, record))
     return following
+
+
+def _showing_limits(tuning: TuningRun, entry: JournalEntry, record: TrialRecord) -> Session:
+    """The session with one more trial that shows its limits, by one that is not yet committed."""
+    if tuning.session.phase is not None:
+        return tuning.session
+    known = replace(
+        tuning,
+        entries=[*tuning.entries, entry],
+        recent_records=tuning.recent_records.copy(),
+        excitations=[*tuning.excitations],
+    )
+    keep_record(known, entry, record)
+    session = showing_limits(known)
+    tuning.judged = known.judged
+    return session
 
 
 def _advanced(

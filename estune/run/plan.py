@@ -33,6 +33,9 @@ PRECISION = 0.1
 CONFIRMATION_REPEATS_MAX = 10
 """Maximum repeats of each gains in a confirmation, unless the plan asks for more."""
 
+SHOWING_MAX = 4
+"""Most trials after the confirmation, to show that the confirmed gains keep the limits."""
+
 EXCITATIONS_MAX = 2
 """Most excitations of a run: one at the initial gains, where these move the effort enough to be of
 use, and one at better ones."""
@@ -142,10 +145,11 @@ class Plan(Search):
     @property
     def max_trials(self) -> int:
         """Maximum number of trials, void ones excluded."""
-        excitations = EXCITATIONS_MAX if self.uses_records else 0
+        excitations, showing = (EXCITATIONS_MAX, SHOWING_MAX) if self.uses_records else (0, 0)
         choices = 2 * self.repeats * (1 + excitations)  # one more after each excitation
         confirmation = 2 * max(CONFIRMATION_REPEATS_MAX, self.repeats)
-        return self.baseline_trials + excitations + self.trials + choices + confirmation
+        searched = self.baseline_trials + excitations + self.trials
+        return searched + choices + confirmation + showing
 
     @cached_property
     def uses_records(self) -> bool:

@@ -18,7 +18,7 @@ def with_recorded(session: Session, gains: Gains) -> Session:
     """The session whose next trial has these gains; unchanged where it cannot be that."""
     repeats = session.confirmation
     if repeats is not None and gains in repeats.gains:
-        recorded = repeats._replace(recorded=repeats.gains.index(gains))
+        recorded = repeats._replace(ahead=repeats.gains.index(gains))
         return replace(session, confirmation=recorded)
     tuner, space = session.plan.tuner, session.plan.tuner.space
     point = space.point_of(gains)
@@ -30,5 +30,5 @@ def with_recorded(session: Session, gains: Gains) -> Session:
         return replace(session, tuner_state=session.tuner_state._replace(proposal=point))
     if session.phase is Phase.CONFIRM and repeats is not None and not repeats.costs[1]:
         other = confirming(session.plan, gains, known_costs(session))
-        return replace(session, confirmation=other._replace(recorded=1) if other else None)
+        return replace(session, confirmation=other._replace(ahead=1) if other else None)
     return session

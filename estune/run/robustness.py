@@ -13,6 +13,7 @@ from estune.core.gains import Gains
 from estune.core.metrics import BAND, NOISE_SIGMAS, steady_samples
 from estune.core.quantities import FloatArray
 from estune.loop_model.claim import Claim, claim
+from estune.loop_model.excitation import UnknownLoop
 from estune.loop_model.fitting import fit_with_excitations
 from estune.loop_model.half_widths import half_widths
 from estune.loop_model.intervals import PredictedMargins
@@ -23,7 +24,13 @@ from estune.loop_model.near_fit import fit_near, is_explained
 from estune.loop_model.optimum import RobustnessLimits
 from estune.loop_model.prediction import expected_response
 from estune.loop_model.records import LoopRecord
-from estune.run.limit_verdict import LimitVerdict, limit_verdict
+from estune.run.limit_verdict import (
+    LimitState,
+    LimitVerdict,
+    limit_verdict,
+    measured_overshoot,
+)
+from estune.run.missing_trials import MissingTrials, missing_trials
 from estune.run.plan import Plan
 from estune.run.planning import step_trial
 from estune.run.tuning_run import TuningRun
@@ -188,6 +195,7 @@ class Verdict(NamedTuple):
         fault: Why they are not robust; empty where they are.
         broken: Limits that the initial gains break and the confirmed ones keep, in words; empty
             where there are none.
+        missing: Trials that would show that the limits are kept.
     """
 
     fault: str = ""
@@ -195,15 +203,24 @@ class Verdict(NamedTuple):
     loop: IdentifiedLoop | None = None
     claim: Claim | None = None
     limits: LimitVerdict = LimitVerdict()
+    missing: MissingTrials = MissingTrials()
 
 
 def verdict_on(run: TuningRun, change: Change | None) -> Verdict:
-    """Robustness of the confirmed gains by the records of a complete run.
+    """Robustness of the confirmed gains by the records of a complete run, which keeps it.
 
     Args:
         run: The run.
         change: Change of the cost by these gains; None where they were not confirmed.
     """
+    about = change, len(run.entries)
+    if run.judged is None or run.judged[:2] != about:
+        run.judged = (*about, _judged(run, change))
+    verdict: Verdict = run.judged[2]
+    return verdict
+
+
+def _judged(run: TuningRun, change: Change | None) -> Verdict:
     gains, plan, rig = run.session.candidate, run.plan, run.description
     if gains is None or change is None or plan.limits is None:
         return Verdict()
@@ -223,7 +240,17 @@ def verdict_on(run: TuningRun, change: Change | None) -> Verdict:
     records = loop.undisturbed(records)
     expected = loop.expected_response(plan, rig, gains)
     fault = not_robust(records, plan, claimed, gains, rig, expected=expected)
-    return Verdict(fault, broken, loop, claimed, limit_verdict(plan, claimed, gains, records))
+    limits, missing = limit_verdict(plan, claimed, gains, records), MissingTrials()
+    if limits.state is LimitState.NOT_SHOWN and loop.fit is not None:
+        done = sum(r.outcome is Outcome.DONE and r.gains == gains for r in records)
+        overshoot = measured_overshoot(plan, gains, records, claimed), done
+        unknown = UnknownLoop(loop.fit, loop.signals, gains, gains, rig.controller)
+        missing = missing_trials(unknown, claimed, overshoot, plan, rig)
+        if missing.repeats is not None:
+            needed = done + missing.repeats
+            more = f"; about {needed} repeats would show it (--repeats {needed})"
+            limits = limits._replace(reason=limits.reason + more)
+    return Verdict(fault, broken, loop, claimed, limits, missing)
 
 
 def not_robust(

@@ -6,7 +6,8 @@ which has no cost (`estune.run.excitation`).
 `choose` repeats the tuner's recommendation and its best trial, interleaved, unless the tuner
 predicts costs by an identified loop; `confirm` repeats the better of the two and the initial
 gains, interleaved, until the interval of the improvement is narrow. Choice and confirmation use
-different trials, so that lucky costs in the choice do not bias the confirmed improvement. A search
+different trials, so that lucky costs in the choice do not bias the confirmed improvement. Trials
+with the confirmed gains that show their limits may follow (`estune.run.showing_limits`). A search
 by an identified loop is short and chooses by no cost, so that its baseline counts as the first
 repeat of the initial gains. Nothing here reads a clock or a file: replaying a journal's trials
 restores the session and all later proposals, bit for bit unless `estune.run.recorded` had to help.
@@ -48,6 +49,8 @@ class Session:
         choice: Repeats of the candidates; None before there are two.
         confirmation: Repeats of the initial and of the tuned gains, in this order, the first
             ones perhaps those of the baseline; None before there are any.
+        showing: Trials after the confirmation that are foretold to show the limits, the next one
+            included; zero without any.
         failure: Why the run cannot continue; empty while it can.
     """
 
@@ -64,6 +67,7 @@ class Session:
     search_end: str = ""
     choice: InterleavedRepeats | None = None
     confirmation: InterleavedRepeats | None = None
+    showing: int = 0
     failure: str = ""
 
     @property
@@ -113,7 +117,7 @@ class Session:
         if self.phase is None:
             return 0
         if self.confirmation is not None:
-            return self.confirmation.missing
+            return self.showing or self.confirmation.missing
         if self.choice is not None:
             return self.choice.missing + 2 * repeats
         to_come = self.plan.trials - self.search_trials + 2 * repeats
@@ -123,7 +127,7 @@ class Session:
     @property
     def is_open(self) -> bool:
         """Whether the search decides how many trials are to come."""
-        return self.phase in (Phase.BASELINE, Phase.EXCITE, Phase.SEARCH)
+        return not self.showing and self.phase in (Phase.BASELINE, Phase.EXCITE, Phase.SEARCH)
 
     @property
     def most_left(self) -> int:
@@ -160,6 +164,7 @@ def extended_search(session: Session, trials: int) -> Session:
         search_end="",
         choice=None,
         confirmation=None,
+        showing=0,
         consecutive_settled=0,
         consecutive_censored=0,
     )
@@ -238,12 +243,17 @@ def after_trial(
                 session.plan, choice.gains[choice.best], known_costs(session)
             )
     else:
-        assert session.confirmation is not None, phase  # noqa: S101  the last phase there is
-        confirmation = session.confirmation.with_cost(math.inf if censored else cost)
-        changed = {"confirmation": extended(confirmation, session.plan)}
+        changed = {"confirmation": _after_repeat(session, math.inf if censored else cost)}
     return replace(
         session, tally=session.tally.after([(phase, outcome, cost)]), attempt=0, **changed
     )
+
+
+def _after_repeat(session: Session, cost: float) -> InterleavedRepeats:
+    """The confirmation after a repeat; one that shows limits does not open it again."""
+    assert session.confirmation is not None  # noqa: S101  the last phase there is
+    repeats = session.confirmation.with_cost(cost)
+    return repeats if session.showing else extended(repeats, session.plan)
 
 
 def _next_gains(session: Session) -> Gains | None:
@@ -344,7 +354,7 @@ def _after_excitation(session: Session, record: LoopRecord | None) -> dict[str, 
         "excitation": None,
         "excitations": (*session.excitations, session.number),
     }
-    if record is None or not isinstance(plan.tuner, RecordUsingTuner):
+    if session.showing or record is None or not isinstance(plan.tuner, RecordUsingTuner):
         return changed
     state = plan.tuner.tell_excitation(state, record)
     changed["tuner_state"] = state

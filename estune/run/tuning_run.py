@@ -3,7 +3,9 @@
 from collections import deque
 from dataclasses import dataclass, field, replace
 from itertools import islice
+from typing import Any
 
+from estune.core.comparison import Change
 from estune.core.controller_form import ControllerForm
 from estune.run.first_trial import adopted
 from estune.run.journal import Journal, JournalEntry
@@ -29,6 +31,8 @@ class TuningRun:
         recent_records: Records of the last step trials, void ones excluded.
         fitted_form: Form of the controller that the first record shows, where the rig declares
             none and does not run estune's own; the description and the plan have it.
+        judged: What was last said of the confirmed gains (`robustness.verdict_on`), after
+            the change of the cost and the number of trials that it is of; None before that.
     """
 
     plan: Plan
@@ -42,6 +46,7 @@ class TuningRun:
     recent_records: deque[TrialRecord] = field(default_factory=lambda: deque(maxlen=RECENT_MAX))
     excitations: list[TrialRecord] = field(default_factory=list)
     fitted_form: ControllerForm | None = None
+    judged: tuple[Change | None, int, Any] | None = None
 
 
 def adopt_first(tuning: TuningRun, record: TrialRecord) -> None:

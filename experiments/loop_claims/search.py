@@ -14,6 +14,7 @@ from estune.run.phase import Phase
 from estune.run.planning import make_plan
 from estune.run.results.result import from_tuning
 from estune.run.session import after_trial, next_request, with_excitation
+from estune.run.showing_limits import showing_limits
 from estune.run.tuning_run import TuningRun, keep_record
 from estune.trial import Rig, TrialRecord
 from estune.trial.loop_records import loop_signals
@@ -137,3 +138,4 @@ def advance(run: TuningRun, record: TrialRecord, factor: float) -> None:
     )
     run.entries.append(entry)
     keep_record(run, entry, record)
+    run.session = showing_limits(run)
