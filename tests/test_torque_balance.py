@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from plants.diagnosis.data.noise_floor import Noise
 from plants.diagnosis.models.base import BaseNumbers
 from plants.diagnosis.torque_balance.agreement import agreement
 from plants.diagnosis.torque_balance.balance import torque_balance
@@ -39,11 +40,15 @@ def joints():
     return dict(zip(KINDS, turned(KINDS.values()), strict=True))
 
 
-def judged(joint, bits, every, declared=()):
+def balance_of(joint, bits, every):
     m, model = record(joint, bits, every)
-    noise_rad = 2.0 * np.pi / 2**bits / np.sqrt(12.0)
-    balance = torque_balance([m], [BaseNumbers.of(model, m)], noise_rad)
-    return judge(balance, LAWS, declared)
+    step = 2.0 * np.pi / 2**bits
+    encoder = Noise(step / np.sqrt(12.0), step, "steps")
+    return torque_balance([m], [BaseNumbers.of(model, m)], encoder)
+
+
+def judged(joint, bits, every, declared=()):
+    return judge(balance_of(joint, bits, every), LAWS, declared)
 
 
 @pytest.mark.parametrize("kind", KINDS)

@@ -1,5 +1,6 @@
 """One file of recorded data as the columns of a record, in SI units on an even grid."""
 
+from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
 from typing import NamedTuple
@@ -44,6 +45,7 @@ from estune.recordings.timing import Columns, evened, resampled
 from estune.recordings.units import NO_DRUM, Drum
 from estune.trial.records import COMPENSATION_COLUMNS
 
+RATE = "speed_rad_s"
 FEWEST_SAMPLES = 3
 """Fewer rows have no sampling rate."""
 _LISTED = 12
@@ -54,7 +56,13 @@ class Recording(NamedTuple):
     """Contents of a file.
 
     Attributes:
+<<<<<<< HEAD
         parts: Columns of each stretch without a gap; `time_s` is one of them.
+=======
+        sampling_Hz: Rate of the grid.
+        parts: Columns of each stretch without a gap; `time_s` is one of them, and beside an angle
+            that is the integral of a speed that one, as `RATE`.
+>>>>>>> ae67739f (Noise of a speed that was integrated adds up in the floor; a law that the balance of torques could see and does not is not believed; its kernel follows from the inertia that it shows)
         metadata: As written in the file, beside it or in the map.
         mapped: Where each column came from.
         issues: Channels that were ignored, and what was done to the time stamps.
@@ -98,7 +106,7 @@ def read_recording(
         grid = resampled(values, clocks, stated_Hz)
     rates = [name for name in columns if mapped[name].is_rate]
     parts = tuple(
-        {**p, **{name: _integrated(p[name], grid.sampling_Hz) for name in rates}}
+        {**p, **{n: c for name in rates for n, c in _integrated(name, p, grid.sampling_Hz)}}
         for p in grid.parts
         if p["time_s"].size >= FEWEST_SAMPLES
     )
@@ -109,10 +117,12 @@ def read_recording(
     return Recording(grid.sampling_Hz, parts, metadata, mapped, (*issues, *warning, *grid.issues))
 
 
-def _integrated(rate: FloatArray, sampling_Hz: float) -> FloatArray:
-    """A column from its rate by the trapezoidal rule, from zero on."""
+def _integrated(name: str, part: Columns, sampling_Hz: float) -> Iterator[tuple[str, FloatArray]]:
+    """A column from its rate by the trapezoidal rule, from zero on, and the rate itself."""
+    rate = part[name]
     areas = 0.5 * (rate[1:] + rate[:-1]) / sampling_Hz
-    return np.concatenate([[0.0], np.cumsum(areas)])
+    yield name, np.concatenate([[0.0], np.cumsum(areas)])
+    yield RATE, rate
 
 
 def _said_of_rate(name: str, found: Mapped) -> DataIssue:

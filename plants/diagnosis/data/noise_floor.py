@@ -31,11 +31,19 @@ class Noise:
         rms: Its root mean square, in the channel's unit; never below lsb / sqrt(12).
         lsb: Rounding step of the readings, or 0 without one.
         how: Its source, one of `SOURCES`.
+        walk: Rms of what each sample adds to all later ones, where an angle is the integral of a
+            speed: the noise of the speed times the time of a sample.
     """
 
     rms: float
     lsb: float
     how: str
+    walk: float = 0.0
+
+    def drawn(self, samples: int) -> FloatArray:
+        """Noise like it, the same at each call, shape (samples,)."""
+        white = np.random.default_rng(0).normal(0.0, self.walk or self.rms, samples)
+        return white.cumsum() if self.walk else white
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -103,7 +111,10 @@ def _noise(m: MeasuredRecord, column: FloatArray, repeated: float | None) -> Noi
     if rms > (most := CONSTANTS.upper_most * upper_rms(column)):
         rms, how = most, SOURCES[3]
     rounding = lsb / math.sqrt(12.0)
-    return Noise(rms, lsb, how) if rms > rounding else Noise(rounding, lsb, SOURCES[4])
+    walk = 0.0
+    if column is m.angle_rad and m.speed_rad_s is not None:
+        walk = _noise(m, m.speed_rad_s, None).rms / m.sampling_Hz
+    return Noise(max(rms, rounding), lsb, how if rms > rounding else SOURCES[4], walk)
 
 
 def _alone(m: MeasuredRecord, column: FloatArray) -> tuple[float, str]:
@@ -209,9 +220,11 @@ def _pooled(name: str, records: Sequence[dict[str, Noise]], samples: Sequence[in
     known = [(r[name], n) for r, n in zip(records, samples, strict=True) if name in r]
     how = min((noise.how for noise, _ in known), key=SOURCES.index)
     best = [(noise, n) for noise, n in known if noise.how == how]
-    square = sum(noise.rms**2 * n for noise, n in best) / sum(n for _, n in best)
+    total = sum(n for _, n in best)
+    square = sum(noise.rms**2 * n for noise, n in best) / total
+    walk = math.sqrt(sum(noise.walk**2 * n for noise, n in best) / total)
     lsb = float(np.median([noise.lsb for noise, _ in known]))
     rms, rounding = math.sqrt(square), lsb / math.sqrt(12.0)
     # A drum that friction holds through a record reads the same throughout, which is no noise of
     # zero: the angle outweighed all else, and a torque gain of 0.06 was fitted.
-    return Noise(rms, lsb, how) if rms > rounding else Noise(rounding, lsb, SOURCES[4])
+    return Noise(max(rms, rounding), lsb, how if rms > rounding else SOURCES[4], walk)

@@ -12,7 +12,7 @@ from estune.recordings.column_map import AS_NAMED, ColumnMap
 from estune.recordings.issue import DataIssue, Unusable, refusals
 from estune.recordings.metadata import Metadata
 from estune.recordings.raw_file import formats, is_readable
-from estune.recordings.recording import FEWEST_SAMPLES, Recording, read_recording
+from estune.recordings.recording import FEWEST_SAMPLES, RATE, Recording, read_recording
 from estune.recordings.timing import Columns
 from estune.recordings.units import NO_DRUM, Drum
 from estune.run.journal import FILE_NAME, Journal
@@ -181,7 +181,7 @@ def _measurements(recording: Recording, stem: str, source: str) -> list[Measured
                 time_s=columns["time_s"],
                 flags=None if flags is None else (flags.astype(np.int64) & 0xFF).astype(np.uint8),
                 source=source if len(parts) == 1 else f"{source} part {number}",
-                **{name: columns.get(name) for name in CHANNELS},
+                **{name: columns.get(name) for name in (*CHANNELS, RATE)},
             )
         )
     return measurements

@@ -28,41 +28,63 @@ def judgement(fitted: BaseFit, held_out: Sequence[MeasuredRecord] = ()) -> Torqu
     there would be a wrong name.
     """
     plant = fitted.plant
-    numbers = [BaseNumbers.of(plant.model, m) for m in plant.measurements]
-    free = [b for b in numbers if b is not None and b.is_free]
+    free = _free(fitted)
     declared = [type(effect) for effect in plant.effects]
-    if len(free) < len(numbers) or any(family_of(e) not in VISIBLE for e in declared):
+    encoder = fitted.noise.channels.get("angle_rad")
+    unseen = any(family_of(e) not in VISIBLE for e in declared)
+    if len(free) < len(plant.measurements) or unseen or encoder is None:
         return None
-    noise_rad = fitted.noise.angle_rad
-    balance = torque_balance(plant.measurements, free, noise_rad)
-    narrower = torque_balance(plant.measurements, free, noise_rad, CONSTANTS.kernel_narrower)
-    if balance is None:
-        return None
-    others = [b for m in held_out if (b := BaseNumbers.of(plant.model, m)) is not None]
-    aside = torque_balance(held_out, others, noise_rad, like=balance) if held_out else None
     turns = PlantScale.of(plant.model).unit("rad") == "rad"
     of_torque = [e for e in EFFECTS.values() if family_of(e) in VISIBLE]
     looked = [e for e in of_torque if turns or e.name != "link_gravity"]
-    judged = judge(balance, looked, declared, narrower, aside)
-    offered = all(effect in fitted.choices.structural for effect in judged.effects)
+    judged = None
+    for _ in range(2):
+        balance = torque_balance(plant.measurements, free, encoder)
+        narrower = torque_balance(plant.measurements, free, encoder, CONSTANTS.kernel_narrower)
+        if balance is None:
+            return None
+        others = [b for m in held_out if (b := BaseNumbers.of(plant.model, m)) is not None]
+        aside = torque_balance(held_out, others, encoder, like=balance) if held_out else None
+        judged = judge(balance, looked, declared, narrower, aside)
+        if free == (free := _free(fitted, judged)):
+            break
+    offered = judged and all(e in fitted.choices.structural for e in judged.effects)
     return judged if offered else None
+
+
+def _free(fitted: BaseFit, judged: TorqueJudgement | None = None) -> list[BaseNumbers]:
+    """The numbers of the records on which nothing holds the drive, by a judgement if there is one.
+
+    The kernel follows from the inertia. Of one that was given ten times too large it is so wide
+    that the velocity changes its sign too late, which looks like a friction that fades.
+    """
+    plant = fitted.plant
+    numbers = [BaseNumbers.of(plant.model, m) for m in plant.measurements]
+    free = [b for b in numbers if b is not None and b.is_free]
+    shown = judged.base[INERTIA].value if judged else 0.0
+    off = [shown / b.drum_inertia_kg_m2 for b in free]
+    if shown > 0.0 and any(not 1.0 / CONSTANTS.model_off < x < CONSTANTS.model_off for x in off):
+        return [replace(b, drum_inertia_kg_m2=shown) for b in free]
+    return free
 
 
 def disputed(
     fitted: BaseFit, judged: TorqueJudgement, fit: CandidateFit
 ) -> frozenset[type[Effect]]:
-    """Limits of the drive, of a fit, that the balance of torques does not bear out.
+    """Effects of a fit that the balance of torques does not bear out.
 
-    A command that was logged as its mean, or at other moments than the angle, looks to a
+    A law that it could see of this size, and that takes nothing off what its own laws leave: an
+    inertia far from the given one looks to a prediction like a share of the load. And limits: a
+    command that was logged as its mean, or at other moments than the angle, looks to a
     prediction as if a limit had cut it: torques then balance worse with the limit. One that acts
     in a single stretch of time may be any disturbance; it is not believed beside another effect,
     nor where the torques balance without it.
     """
     limits = [e for e in fit.effects if e.port is Port.ACTUATOR and e.named(Role.LIMIT)]
-    plant = fitted.plant
-    numbers = [BaseNumbers.of(plant.model, m) for m in plant.measurements]
-    free = [b for b in numbers if b is not None]
-    found = set()
+    plant, free, encoder = fitted.plant, _free(fitted, judged), fitted.noise.channels["angle_rad"]
+    more = [e for e in fit.effects if family_of(e) in VISIBLE - judged.families]
+    whole = torque_balance(plant.measurements, free, encoder) if judged.laws and more else None
+    found = {e for e in more if whole and judged.denies(whole, e, fit.values)}
     for effect in limits:
         (name,) = effect.named(Role.LIMIT)
         most = fit.values[f"{effect.name}.{name}"] * plant.drive_unit
@@ -71,7 +93,7 @@ def disputed(
             _limited(m, b, most / m.sampling_Hz if per_sample else most, slewing=per_sample)
             for m, b in zip(plant.measurements, free, strict=True)
         ]
-        balance = torque_balance(limited, free, fitted.noise.angle_rad)
+        balance = torque_balance(limited, free, encoder)
         pairs = zip(plant.measurements, limited, strict=True)
         acts = sum(_stretches(m, cut, plant.newtons_per_ampere) for m, cut in pairs)
         if acts <= 1 and (len(fit.effects) > 1 or judged.is_complete):
@@ -118,7 +140,10 @@ def with_values(
         "torque_offset_Nm": -judged.base[OFFSET].value,
     }
     zeros = [f.name for f in predictor.free if f.name.startswith(ZERO)]
-    values = {name: at.value for name, at in judged.values.items()} | base
+    # What the balance does not see, as how far friction gives before it slips, is as little as can
+    # be: the balance's laws are rigid.
+    rigid = {f.name: f.low for f in predictor.free if f.owner not in (BASE, "")}
+    values = rigid | {name: at.value for name, at in judged.values.items()} | base
     row = predictor.row(values | dict.fromkeys(zeros, 0.0))
     # A friction that is not told from zero may come out below.
     least = [f.low if f.owner == BASE else -np.inf for f in predictor.free]

@@ -172,12 +172,20 @@ def _undisputed(
             f"The prediction of the motion would name {titles}; with it torques balance worse."
         )
         return conclusion.unknown(reason), stages[:1]
-    fit = models.with_effects[rest]
+    fit = models.with_effects.get(rest) or _without(last, rest)
     kept = stage(last.fitter, last.fitter.final(fit), next(iter(sorted(rest))))
     complete = kept.step.ratio <= CONSTANTS.above_noise
     verdict: Verdict = "named" if complete else "incomplete"
     conclusion = conclusion._replace(verdict=verdict, stages=(models.base, fit), tied=(), rest="")
     return conclusion, (*stages[:1], kept)
+
+
+def _without(last: ModelStage, rest: Slugs) -> CandidateFit:
+    """A model with some of the effects of another, fitted from its values."""
+    effects = tuple(e for e in last.fit.effects if e.name in rest)
+    free = {f.name for f in last.fitter.predictor(effects).free}
+    values = {name: value for name, value in last.fit.values.items() if name in free}
+    return last.fitter.fit(effects, last.fitter.predictor(effects).row(values))
 
 
 def _weighed(

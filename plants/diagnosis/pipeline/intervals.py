@@ -66,8 +66,16 @@ def _of_balance(compared: EffectComparison) -> Mapping[str, Interval]:
     if judged is None:
         return {}
     inertia, viscous, offset = (judged.base[name] for name in BASE)
+    # What a balance does not see, as the angle over which friction builds up, may be anything.
+    last = compared.stages[-1]
+    unseen = {
+        f.name: Interval(last.fit.values[f.name], f.low, f.high, f.unit)
+        for f in last.fit.fitted.predictor.free
+        if f.owner in last.fit.names
+    }
     constant = Interval(-offset.value, -offset.high, -offset.low, "N m")
     return {
+        **unseen,
         **judged.values,
         "drum_inertia_kg_m2": replace(inertia, unit="kg m2"),
         "viscous_friction_Nms": Interval(

@@ -101,7 +101,9 @@ def with_window_sigma(
     The allowance is a share of the signal that initial states do not explain: a plant that
     integrates travels far. Disturbance forces move it further in a window than its encoder's
     steps; repeated commands show how far. (In a gauge, what does not repeat may be mains
-    interference, which can be explained.)
+    interference, which can be explained.) Noise of a speed that was integrated adds up: e steps
+    by n_k in each sample, so that of e = S n, S lower triangular of ones, initial states of basis
+    B leave the mean square |S|^2 - |S^T B|^2 in a window.
 
     Args:
         of: Data whose allowance is a share of each whole signal.
@@ -118,7 +120,11 @@ def with_window_sigma(
     spread = np.sqrt(np.bincount(number, unexplained * unexplained, kinds) / count)
     largest = np.zeros(kinds)
     np.maximum.at(largest, number, np.abs(of.measured))
-    least = {"angle_rad": _unrepeated_rms(of, blocks, basis, CHANNELS.index("angle_rad"))}
+    angle = CHANNELS.index("angle_rad")
+    walked = 0.0 if "angle_rad" not in noise.channels else noise.channels["angle_rad"].walk
+    if walked:
+        walked *= _walked(index.channel == angle, blocks, basis)
+    least = {"angle_rad": max(_unrepeated_rms(of, blocks, basis, angle), walked)}
     sigma = np.array(
         [
             _sigma(noise, name, float(spread[n]), float(largest[n]), least.get(name, 0.0))
@@ -150,6 +156,14 @@ def _unrepeated_rms(
     square /= np.bincount(index.window[chosen])[windows]
     # A few impacts must not raise the noise floor.
     return float(np.sqrt(np.minimum(square, 5.0 * np.median(square)).mean()))
+
+
+def _walked(of_angle: NDArray[np.bool_], blocks: WindowProjection, basis: FloatArray) -> float:
+    """Rms in windows of a sum of steps of one, without what initial states explain of it."""
+    chosen = of_angle.astype(np.float64)
+    by_states = sum(float(np.square(blocks.later_sums(chosen * b)).sum()) for b in basis)
+    left = float(blocks.later_sums(chosen).sum()) - by_states
+    return float(np.sqrt(max(left, 0.0) / max(chosen.sum(), 1.0)))
 
 
 class _Start(NamedTuple):

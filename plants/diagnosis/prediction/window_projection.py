@@ -22,6 +22,13 @@ class WindowProjection:
             sums[self._filled] = np.add.reduceat(a * b, self._first[self._filled])
         return np.repeat(sums, self._sizes)
 
+    def later_sums(self, a: FloatArray) -> FloatArray:
+        """Sum of a signal from each entry to the end of its window."""
+        before = np.cumsum(a) - a
+        first = before[np.minimum(self._first, a.size - 1)]
+        sums: FloatArray = self.dot(a, np.ones(a.size)) - before + np.repeat(first, self._sizes)
+        return sums
+
     def orthonormal(self, directions: FloatArray) -> FloatArray:
         """Gram-Schmidt orthonormalisation, twice for accuracy, in each window; same shape."""
         basis = np.zeros_like(directions)

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from estune.core.quantities import FloatArray
 from plants.diagnosis.constants import CONSTANTS
 from plants.diagnosis.data.measured_record import MeasuredRecord
+from plants.diagnosis.data.noise_floor import Noise
 from plants.diagnosis.data.smoothing import Smoother, least_width
 from plants.diagnosis.models.base import BaseNumbers
 
@@ -96,7 +97,7 @@ class TorqueBalance:
 def torque_balance(
     measurements: Sequence[MeasuredRecord],
     numbers: Sequence[BaseNumbers],
-    noise_rad: float,
+    encoder: Noise,
     narrower: float = 1.0,
     like: TorqueBalance | None = None,
 ) -> TorqueBalance | None:
@@ -105,14 +106,14 @@ def torque_balance(
     Args:
         measurements: The records.
         numbers: Numbers of the model, of each record.
-        noise_rad: Noise of the encoder, rms.
+        encoder: Noise of the angle.
         narrower: Width of the kernel relative to the widest; it is not below the least.
         like: A balance of other records, whose kernel and sizes are used.
     """
     pairs = [(m, b) for m, b in zip(measurements, numbers, strict=True) if m.angle_rad is not None]
     if not pairs:
         return None
-    sharp_s, width_s = _widths_s(pairs, noise_rad) if like is None else like.widths_s
+    sharp_s, width_s = _widths_s(pairs, encoder) if like is None else like.widths_s
     width_s = max(sharp_s, narrower * width_s)
     listed = [_signals(m, b, sharp_s, width_s) for m, b in pairs]
     velocity = np.concatenate([s.sharp_rad_s for s in listed])
@@ -120,7 +121,7 @@ def torque_balance(
     sharp, smoother = (Smoother(s, pairs[0][0].sampling_Hz) for s in (sharp_s, width_s))
     # Records of another rate may be shorter than the kernel is at the first one's.
     most = max(*(m.samples for m, _ in pairs), 4 * sharp.reach, 4 * smoother.reach)
-    noise = np.random.default_rng(0).normal(0.0, noise_rad, most)
+    noise = encoder.drawn(most)
     of_velocity = float(np.nanstd(sharp.sampled(noise, 0.0, 1.0)))
     of_torque = smoother.sampled(noise, 0.0, b.viscous_friction_Nms, b.drum_inertia_kg_m2)
     least = CONSTANTS.above_noise * of_velocity
@@ -175,7 +176,7 @@ def torque_balance(
 
 
 def _widths_s(
-    pairs: Sequence[tuple[MeasuredRecord, BaseNumbers]], noise_rad: float
+    pairs: Sequence[tuple[MeasuredRecord, BaseNumbers]], encoder: Noise
 ) -> tuple[float, float]:
     """The least kernel that keeps the noise out of the motion, and the widest that keeps that."""
     durations = [m.duration_s for m, _ in pairs]
@@ -186,7 +187,7 @@ def _widths_s(
     ]
     torque = float(np.std(np.concatenate(commands)))
     inertia = float(np.median([b.drum_inertia_kg_m2 for _, b in pairs]))
-    noise = np.random.default_rng(0).normal(0.0, noise_rad, max(m.samples for m, _ in pairs))
+    noise = encoder.drawn(max(m.samples for m, _ in pairs))
 
     def velocity(width_s: float) -> FloatArray:
         return np.concatenate(

@@ -2,7 +2,7 @@
 
 import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -60,6 +60,22 @@ class TorqueJudgement(NamedTuple):
         """Whether a balance of torques that another effect has changed leaves twice as much."""
         left = BalanceFits(balance).left_out((*self.declared, *self.laws))
         return CONSTANTS.law_left * left.total > balance.torque_Nm.size * self.after_Nm**2
+
+    def denies(
+        self, balance: TorqueBalance, effect: type[Effect], predicted: Mapping[str, float]
+    ) -> bool:
+        """Whether a balance could see an effect of the size predicted, and shows none."""
+        fits, own = BalanceFits(balance), (*self.declared, *self.laws)
+        tried = [(fits.left_out((*own, law)), law) for law in laws(balance, (effect,))]
+        if not tried:
+            return False
+        beside, law = min(tried, key=lambda one: one[0].total)
+        if _is_better(beside, fits.left_out(own)):
+            return False
+        (size, *_) = law.values(beside.sizes)
+        key = f"{effect.name}.{size}"
+        at = _values(beside, beside, law)[key]
+        return abs(predicted[key]) > max(abs(at.low), abs(at.high))
 
     @property
     def families(self) -> frozenset[str]:
