@@ -52,6 +52,7 @@ NIGHTLY = {
     "improvement",
     "independent_drives",
     "jitter",
+    "joints",
     "live_page",
     "look_alikes",
     "loop_claims",

@@ -1,6 +1,7 @@
 """Friction and lag as other people's simulators write them down."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -92,6 +93,28 @@ def test_friction_is_identified_in_the_notation_of_other_simulators(friction, na
     found = plants.explain(BELIEVED, list(records(friction)))
     assert (found.verdict, [effect.name for effect in found.effects]) == ("named", [name])
     assert found.effects[0].parameters[size].value == pytest.approx(FRICTION_Nm, rel=0.05)
+
+
+@pytest.mark.parametrize("guess", [1.2, 10.0])
+def test_friction_is_all_that_is_missing_where_a_noisy_speed_was_integrated(guess):
+    rng, size = np.random.default_rng(5), 0.005  # 8 % of the usual torque
+
+    def dry(velocity, z):
+        return size * math.tanh(velocity / 0.01), z
+
+    def measured(n, current):
+        speed = np.gradient(turned(current, dry)) * RATE_Hz
+        speed += 0.02 * speed.std() * rng.standard_normal(speed.size)
+        angle = np.append(0.0, np.cumsum(0.5 * (speed[1:] + speed[:-1])) / RATE_Hz)
+        return replace(open_loop(n, RATE_Hz, current, angle_rad=angle), speed_rad_s=speed)
+
+    believed = replace(BELIEVED, drum_inertia_kg_m2=guess * INERTIA_kg_m2)
+    found = plants.explain(believed, [measured(n, c) for n, c in enumerate(currents(rng))])
+    assert [e.name for e in found.effects] == ["coulomb_friction"]
+    assert found.verdict == "named"
+    assert 0.7 < found.after.ratio < 1.3  # the floor is what the noise adds up to
+    at = found.effects[0].parameters["torque_Nm"]
+    assert at.low < size < at.high
 
 
 def test_friction_of_a_gear_grows_with_its_torque():

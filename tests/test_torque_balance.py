@@ -61,6 +61,17 @@ def test_laws_of_a_joint_are_named_whatever_the_rate_and_the_encoder(joints, kin
             assert value.value == pytest.approx(TRUTH[name], rel=0.1)
 
 
+def test_a_law_that_a_balance_could_see_is_denied_where_it_is_not_there(joints):
+    def denied(kind, share):
+        balance = balance_of(joints[kind], 14, 1)
+        said = judge(balance, (CoulombFriction, LinkGravity), ())
+        return said.denies(balance, LoadFriction, {"load_friction.load_share": share})
+
+    assert denied("coulomb", 0.2)
+    assert not denied("coulomb", 1e-4)  # too small to be seen
+    assert not denied("load", 0.3)
+
+
 def test_a_law_that_the_model_declares_changes_no_other(joints):
     alone, beside = (judged(joints["load"], 14, 1, declared) for declared in ((), (LinkGravity,)))
     assert [e.name for e in beside.effects] == ["load_friction"]

@@ -83,8 +83,11 @@ def disputed(
     limits = [e for e in fit.effects if e.port is Port.ACTUATOR and e.named(Role.LIMIT)]
     plant, free, encoder = fitted.plant, _free(fitted, judged), fitted.noise.channels["angle_rad"]
     more = [e for e in fit.effects if family_of(e) in VISIBLE - judged.families]
-    whole = torque_balance(plant.measurements, free, encoder) if judged.laws and more else None
-    found = {e for e in more if whole and judged.denies(whole, e, fit.values)}
+    whole = torque_balance(plant.measurements, free, encoder) if limits or more else None
+    if whole is None:
+        return frozenset()
+    found = {e for e in more if judged.laws and judged.denies(whole, e, fit.values)}
+    beside = len(fit.effects) > 1
     for effect in limits:
         (name,) = effect.named(Role.LIMIT)
         most = fit.values[f"{effect.name}.{name}"] * plant.drive_unit
@@ -96,9 +99,9 @@ def disputed(
         balance = torque_balance(limited, free, encoder)
         pairs = zip(plant.measurements, limited, strict=True)
         acts = sum(_stretches(m, cut, plant.newtons_per_ampere) for m, cut in pairs)
-        if acts <= 1 and (len(fit.effects) > 1 or judged.is_complete):
+        if acts <= 1 and (beside or judged.is_complete):
             found.add(effect)
-        if balance is not None and judged.disputes(balance):
+        if balance is not None and judged.disputes(balance, whole, beside=beside):
             found.add(effect)
     return frozenset(found)
 

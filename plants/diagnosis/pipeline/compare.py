@@ -21,7 +21,7 @@ from plants.diagnosis.residual.localisation import ResidualLocation
 from plants.diagnosis.residual.torque_waves import TorqueWaves, torque_waves
 from plants.diagnosis.result import SearchStep, Slugs, Verdict, explained_share
 from plants.diagnosis.search.conclusion import Conclusion, conclude
-from plants.diagnosis.search.fitted_models import FittedModels
+from plants.diagnosis.search.fitted_models import FittedModels, summarise
 from plants.diagnosis.search.limitations import most_refused
 from plants.diagnosis.search.mains_interference import MainsLine
 from plants.diagnosis.search.model_fitter import CandidateFit, ModelFitter
@@ -122,12 +122,14 @@ def compare(
     judged = judgement(fitted, held_out) if waves is None else None
     together = SILENT
     if wrong is None and judged is not None:
+        predicted = stages
         conclusion, stages = _undisputed(conclusion, stages, every.models, fitted, judged)
         believed = stages[-1].fit.effects
         foreseen = conclusion.leading | _predicting(every.models, judged)
-        together = agreement(conclusion.verdict, believed, conclusion.tied, foreseen, judged)
+        left_open = conclusion.tied or _fuller(every.models, stages[-1])
+        together = agreement(conclusion.verdict, believed, left_open, foreseen, judged)
         conclusion, stages = _weighed(conclusion, stages, every.models, judged, together)
-        steps = tuple(each.step for each in stages) if together.effects else steps
+        steps = steps if stages is predicted else tuple(each.step for each in stages)
     effects = _effects(stages, every.line, steps, waves)
     too_few = most_refused(usable.measurements, usable.findings)
     return EffectComparison(
@@ -151,6 +153,24 @@ def _predicting(models: FittedModels, judged: TorqueJudgement) -> Slugs:
     certain = {e.name for e in judged.effects[:-1]}
     laws = [fit for fit in models.singles if family_of(fit.effects[0]) in VISIBLE]
     return next((fit.names for fit in laws if not fit.names & certain), frozenset())
+
+
+def _fuller(models: FittedModels, last: ModelStage) -> tuple[str, ...]:
+    """Slugs of fuller laws of the one that is believed, of a fit that leaves no more.
+
+    Of its own a prediction takes the simpler one of two that explain about as much.
+    """
+    if len(last.fit.effects) != 1:
+        return ()
+    (simpler,) = last.fit.effects
+    return tuple(
+        fit.effects[0].name
+        for fit in models.singles
+        if family_of(fit.effects[0]) == family_of(simpler)
+        and len(fit.effects[0].parameters()) > len(simpler.parameters())
+        and last.fit.J >= fit.J
+        and summarise(fit, last.fitter.scale).eligible
+    )
 
 
 def _undisputed(

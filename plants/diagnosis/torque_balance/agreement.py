@@ -49,16 +49,18 @@ def agreement(
     Args:
         verdict: Of the prediction.
         believed: Effects that it names.
-        tied: Slugs that it leaves open.
+        tied: Slugs that it leaves open, and fuller laws of one it names that explain no less.
         foreseen: Slugs of what it would name first, believed or not.
         judged: What the balance says; None where it says nothing.
     """
     named = _certain(judged, foreseen | set(tied)) if judged is not None else ()
     families = {family_of(e) for e in named}
     seen = {family_of(e) for e in believed if family_of(e) in VISIBLE}
+    agreed = [e for e in named if e.name in tied]
+    if len(agreed) == 1 and (verdict == "ambiguous" or families == seen):
+        return Agreement("tie", (agreed[0],))
     if verdict == "ambiguous":
-        agreed = [e for e in named if e.name in tied]
-        return Agreement("tie", (agreed[0],)) if len(agreed) == 1 else SILENT
+        return SILENT
     # What predicts the motion to the noise is complete: the balance knows no other port.
     complete = verdict == "named" and bool(families & seen or not seen)
     alone = verdict in ("unknown", "none")

@@ -56,10 +56,13 @@ class TorqueJudgement(NamedTuple):
         """Whether what is left is no more than a complete model may leave."""
         return not self.like and self.after_Nm <= CONSTANTS.above_noise * self.noise_Nm
 
-    def disputes(self, balance: TorqueBalance) -> bool:
-        """Whether a balance of torques that another effect has changed leaves twice as much."""
-        left = BalanceFits(balance).left_out((*self.declared, *self.laws))
-        return CONSTANTS.law_left * left.total > balance.torque_Nm.size * self.after_Nm**2
+    def disputes(self, limited: TorqueBalance, whole: TorqueBalance, *, beside: bool) -> bool:
+        """Whether a limit leaves twice as much of a balance, or beside another effect no less."""
+        own = (*self.declared, *self.laws)
+        left, kept = (BalanceFits(balance).left_out(own) for balance in (limited, whole))
+        return (
+            not _is_better(left, kept) if beside else CONSTANTS.law_left * left.total > kept.total
+        )
 
     def denies(
         self, balance: TorqueBalance, effect: type[Effect], predicted: Mapping[str, float]
