@@ -56,13 +56,8 @@ class Recording(NamedTuple):
     """Contents of a file.
 
     Attributes:
-<<<<<<< HEAD
-        parts: Columns of each stretch without a gap; `time_s` is one of them.
-=======
-        sampling_Hz: Rate of the grid.
         parts: Columns of each stretch without a gap; `time_s` is one of them, and beside an angle
             that is the integral of a speed that one, as `RATE`.
->>>>>>> ae67739f (Noise of a speed that was integrated adds up in the floor; a law that the balance of torques could see and does not is not believed; its kernel follows from the inertia that it shows)
         metadata: As written in the file, beside it or in the map.
         mapped: Where each column came from.
         issues: Channels that were ignored, and what was done to the time stamps.

@@ -33,12 +33,7 @@ class MeasuredRecord:
         setpoint_N: The setpoint; in open loop the tension command.
         current_A: The motor current as recorded: in closed loop the command; in open loop, where
             it differs from the command, what was measured.
-<<<<<<< HEAD
-=======
-        tension_N: The measured tension.
-        angle_rad: The measured drum angle.
         speed_rad_s: What was measured where the angle is its integral.
->>>>>>> ae67739f (Noise of a speed that was integrated adds up in the floor; a law that the balance of torques could see and does not is not believed; its kernel follows from the inertia that it shows)
         reference_N: Tension measured outside the reel.
         flags: Bit field; see `estune.trial.records`.
         source: The file it was read from.
