@@ -13,10 +13,11 @@ from estune.core.gains import Gains
 from estune.core.margins import loop_margins, sample_plant
 from estune.core.pidf import ControllerSettings
 from estune.core.response import LoadStep
-from estune.loop_model import closed_loops
+from estune.loop_model import closed_loops, least_squares
 from estune.loop_model.claim import claim
 from estune.loop_model.fitting import fit_loop, fit_with_excitations
 from estune.loop_model.intervals import predict_with_intervals
+from estune.loop_model.least_squares import Solution, signals_of
 from estune.loop_model.margins import robustness
 from estune.loop_model.model import LoopModel, close_loop, exchanged
 from estune.loop_model.optimum import DERIVATIVE, RegionSearch, RobustnessLimits
@@ -335,10 +336,34 @@ def test_predictions_without_a_compiler_are_the_same(monkeypatch):
         for one in (trial, loaded)
     ]
     compiled = [predictions(*one, NOISE_N) for one in asked]
-    monkeypatch.setattr(closed_loops, "_library", lambda: None)
+    monkeypatch.setattr(closed_loops, "compiled", lambda _: None)
     for found, one in zip(compiled, asked, strict=True):
         for prediction, same in zip(found, predictions(*one, NOISE_N), strict=True):
             np.testing.assert_allclose(np.hstack(prediction), np.hstack(same), rtol=1e-9)
+
+
+def test_prediction_errors_without_a_compiler_are_the_same(monkeypatch):
+    records = [record_of(linear(), g, n) for n, g in enumerate(around(GAINS, 3))]
+    in_motion = [records[0]._replace(at_rest=False)]
+    poles = [(-1.0,), (-2.0, -0.5), (-2.0, -0.5, 97.0), (97.0, 98.0, -2.0, -0.5), (97.0, 0.0)]
+    asked = [
+        (signals_of(some, 80.0, 80)._replace(hum=hum), np.array(x), dead)
+        for some in (records, [*records[1:], *in_motion])
+        for hum in (0.0, 0.3)
+        for x in poles
+        for dead in (0, 9)
+    ]
+
+    def found():
+        for signals, x, dead in asked:
+            at = Solution.at(signals, x, dead)
+            yield at.residual, at.numerator, at.search_slopes(signals)
+
+    compiled = list(found())
+    monkeypatch.setattr(least_squares, "compiled", lambda _: None)
+    for one, other in zip(compiled, found(), strict=True):
+        for value, same in zip(one, other, strict=True):
+            np.testing.assert_allclose(value, same, atol=1e-5 * np.abs(same).max())
 
 
 @pytest.mark.parametrize(("is_white", "said"), [(True, ""), (False, "leaves 0.1% of the step")])

@@ -5,19 +5,10 @@ dead time at once. Polynomials are in q^-1 but where `powers` are of d = 1 - q^-
 poles, B of the numerator and S, T, R of the controller the characteristic polynomial is
 A R + q^-late B S. Python checks all sizes. */
 
-#include <math.h>
-#include <stdlib.h>
-#include <string.h>
-
 #define PI 3.14159265358979323846
 #define BANDS 16
 #define ZOOMED 13
 #define ZOOM_REACH 0.6
-#define LEAST -25.0
-#define GREATEST 6.0
-#define OUTSIDE 100.0
-#define MOST_GROWTH 1.0
-#define MOST_SECTIONS 16
 #define MOST_TERMS 64
 
 typedef struct {
@@ -43,21 +34,6 @@ typedef struct {
     const double *numerator;
 } Plant;
 
-static double clipped(double x, double low, double high)
-{
-    return x < low ? low : x > high ? high : x;
-}
-
-static int grows(double x)
-{
-    return OUTSIDE / 2.0 < x && x < 1.5 * OUTSIDE;
-}
-
-static double growth(double x)
-{
-    return exp(clipped(x - OUTSIDE, LEAST, MOST_GROWTH));
-}
-
 static void multiply(double *product, long degree, const double *by, long more)
 {
     long i, j;
@@ -68,30 +44,6 @@ static void multiply(double *product, long degree, const double *by, long more)
                 sum += by[j] * product[i - j];
         product[i] = sum;
     }
-}
-
-/* Logarithms of a pair of poles. */
-static void pair(double x, double y, double *re, double *im)
-{
-    double w, z, turn;
-    if (grows(x) && !grows(y)) {
-        re[0] = growth(x), re[1] = -exp(clipped(y, LEAST, GREATEST)), im[0] = im[1] = 0.0;
-        return;
-    }
-    if (grows(x)) {
-        pair(x - OUTSIDE, y - OUTSIDE, re, im);
-        re[0] = fmin(-re[0], exp(MOST_GROWTH)), re[1] = fmin(-re[1], exp(MOST_GROWTH));
-        im[0] = -im[0], im[1] = -im[1];
-        return;
-    }
-    w = exp(clipped(x, LEAST, GREATEST)), z = exp(clipped(y, LEAST, -LEAST));
-    if (z < 1.0) {
-        turn = w * sqrt(1.0 - z * z);
-        re[0] = re[1] = -z * w, im[0] = turn, im[1] = -turn;
-        return;
-    }
-    turn = w * sqrt(z * z - 1.0);
-    re[0] = -w * w / (z * w + turn), re[1] = -(z * w + turn), im[0] = im[1] = 0.0;
 }
 
 static void read_plant(const Task *t, long model, Plant *p)
@@ -118,8 +70,7 @@ static void read_plant(const Task *t, long model, Plant *p)
             powers[1] = r[0] * ur[1] - m[0] * ui[1] + r[1] * ur[0] - m[1] * ui[0];
             multiply(p->A, n, taps, 2), n += 2;
         } else {
-            double last = x[2 * i];
-            double log_p = grows(last) ? growth(last) : -exp(clipped(last, LEAST, GREATEST));
+            double log_p = single(x[2 * i]);
             taps[1] = -exp(log_p);
             powers[0] = -expm1(log_p), powers[1] = -taps[1], powers[2] = 0.0;
             multiply(p->A, n, taps, 1), n += 1;

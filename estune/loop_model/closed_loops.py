@@ -7,16 +7,14 @@ most of its time to begin. Without a compiler there are none, and the same is fo
 import ctypes
 import math
 from collections.abc import Sequence
-from functools import cache
 from itertools import accumulate
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from estune.core.quantities import FloatArray
-from estune.errors import PlantError
+from estune.loop_model.compiled import compiled
 from estune.loop_model.model import Laws, LoopModel
-from estune.support import c_compiler
 
 _COUNTS = ("models", "laws", "loops", "order", "terms", "dead", "law_terms")
 _COUNTS_OF_GRID = ("angles", "offsets", "samples", "drawn")
@@ -68,17 +66,6 @@ class ClosedLoops(NamedTuple):
     noise: FloatArray
 
 
-@cache
-def _library() -> Any:
-    """The compiled function; None without a compiler."""
-    try:
-        function = c_compiler.load_beside(__file__, "closed_loops.c").estune_closed_loops
-    except PlantError:
-        return None
-    function.argtypes = (ctypes.c_void_p,)
-    return function
-
-
 def closed_loops(
     models: Sequence[LoopModel],
     laws: Laws,
@@ -97,8 +84,8 @@ def closed_loops(
     Raises:
         MemoryError: there is not enough memory.
     """
-    call = _library()
-    if call is None:
+    library = compiled("closed_loops")
+    if library is None:
         return None
     table, about, bands = grid
     coordinates = np.array([model.coordinates for model in models])
@@ -125,7 +112,7 @@ def closed_loops(
         *(table.ctypes.data, about.ctypes.data, *signals),
         *(places if samples else places[:3]),
     )
-    if call(ctypes.byref(task)):
+    if library.estune_closed_loops(ctypes.byref(task)):
         raise MemoryError("no memory for closed loops; predict fewer at once")
     parts = np.split(answers, np.cumsum(sizes)[:-1])
     return ClosedLoops(*(part.reshape(of) for part, of in zip(parts, shapes, strict=True)))

@@ -27,6 +27,8 @@ import numpy as np
 
 from estune.core.filtering import lfilter
 from estune.core.quantities import FloatArray
+from estune.loop_model.compiled import compiled
+from estune.loop_model.compiled_errors import CompiledErrors, compiled_errors
 from estune.loop_model.hum import hum_of
 from estune.loop_model.noise_model import WHITE, NoiseModel, shaping
 from estune.loop_model.poles import sections_of
@@ -144,6 +146,7 @@ class Solution(NamedTuple):
         basis: Orthonormal basis of the regressors, shape (residuals of all, terms).
         numerator: B in powers of 1 - q^-1.
         residual: e, shape (residuals of all,).
+        compiled: The same, where it was found by compiled code.
     """
 
     coordinates: FloatArray
@@ -154,6 +157,7 @@ class Solution(NamedTuple):
     basis: FloatArray
     numerator: FloatArray
     residual: FloatArray
+    compiled: CompiledErrors | None = None
 
     @classmethod
     def at(
@@ -177,6 +181,15 @@ class Solution(NamedTuple):
         numerator: FloatArray | None = None,
     ) -> "Iterator[Solution]":
         """The solutions at several dead times, for which all is filtered once."""
+        library = compiled("prediction_errors") if noise.is_white else None
+        if library is not None:
+            for dead in delays:
+                groups, hum = [group[:3] for group in signals.groups], signals.hum
+                found = compiled_errors(
+                    library, groups, hum, coordinates, dead=dead, numerator=numerator
+                )
+                yield cls(coordinates, noise, dead, *found[:-2], found)
+            return
         filters = filters_of(coordinates, noise, signals.settling_samples)
         nuisance = tuple(
             nuisance_of(group, coordinates, noise, signals) for group in signals.groups
@@ -216,6 +229,8 @@ class Solution(NamedTuple):
         Shape (residuals of all, coordinates and noises). The numerator is held. For white noise
         the slopes along a tap a_i of a section are q^-i/A of the fitted output.
         """
+        if self.compiled is not None:
+            return self.compiled.slopes()
         if self.noise.is_white:
             return self._output_slopes(signals)
         return self._numerical_slopes(signals)

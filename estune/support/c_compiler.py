@@ -62,13 +62,14 @@ def load(source: str, optimise: str = "-O3") -> ctypes.CDLL:
     raise PlantError(reason)
 
 
-def load_beside(module: str, name: str) -> ctypes.CDLL:
-    """The library of a C source in a file beside that of a module.
+def load_beside(module: str, *names: str) -> ctypes.CDLL:
+    """The library of C sources in files beside that of a module, one after another.
 
     Raises:
         PlantError: as of `load`.
     """
-    return load(Path(module).with_name(name).read_text(encoding="utf-8"))
+    files = (Path(module).with_name(name) for name in names)
+    return load("".join(file.read_text(encoding="utf-8") for file in files))
 
 
 def load_named(name: str, written: Callable[[], str], optimise: str = "-O3") -> ctypes.CDLL:

@@ -1,0 +1,353 @@
+/* Prediction errors of records for given poles and dead time, with white noise.
+
+The same as `least_squares.Solution`, which says why: the numerator, start states and offsets of
+least squares. Rows of signals are behind one another: group by group, record by record, without
+the samples of the history. */
+
+#define MOST_COLUMNS 24
+#define NUISANCE_APART 1e-7
+#define COLLINEAR 1e-10
+#define COORDINATE_STEP 1e-6
+
+typedef struct {
+    long order, terms, dead, groups, residuals, longest, given;
+    double hum;                   /* rad/sample; zero without one */
+    const double *coordinates;    /* (order,) */
+    const long *sizes;            /* (groups, 3): records, samples, history */
+    const long *signals;          /* (groups, 2): addresses of effort and measurement */
+    double *numerator;            /* (terms,); input where it is given */
+    long *ranks;                  /* (groups,): columns of the nuisance of each */
+    double *nuisance;             /* (groups, MOST_COLUMNS, longest) */
+    double *regressors, *basis;   /* (terms, residuals) */
+    double *residual, *slopes;    /* (residuals,), (order, residuals) */
+} FitTask;
+
+static double dot(long n, const double *x, const double *y)
+{
+    double a = 0.0, b = 0.0, c = 0.0, d = 0.0;
+    long i;
+    for (i = 0; i + 3 < n; i += 4) {
+        a += x[i] * y[i], b += x[i + 1] * y[i + 1];
+        c += x[i + 2] * y[i + 2], d += x[i + 3] * y[i + 3];
+    }
+    for (; i < n; i++)
+        a += x[i] * y[i];
+    return (a + b) + (c + d);
+}
+
+static void less(long n, double share, const double *x, double *y)
+{
+    long i;
+    for (i = 0; i < n; i++)
+        y[i] -= share * x[i];
+}
+
+/* Signals less their part in orthonormal rows. */
+static void without(long n, long rows, long stride, const double *Q, double *x)
+{
+    double shares[MOST_COLUMNS];
+    long j;
+    for (j = 0; j < rows; j++)
+        shares[j] = dot(n, Q + j * stride, x);
+    for (j = 0; j < rows; j++)
+        less(n, shares[j], Q + j * stride, x);
+}
+
+/* Orthonormal rows in place of rows, each orthogonalised twice; triangle has their shares. */
+static void orthonormal(long n, long rows, long stride, double *Q, double *triangle)
+{
+    long i, j, again;
+    memset(triangle, 0, rows * rows * sizeof *triangle);
+    for (j = 0; j < rows; j++) {
+        double *x = Q + j * stride, size;
+        for (again = 0; again < 2; again++)
+            for (i = 0; i < j; i++) {
+                double share = dot(n, Q + i * stride, x);
+                less(n, share, Q + i * stride, x);
+                triangle[i * rows + j] += share;
+            }
+        size = sqrt(dot(n, x, x));
+        triangle[j * rows + j] = size;
+        for (i = 0; i < n; i++)
+            x[i] = size > 0.0 ? x[i] / size : 0.0;
+    }
+}
+
+/* W = U S of W = U S V', by rotations of its columns (Hestenes); V may be NULL. */
+static void rotate(long m, double *W, double *V)
+{
+    long i, p, q, sweep, turned = 1;
+    for (i = 0; V && i < m * m; i++)
+        V[i] = i % (m + 1) == 0;
+    for (sweep = 0; turned && sweep < 60; sweep++)
+        for (turned = p = 0; p < m; p++)
+            for (q = p + 1; q < m; q++) {
+                double a = 0.0, b = 0.0, c = 0.0, zeta, t, cosine;
+                for (i = 0; i < m; i++) {
+                    double x = W[i * m + p], y = W[i * m + q];
+                    a += x * x, b += y * y, c += x * y;
+                }
+                if (!(fabs(c) > 1e-15 * sqrt(a * b)))
+                    continue;
+                turned = 1, zeta = (b - a) / (2.0 * c);
+                t = (zeta < 0.0 ? -1.0 : 1.0) / (fabs(zeta) + sqrt(1.0 + zeta * zeta));
+                cosine = 1.0 / sqrt(1.0 + t * t);
+                for (i = 0; i < 2 * m; i++) {
+                    double *row = i < m ? W + i * m : V ? V + (i - m) * m : NULL;
+                    if (row) {
+                        double x = row[p], y = row[q];
+                        row[p] = cosine * (x - t * y), row[q] = cosine * (y + t * x);
+                    }
+                }
+            }
+}
+
+static double column_size(long m, const double *W, long j)
+{
+    double sum = 0.0;
+    long i;
+    for (i = 0; i < m; i++)
+        sum += W[i * m + j] * W[i * m + j];
+    return sqrt(sum);
+}
+
+/* Least squares of a triangle, of least size along what is collinear. */
+static void solve(long m, double *triangle, const double *y, double *found)
+{
+    double V[MOST_COLUMNS * MOST_COLUMNS], largest = 0.0;
+    long i, j;
+    rotate(m, triangle, V);
+    for (j = 0; j < m; j++)
+        largest = fmax(largest, column_size(m, triangle, j)), found[j] = 0.0;
+    for (j = 0; j < m; j++) {
+        double size = column_size(m, triangle, j), share = 0.0;
+        if (!(size > COLLINEAR * largest))
+            continue;
+        for (i = 0; i < m; i++)
+            share += triangle[i * m + j] * y[i];
+        for (i = 0; i < m; i++)
+            found[i] += V[i * m + j] * share / (size * size);
+    }
+}
+
+typedef struct {
+    long size;
+    double taps[3], mirrored[3];
+    int grows;
+} Section;
+
+static long sections_at(long order, const double *x, Section *s)
+{
+    long i, k, count = (order + 1) / 2;
+    for (i = 0; i < count; i++) {
+        Section *own = s + i;
+        double re[2], im[2] = {0.0, 0.0}, *kinds[2];
+        kinds[0] = own->taps, kinds[1] = own->mirrored;
+        own->size = 2 * i + 1 < order ? 3 : 2;
+        if (own->size == 3)
+            pair(x[2 * i], x[2 * i + 1], re, im);
+        else
+            re[0] = single(x[2 * i]);
+        own->grows = re[0] > 0.0 || (own->size == 3 && re[1] > 0.0);
+        for (k = 0; k < 2; k++) {
+            double *c = kinds[k];
+            double p = exp(k ? -fabs(re[0]) : re[0]);
+            c[0] = 1.0, c[1] = -p, c[2] = 0.0;
+            if (own->size == 3) {
+                double q = exp(k ? -fabs(re[1]) : re[1]);
+                c[1] = -(p * cos(im[0]) + q * cos(im[1]));
+                c[2] = p * q * cos(im[0] + im[1]);
+            }
+        }
+    }
+    return count;
+}
+
+/* A signal through a filter of three terms above and below; in place where out is x. */
+static void filter(long n, const double *above, const double *below, const double *x, double *out)
+{
+    double x1 = 0.0, x2 = 0.0, y1 = 0.0, y2 = 0.0;
+    long i;
+    for (i = 0; i < n; i++) {
+        double now = x[i];
+        double y = above[0] * now + above[1] * x1 + above[2] * x2 - below[2] * y2 - below[1] * y1;
+        x2 = x1, x1 = now, y2 = y1, y1 = y, out[i] = y;
+    }
+}
+
+static const double ONE[3] = {1.0, 0.0, 0.0};
+
+/* A signal through A over A mirrored, of the poles outside the unit circle but one section. */
+static void all_pass(long n, long count, const Section *s, long but, double *x)
+{
+    long i;
+    for (i = 0; i < count; i++)
+        if (s[i].grows && i != but)
+            filter(n, s[i].taps, s[i].mirrored, x, x);
+}
+
+/* Orthonormal rows of start states and offsets in n samples; their number. */
+static long nuisance_at(const FitTask *t, long poles, long n, double *Q)
+{
+    Section s[MOST_SECTIONS];
+    long i, j, k, rows = 0, rank = 0, count = sections_at(poles, t->coordinates, s);
+    long stride = t->longest, levels = t->hum ? 5 : 1;
+    double W[MOST_COLUMNS * MOST_COLUMNS], sizes[MOST_COLUMNS], largest = 0.0, *last = Q;
+    for (i = 0; i < count; i++) {
+        double *free = Q + rows * stride;
+        memset(free, 0, n * sizeof *free), free[0] = 1.0;
+        filter(n, ONE, s[i].mirrored, i ? last : free, free);
+        last = free, rows++;
+        if (s[i].size == 3) {
+            double *later = Q + rows++ * stride;
+            later[0] = 0.0, memcpy(later + 1, free, (n - 1) * sizeof *free);
+        }
+    }
+    for (k = 0; k < levels; k++) {
+        double *level = Q + rows++ * stride;
+        for (i = 0; i < n; i++) {
+            double place = k > 2 ? 2.0 * i / (t->longest - 1.0) - 1.0 : 1.0;
+            level[i] = !k ? 1.0 : place * (k % 2 ? cos(t->hum * i) : sin(t->hum * i));
+        }
+        all_pass(n, count, s, -1, level);
+    }
+    {
+        double *sum = Q + rows++ * stride, total = 0.0;
+        for (i = 0; i < n; i++)
+            sum[i] = total += last[i];
+    }
+    for (j = 0; j < rows; j++) {
+        double size = fmax(sqrt(dot(n, Q + j * stride, Q + j * stride)), 1e-300);
+        for (i = 0; i < n; i++)
+            Q[j * stride + i] /= size;
+    }
+    orthonormal(n, rows, stride, Q, W);
+    rotate(rows, W, NULL);
+    for (j = 0; j < rows; j++)
+        sizes[j] = column_size(rows, W, j), largest = fmax(largest, sizes[j]);
+    /* Rows turned to the directions that are left, in place. */
+    for (j = 0; j < rows; j++)
+        if (sizes[j] > NUISANCE_APART * largest) {
+            for (i = 0; i < rows; i++)
+                W[i * rows + rank] = W[i * rows + j] / sizes[j];
+            rank++;
+        }
+    if (rank < rows)
+        for (i = 0; i < n; i++) {
+            double turned[MOST_COLUMNS];
+            for (j = 0; j < rank; j++)
+                for (turned[j] = 0.0, k = 0; k < rows; k++)
+                    turned[j] += W[k * rows + j] * Q[k * stride + i];
+            for (j = 0; j < rank; j++)
+                Q[j * stride + i] = turned[j];
+        }
+    return rank;
+}
+
+/* Returns zero, or one where there is no memory. */
+__attribute__((visibility("default"))) int estune_prediction_errors(const FitTask *t)
+{
+    Section s[MOST_SECTIONS];
+    long count = sections_at(t->order, t->coordinates, s), g, i, j, k, r, at = 0;
+    long N = t->residuals, m = t->terms, late = t->dead + 1, most = 1;
+    double triangle[MOST_COLUMNS * MOST_COLUMNS], sizes[MOST_COLUMNS], shares[MOST_COLUMNS];
+    double *work;
+    for (g = 0; g < t->groups; g++)
+        most = t->sizes[3 * g + 1] > most ? t->sizes[3 * g + 1] : most;
+    if (!(work = malloc(2 * most * sizeof *work)))
+        return 1;
+    for (g = 0; g < t->groups; g++) {
+        long records = t->sizes[3 * g], samples = t->sizes[3 * g + 1], h = t->sizes[3 * g + 2];
+        long n = samples - h, poles = h || t->order < 2 ? t->order : 2;
+        double *Q = t->nuisance + g * MOST_COLUMNS * t->longest, *x = work, *y = work + most;
+        const double *effort = (const double *)t->signals[2 * g];
+        const double *measurement = (const double *)t->signals[2 * g + 1];
+        t->ranks[g] = nuisance_at(t, poles, n, Q);
+        for (r = 0; r < records; r++, at += n) {
+            memcpy(y, measurement + r * samples, samples * sizeof *y);
+            all_pass(samples, count, s, -1, y);
+            memcpy(t->residual + at, y + h, n * sizeof *y);
+            without(n, t->ranks[g], t->longest, Q, t->residual + at);
+            memcpy(x, effort + r * samples, samples * sizeof *x);
+            for (i = 0; i < count; i++)
+                filter(samples, ONE, s[i].mirrored, x, x);
+            for (k = 0; k < m; k++) {
+                double *row = t->regressors + k * N + at;
+                for (i = 0; i < n; i++)
+                    row[i] = i + h < late ? 0.0 : x[i + h - late];
+                without(n, t->ranks[g], t->longest, Q, row);
+                for (i = samples - 1; i > 0; i--)
+                    x[i] -= x[i - 1];
+            }
+        }
+    }
+    free(work);
+    memcpy(t->basis, t->regressors, m * N * sizeof *t->basis);
+    for (k = 0; k < m; k++) {
+        double *row = t->basis + k * N;
+        sizes[k] = fmax(sqrt(dot(N, row, row)), 1e-300);
+        for (i = 0; i < N; i++)
+            row[i] /= sizes[k];
+    }
+    orthonormal(N, m, N, t->basis, triangle);
+    if (!t->given) {
+        for (k = 0; k < m; k++)
+            shares[k] = dot(N, t->basis + k * N, t->residual);
+        solve(m, triangle, shares, t->numerator);
+        for (k = 0; k < m; k++)
+            t->numerator[k] /= sizes[k];
+    }
+    for (j = 0; j < m; j++)
+        less(N, t->numerator[j], t->regressors + j * N, t->residual);
+    return 0;
+}
+
+/* Slopes of the residual along the coordinates, the numerator held. */
+__attribute__((visibility("default"))) int estune_error_slopes(const FitTask *t)
+{
+    Section s[MOST_SECTIONS], high[MOST_SECTIONS], low[MOST_SECTIONS];
+    double moved[2 * MOST_SECTIONS], *work;
+    long count = sections_at(t->order, t->coordinates, s), c, g, i, k, r, most = 1;
+    for (g = 0; g < t->groups; g++)
+        most = t->sizes[3 * g + 1] > most ? t->sizes[3 * g + 1] : most;
+    if (!(work = malloc(4 * most * sizeof *work)))
+        return 1;
+    for (c = 0; c < t->order; c++) {
+        double change[3], turned[3];
+        const Section *own = s + c / 2;
+        long at = 0;
+        memcpy(moved, t->coordinates, t->order * sizeof *moved);
+        moved[c] = t->coordinates[c] + COORDINATE_STEP, sections_at(t->order, moved, high);
+        moved[c] = t->coordinates[c] - COORDINATE_STEP, sections_at(t->order, moved, low);
+        for (k = 0; k < 3; k++) {
+            const Section *up = high + c / 2, *down = low + c / 2;
+            change[k] = (up->taps[k] - down->taps[k]) / (2.0 * COORDINATE_STEP);
+            turned[k] = (up->mirrored[k] - down->mirrored[k]) / (2.0 * COORDINATE_STEP);
+        }
+        for (g = 0; g < t->groups; g++) {
+            long records = t->sizes[3 * g], samples = t->sizes[3 * g + 1];
+            long h = t->sizes[3 * g + 2], n = samples - h;
+            const double *Q = t->nuisance + g * MOST_COLUMNS * t->longest;
+            const double *measurement = (const double *)t->signals[2 * g + 1];
+            double *output = work, *slope = output + most, *one = slope + most, *two = one + most;
+            for (r = 0; r < records; r++, at += n) {
+                const double *measured = measurement + r * samples;
+                memcpy(output, measured, samples * sizeof *output);
+                less(n, 1.0, t->residual + at, output + h);
+                filter(samples, turned, own->mirrored, output, slope);
+                if (own->grows) {
+                    memcpy(one, measured, samples * sizeof *one);
+                    all_pass(samples, count, s, c / 2, one);
+                    filter(samples, change, own->mirrored, one, one);
+                    filter(samples, turned, own->mirrored, measured, two);
+                    for (i = 0; i < samples; i++)
+                        slope[i] += one[i] - two[i];
+                }
+                memcpy(t->slopes + c * t->residuals + at, slope + h, n * sizeof *slope);
+                without(n, t->ranks[g], t->longest, Q, t->slopes + c * t->residuals + at);
+            }
+        }
+    }
+    free(work);
+    return 0;
+}
