@@ -14,7 +14,8 @@ A R + q^-late B S. Python checks all sizes. */
 typedef struct {
     long models, laws, loops;             /* models and laws: one for all loops, or one each */
     long order, terms, dead, law_terms;   /* S, T and R have the same number of terms */
-    long angles, offsets, samples, drawn; /* drawn: samples of the noise; zero for its variance */
+    long angles, offsets, before, samples; /* before and from the step on */
+    long drawn;                           /* samples of the noise; zero for its variance */
     const double *coordinates;            /* (models, order) */
     const double *numerators;             /* (models, terms), powers of d */
     const double *S, *T, *R;              /* (laws, law_terms) */
@@ -23,7 +24,7 @@ typedef struct {
     const double *about;                  /* cosine and sine of late theta; (offsets,) */
     const double *setpoint, *load, *noise; /* (samples,), the load or NULL; (drawn,) */
     double *stable, *margin, *peaks;      /* (loops,), (loops,), (loops, BANDS) */
-    double *output, *effort;              /* (loops, samples); NULL where only margins are asked */
+    double *output, *effort;              /* (loops, before + samples); NULL where only margins are asked */
     double *noise_gains;                  /* (loops, 2): over samples, or (loops, 2, drawn) */
 } Task;
 
@@ -282,89 +283,74 @@ static void peaks_of(const Task *t, const Plant *p, long law, long n, const doub
     }
 }
 
-/* Signals through q^-late c; w has zeros before its first sample. */
-static void moving(long terms, const double *c, long late, long n, const double *w, double *out)
-{
-    long i, j;
-    memset(out, 0, n * sizeof *out);
-    for (j = 0; j < terms; j++)
-        for (i = 0; i < n; i++)
-            out[i] += c[j] * w[i - late - j];
-}
-
 typedef struct {
-    long late, bs, ar, history; /* terms of B S and of A R; zeros before each signal */
+    long late, ar, bs, history; /* terms of A R and of B S; zeros before each signal */
     double AR[MOST_TERMS], BS[MOST_TERMS];
 } Characteristic;
 
-/* A signal over the characteristic polynomial. In several sums, for each waits for its last term. */
-static void driven(const Characteristic *c, long n, const double *x, double *w)
+/* A signal over the characteristic polynomial, w, and two polynomials of w, the one late. In
+ * several sums, for each waits for its last term. */
+static void driven(const Characteristic *c, const double *B, const double *A, long n,
+                   const double *x, double *w, double *one, double *other)
 {
     long i, j;
     for (i = 0; i < n; i++) {
         const double *before = w + i - c->late;
-        double even = x[i], odd = 0.0, own = 0.0;
-        for (j = 0; j + 1 < c->bs; j += 2)
-            even -= c->BS[j] * before[-j], odd -= c->BS[j + 1] * before[-j - 1];
-        if (j < c->bs)
-            even -= c->BS[j] * before[-j];
+        double even = x[i], odd = 0.0, own = 0.0, of_B = 0.0, of_A = 0.0;
+        for (j = 0; j < c->bs; j++)
+            odd -= c->BS[j] * before[-j], of_B += B[j] * before[-j];
         for (j = c->ar - 1; j > 0; j--)
-            own -= c->AR[j] * w[i - j];
+            own -= c->AR[j] * w[i - j], of_A += A[j] * w[i - j];
         w[i] = even + odd + own;
+        one[i] = of_B, other[i] = of_A + A[0] * w[i];
     }
 }
 
 static void respond(const Task *t, const Plant *p, long law, long loop, double *work)
 {
     long i, n = t->samples, k = t->law_terms, longest = n > t->drawn ? n : t->drawn;
+    long all = t->before + n;
     const double *S = t->S + law * k, *T = t->T + law * k, *R = t->R + law * k;
     const double *f = t->filters + 3 * law;
-    double AT_[MOST_TERMS], BT[MOST_TERMS], AS[MOST_TERMS], BR_[MOST_TERMS], kept = 0.0;
-    double *y = t->output + loop * n, *u = t->effort + loop * n;
+    double of_A[3][MOST_TERMS], of_B[3][MOST_TERMS], kept = 0.0;
+    double *y = t->output + loop * all + t->before, *u = t->effort + loop * all + t->before;
     double *w, *x, *one, *other;
+    const double *by[3];
     Characteristic c;
+    by[0] = R, by[1] = S, by[2] = T;
     c.late = t->dead + 1, c.bs = t->terms + k - 1, c.ar = t->order + k;
     c.history = c.late + c.bs + c.ar;
-    memcpy(c.AR, p->A, sizeof c.AR), multiply(c.AR, t->order, R, k - 1);
-    memcpy(AT_, p->A, sizeof AT_), multiply(AT_, t->order, T, k - 1);
-    memcpy(AS, p->A, sizeof AS), multiply(AS, t->order, S, k - 1);
-    memcpy(c.BS, p->B, sizeof c.BS), multiply(c.BS, t->terms - 1, S, k - 1);
-    memcpy(BT, p->B, sizeof BT), multiply(BT, t->terms - 1, T, k - 1);
-    memcpy(BR_, p->B, sizeof BR_), multiply(BR_, t->terms - 1, R, k - 1);
+    for (i = 0; i < 3; i++) {
+        memcpy(of_A[i], p->A, sizeof p->A), multiply(of_A[i], t->order, by[i], k - 1);
+        memcpy(of_B[i], p->B, sizeof p->B), multiply(of_B[i], t->terms - 1, by[i], k - 1);
+    }
+    memcpy(c.AR, of_A[0], sizeof c.AR), memcpy(c.BS, of_B[1], sizeof c.BS);
     w = work + c.history, x = w + longest, one = x + longest, other = one + longest;
     memset(work, 0, c.history * sizeof *work);
+    memset(y - t->before, 0, t->before * sizeof *y);
+    memset(u - t->before, 0, t->before * sizeof *u);
     for (i = 0; i < n; i++) {
         kept = f[0] * t->setpoint[i] + f[1] * (i ? t->setpoint[i - 1] : 0.0) + f[2] * kept;
         x[i] = kept;
     }
-    driven(&c, n, x, w);
-    moving(c.bs, BT, c.late, n, w, y);
-    moving(c.ar, AT_, 0, n, w, u);
+    driven(&c, of_B[2], of_A[2], n, x, w, y, u);
     if (t->load) {
-        driven(&c, n, t->load, w);
-        moving(c.bs, BR_, c.late, n, w, one);
-        moving(c.bs, c.BS, c.late, n, w, other);
-        for (i = 0; i < n; i++)
-            y[i] += one[i], u[i] -= other[i];
+        driven(&c, of_B[0], of_A[0], n, t->load, w, one, other);
+        for (i = 0; i < n; i++) /* - q^-late B S w is A R w less the load */
+            y[i] += one[i], u[i] += other[i] - t->load[i];
     }
-    if (!t->noise_gains)
-        return;
     if (t->drawn) {
-        double *drawn = t->noise_gains + 2 * loop * t->drawn;
-        driven(&c, t->drawn, t->noise, w);
-        moving(c.ar, c.AR, 0, t->drawn, w, drawn);
-        moving(c.ar, AS, 0, t->drawn, w, drawn + t->drawn);
-        for (i = 0; i < t->drawn; i++)
-            drawn[t->drawn + i] = -drawn[t->drawn + i];
+        double *measured = t->noise_gains + 2 * loop * t->drawn, *moved = measured + t->drawn;
+        driven(&c, of_B[1], of_A[1], t->drawn, t->noise, w, measured, moved);
+        for (i = 0; i < t->drawn; i++) /* A R w is the noise less q^-late B S w */
+            measured[i] = t->noise[i] - measured[i], moved[i] = -moved[i];
     } else {
         double error = 0.0, moves = 0.0;
         memset(x, 0, n * sizeof *x), x[0] = 1.0;
-        driven(&c, n, x, w);
-        moving(c.ar, c.AR, 0, n, w, one);
-        moving(c.ar, AS, 0, n, w, other);
+        driven(&c, of_B[1], of_A[1], n, x, w, one, other);
         for (i = 0; i < n; i++) {
-            double move = other[i] - (i ? other[i - 1] : 0.0);
-            error += one[i] * one[i], moves += move * move;
+            double move = other[i] - (i ? other[i - 1] : 0.0), measured = x[i] - one[i];
+            error += measured * measured, moves += move * move;
         }
         t->noise_gains[2 * loop] = error, t->noise_gains[2 * loop + 1] = moves;
     }

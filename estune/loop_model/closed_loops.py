@@ -17,7 +17,7 @@ from estune.loop_model.compiled import compiled
 from estune.loop_model.model import Laws, LoopModel
 
 _COUNTS = ("models", "laws", "loops", "order", "terms", "dead", "law_terms")
-_COUNTS_OF_GRID = ("angles", "offsets", "samples", "drawn")
+_COUNTS_OF_GRID = ("angles", "offsets", "before", "samples", "drawn")
 _ARRAYS = ("coordinates", "numerators", "S", "T", "R", "filters", "grid", "about", "setpoint")
 _ANSWERS = ("load", "noise", "stable", "margin", "peaks", "output", "effort", "noise_gains")
 
@@ -35,11 +35,13 @@ class Inputs(NamedTuple):
     """What loops answer to.
 
     Attributes:
-        setpoint: Deviation from the step on, shape (samples,).
+        before: Samples before the step, in which nothing moves.
+        setpoint: Deviation from the step on, shape (samples - before,).
         load: Load from the step on, or None.
-        noise: Noise of the measurement, shape (drawn,); None asks for variances in `samples`.
+        noise: Noise of the measurement, shape (drawn,); None asks for variances after the step.
     """
 
+    before: int
     setpoint: FloatArray
     load: FloatArray | None = None
     noise: FloatArray | None = None
@@ -91,12 +93,13 @@ def closed_loops(
     coordinates = np.array([model.coordinates for model in models])
     numerators = np.array([model.numerator for model in models])
     count = max(len(models), len(laws.setpoint))
-    samples, drawn, signals = 0, 0, [0, 0, 0]
+    before, after, drawn, signals = 0, 0, 0, [0, 0, 0]
     if inputs is not None:
-        signals = [0 if one is None else one.ctypes.data for one in inputs]
-        samples, drawn = inputs.setpoint.size, 0 if inputs.noise is None else inputs.noise.size
+        signals = [0 if one is None else one.ctypes.data for one in inputs[1:]]
+        before, after = inputs.before, inputs.setpoint.size
+        drawn = 0 if inputs.noise is None else inputs.noise.size
     noise = (count, 2, drawn) if drawn else (count, 2)
-    shapes = ((count,), (count,), (count, bands), *[(count, samples)] * 2, noise)
+    shapes = ((count,), (count,), (count, bands), *[(count, before + after)] * 2, noise)
     # One block of memory for each direction: an address takes longer to ask for than to fill.
     given = (coordinates, numerators, laws.measurement, laws.setpoint, laws.denominator)
     block = np.concatenate([one.ravel() for one in (*given, laws.filters)])
@@ -107,15 +110,16 @@ def closed_loops(
     task = _Task(
         *(len(models), len(laws.setpoint), count, *coordinates.shape[1:], *numerators.shape[1:]),
         *(models[0].dead_samples, laws.setpoint.shape[1]),
-        *(table.shape[1], about.size, samples, drawn),
+        *(table.shape[1], about.size, before, after, drawn),
         *from_block,
         *(table.ctypes.data, about.ctypes.data, *signals),
-        *(places if samples else places[:3]),
+        *(places if after else places[:3]),
     )
     if library.estune_closed_loops(ctypes.byref(task)):
         raise MemoryError("no memory for closed loops; predict fewer at once")
-    parts = np.split(answers, np.cumsum(sizes)[:-1])
-    return ClosedLoops(*(part.reshape(of) for part, of in zip(parts, shapes, strict=True)))
+    ends = [*accumulate(sizes)]
+    parts = zip((0, *ends), ends, shapes, strict=False)
+    return ClosedLoops(*(answers[begin:end].reshape(of) for begin, end, of in parts))
 
 
 def _places(block: FloatArray, sizes: Sequence[int]) -> list[int]:

@@ -101,12 +101,10 @@ def predictions(
         noise_std: Standard deviation of the measurement noise.
     """
     by_variance = trial.cost.is_quadratic and trial.step.load is None
-    begin, noise = trial.step.sample, noise_std * fixed_noise(trial.samples)
-    inputs = Inputs(
-        trial.setpoint[begin:],
-        trial.loads[begin:] if trial.step.load else None,
-        None if by_variance else noise,
-    )
+    begin = trial.step.sample
+    noise = None if by_variance else noise_std * fixed_noise(trial.samples)
+    load = trial.loads[begin:] if trial.step.load else None
+    inputs = Inputs(begin, trial.setpoint[begin:], load, noise)
     compiled = margins.compiled_loops(models, gains, trial.controller, inputs)
     robust = compiled[0] if compiled else margins.robustness_of(models, gains, trial.controller)
     found = [UNSTABLE] * len(robust)
@@ -126,7 +124,7 @@ def predictions(
         answers = np.array(
             [
                 loop.noise_gains(trial.samples - begin)
-                if by_variance
+                if noise is None
                 else loop.noise_response(noise)
                 for loop in loops
             ]
@@ -148,16 +146,17 @@ def _compiled_responses(
 
     By samples those with friction, or where limits act.
     """
-    settings, begin = trial.controller, trial.step.sample
-    output, effort = np.zeros((2, len(stable), trial.samples))
-    output[:, begin:], effort[:, begin:] = loops.output[stable], loops.effort[stable]
-    total = effort + trial.rest_effort
-    free = (settings.output_min_N <= total.min(1)) & (total.max(1) <= settings.output_max_N)
+    settings, rest = trial.controller, trial.rest_effort
+    output, effort, noise = loops[-3:]
+    if len(stable) < len(output):
+        output, effort, noise = (one[stable] for one in loops[-3:])
+    least, most = effort.min(axis=1) + rest, effort.max(axis=1) + rest
+    free = (settings.output_min_N <= least) & (most <= settings.output_max_N)
     for i, (model, gains) in enumerate(pairs):
         if model.friction or not free[i]:
             loop = close_loop(model, gains, settings)
             output[i], effort[i] = _response(model, loop, trial, gains)
-    return output, effort, loops.noise[stable]
+    return output, effort, noise
 
 
 def expected_response(model: LoopModel, trial: StepTrial, gains: Gains) -> FloatArray:
