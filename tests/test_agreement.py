@@ -13,7 +13,7 @@ from estune.loop_model.least_squares import signals_of
 from experiments.loop_claims import true_sensitivity
 from tests.test_loop_model import COST, GAINS, SAMPLING_HZ, SYSTEM, linear, record_of
 
-OTHER = Gains(0.8, 12.0, 0.02, 0.01)
+OTHER = Gains(0.6, 9.0, 0.015, 0.01)
 SETTLING_S = COST.settling_time_s
 
 

@@ -5,9 +5,10 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 from estune.core.gains import Gains
-from estune.loop_model.intervals import margins_by_records
+from estune.loop_model.intervals import NONLINEAR_ERROR, margins_by_records
 from estune.loop_model.limited_loop import setpoint_response
 from estune.loop_model.loop_fit import LoopFit
+from estune.loop_model.near_fit import is_explained
 from estune.loop_model.peak import peak_deviation
 from estune.loop_model.plant_error import band_powers, error_margin
 from estune.loop_model.prediction import StepTrial
@@ -88,6 +89,8 @@ def half_widths(
     error = error_margin(fit, bound, gains, trial.controller)
     Ms, overshoot, angle = at.sensitivity, at.overshoot, at.phase_margin_deg
     above = math.hypot(*(math.log(end / Ms.value) for end in (Ms.high, error.sensitivity)))
+    if not is_explained(fit):
+        above = math.hypot(above, NONLINEAR_ERROR)
     over = math.inf
     if fit.is_white:
         shown = SHOWN * peak_deviation(fit, trial, gains) / math.sqrt(REPEATS)
