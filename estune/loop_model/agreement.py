@@ -20,7 +20,7 @@ from estune.loop_model.fitting import fit_loop
 from estune.loop_model.loop_fit import LoopFit
 from estune.loop_model.margins import robustness
 from estune.loop_model.model import LoopModel
-from estune.loop_model.near_fit import is_near
+from estune.loop_model.near_fit import is_explained, is_near
 from estune.loop_model.records import LoopRecord
 
 CHANCE = 1e-3
@@ -38,7 +38,7 @@ def contradicting_sensitivities(
     Infinite where a loop that they show is unstable. A fit whose errors are white leaves nothing
     to disagree about.
     """
-    if fit.is_white:
+    if is_explained(fit):
         return ()
     models = (_own_model(fit, records, numbers) for numbers in _by_gains(fit, records, gains))
     return tuple(

@@ -33,12 +33,14 @@ class Claim(NamedTuple):
         reason: Why nothing is claimed; empty where something is.
         misfit: rho of the trials near the gains; NaN without one.
         is_white: Whether the model explains the records but for white noise.
+        others: Ms by the trials of each gains that contradict the model.
     """
 
     margins: PredictedMargins | None
     reason: str
     misfit: float
     is_white: bool = False
+    others: tuple[float, ...] = ()
 
 
 def claim(
@@ -77,7 +79,7 @@ def claim(
             overshoot = shown_overshoot(fit, records, trial, gains, margins.overshoot)
             margins = margins._replace(overshoot=overshoot)
             if math.isfinite(margins.sensitivity.high):
-                return Claim(margins, "", misfit, fit.is_white)
+                return Claim(margins, "", misfit, fit.is_white, others)
             reason = "the records leave open whether the loop is stable with these gains"
             if math.inf in others:
                 reason = (

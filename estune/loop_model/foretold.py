@@ -11,9 +11,8 @@ one of them. What the model leaves unexplained stays.
 
 import math
 
-from estune.loop_model.agreement import contradicting_sensitivities
 from estune.loop_model.excitation import UnknownLoop
-from estune.loop_model.intervals import MODEL_ERROR, margins_by_records, setpoint_deviation
+from estune.loop_model.intervals import margins_by_records, remaining_error, setpoint_deviation
 from estune.loop_model.prediction import StepTrial
 from estune.loop_model.records import LoopRecord
 
@@ -34,17 +33,16 @@ def trials_to_show(
         limit: The limit.
         answer: Each trial to come, without noise.
     """
-    fit, records, gains, _, settings = loop
-    Ms = margins_by_records(fit, records, trial, gains).sensitivity
-    others = contradicting_sensitivities(fit, records, gains, settings)
-    if not (Ms.value < limit and Ms.high < math.inf and max(others, default=0.0) <= limit):
+    Ms = margins_by_records(loop.fit, loop.records, trial, loop.gains).sensitivity
+    if not Ms.value < limit or Ms.high == math.inf:
         return None
     added, wide = _information(loop, answer), math.log(Ms.high / Ms.value)
-    moves = math.sqrt(max(wide**2 - MODEL_ERROR**2, 0.0))
+    least = remaining_error(loop.fit)
+    moves = math.sqrt(max(wide**2 - least**2, 0.0))
     powers = loop.powers
 
     def is_shown(count: int) -> bool:
-        above = math.hypot(MODEL_ERROR, moves / math.sqrt(1.0 + count * added))
+        above = math.hypot(least, moves / math.sqrt(1.0 + count * added))
         error = loop.margin(powers.bound(answer.effort, count))
         high = max(Ms.value * math.exp(above), error.sensitivity)
         return error.unknown is None and high <= limit

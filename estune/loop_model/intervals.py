@@ -77,8 +77,7 @@ def predict_with_intervals(
         ends = _ends(np.array([_transformed(one) for one in drawn]))
         low, high = np.fmin(low, ends[0]), np.fmax(high, ends[1])
     low, high = np.fmin(low, centre), np.fmax(high, centre)
-    is_linear = fit.is_of_all and not fit.model.friction
-    error = math.hypot(model_error, 0.0 if is_linear else NONLINEAR_ERROR)
+    error = remaining_error(fit, model_error)
     if math.isfinite(centre[2]):  # an unstable loop has no Ms to widen
         low[2] = centre[2] - math.hypot(centre[2] - low[2], error)
         high[2] = centre[2] + math.hypot(high[2] - centre[2], error)
@@ -89,6 +88,12 @@ def predict_with_intervals(
         Interval(*Ms),
         Interval(float(centre[3]), float(low[3]), float(high[3])),
     )
+
+
+def remaining_error(fit: LoopFit, model_error: float = MODEL_ERROR) -> float:
+    """Error of ln Ms that no further record takes off."""
+    is_linear = fit.is_of_all and not fit.model.friction
+    return math.hypot(model_error, 0.0 if is_linear else NONLINEAR_ERROR)
 
 
 def margins_by_records(

@@ -65,6 +65,8 @@ def missing_trials(
     if claimed.margins is None and known and near >= TRIALS_MIN:
         return MissingTrials()  # the model is wrong of these gains, and more trials tell the same
     limit, most = limits.max_sensitivity or math.inf, limits.max_overshoot
+    if max(claimed.others, default=0.0) > limit:
+        return MissingTrials()
     at, count = overshoot
     if claimed.margins is None and loop.fit.is_white:  # it will be the model's with the claim
         at = margins_by_records(loop.fit, loop.records, trial, loop.gains).overshoot
