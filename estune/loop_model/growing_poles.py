@@ -15,21 +15,14 @@ from typing import NamedTuple
 import numpy as np
 
 from estune.core.quantities import FloatArray
+from estune.loop_model.error_filters import delayed, filters_of, regressors_of, without
 from estune.loop_model.identification import (
     PoleFit,
     by_cost,
     dead_times,
     searched_dead_time,
 )
-from estune.loop_model.least_squares import (
-    FitSignals,
-    Solution,
-    delayed,
-    filters_of,
-    nuisance_of,
-    regressors_of,
-    without,
-)
+from estune.loop_model.least_squares import FitSignals, Solution, nuisance_of
 from estune.loop_model.noise_model import WHITE
 from estune.loop_model.order import criterion_of, solution_of
 from estune.loop_model.poles import (

@@ -12,12 +12,7 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 
 from estune.core.quantities import FloatArray
-from estune.loop_model.least_squares import (
-    FitSignals,
-    Solution,
-    search_vector,
-    split_vector,
-)
+from estune.loop_model.least_squares import FitSignals, Solution, search_vector, split_vector
 from estune.loop_model.noise_model import WHITE, NoiseModel
 
 T = TypeVar("T")

@@ -29,8 +29,16 @@ from estune.core.filtering import lfilter
 from estune.core.quantities import FloatArray
 from estune.loop_model.compiled import compiled
 from estune.loop_model.compiled_errors import CompiledErrors, compiled_errors
+from estune.loop_model.error_filters import (
+    delayed,
+    differenced,
+    filters_of,
+    regressors_of,
+    whiten,
+    without,
+)
 from estune.loop_model.hum import hum_of
-from estune.loop_model.noise_model import WHITE, NoiseModel, shaping
+from estune.loop_model.noise_model import WHITE, NoiseModel
 from estune.loop_model.poles import sections_of
 from estune.loop_model.records import LoopRecord
 
@@ -277,7 +285,7 @@ class Solution(NamedTuple):
             late = delayed(group.effort, self.dead + 1)
             driven = self.numerator[-1] * late
             for term in self.numerator[-2::-1]:
-                driven = _moving(driven, 1.0) + term * late
+                driven = differenced(driven, 1.0) + term * late
             driven = lfilter(filters.effort, [1.0], driven)
             target = whiten(group.measurement, filters.zeros, filters.poles)
             left = target - whiten(driven, filters.free, ())
@@ -336,66 +344,6 @@ def _swinging(group: RecordGroup, poles: int, noise: NoiseModel) -> int:
     return 2 if noise.is_white and not group.history else poles
 
 
-class Filters(NamedTuple):
-    """Filters of the prediction error: e = (1/H) y - (numerator of the effort / free) B u.
-
-    Attributes:
-        effort: Numerator of the effort's filter: P N, one with white noise.
-        free: Its denominator in sections, whose free responses the error has: C, or A mirrored.
-        zeros: Of H, in sections; with white noise those of poles outside the unit circle.
-        poles: Of H, in sections; the same.
-    """
-
-    effort: FloatArray
-    free: tuple[FloatArray, ...]
-    zeros: tuple[FloatArray, ...]
-    poles: tuple[FloatArray, ...]
-
-
-def filters_of(
-    coordinates: Sequence[float] | FloatArray, noise: NoiseModel, settling: float
-) -> Filters:
-    """The filters of the prediction error at some poles and noise."""
-    if noise.is_white:
-        sections = sections_of(coordinates)
-        growing = [section for section in sections if section.grows]
-        return Filters(
-            np.ones(1),
-            tuple(section.mirrored for section in sections),
-            tuple(section.mirrored for section in growing),
-            tuple(section.taps for section in growing),
-        )
-    H = shaping(coordinates, noise, settling)
-    return Filters(H.effort, H.zeros, H.zeros, H.poles)
-
-
-def regressors_of(signals: FloatArray, filters: Filters, poles: int) -> FloatArray:
-    """Regressors of a polynomial, undelayed, shape (poles + 1, records, samples)."""
-    driven = lfilter(filters.effort, [1.0], signals)
-    terms = [whiten(driven, filters.free, ())]
-    for _ in range(poles):
-        terms.append(_moving(terms[-1], 1.0))
-    return np.stack(terms)
-
-
-def _moving(signals: FloatArray, share: float) -> FloatArray:
-    """Signals less a share of the sample before."""
-    result = signals.copy()
-    result[..., 1:] -= share * signals[..., :-1]
-    return result
-
-
-def whiten(
-    signals: FloatArray, zeros: Sequence[FloatArray], poles: Sequence[FloatArray]
-) -> FloatArray:
-    """Signals through 1/H, section by section."""
-    for i in range(max(len(zeros), len(poles))):
-        over = poles[i] if i < len(poles) else np.ones(1)
-        under = zeros[i] if i < len(zeros) else np.ones(1)
-        signals = lfilter(over, under, signals)
-    return signals
-
-
 def nuisance_of(
     group: RecordGroup, coordinates: FloatArray, noise: NoiseModel, signals: FitSignals
 ) -> FloatArray:
@@ -432,15 +380,3 @@ def _nuisance_columns(
         last = columns[-1] if filters.free[-1].size == 2 else columns[-2]
         offsets.append(np.cumsum(last))
     return np.array([*columns, *offsets])
-
-
-def delayed(signals: FloatArray, samples: int) -> FloatArray:
-    """Signals so many samples later, zero before, shape (..., samples)."""
-    later = np.zeros_like(signals)
-    later[..., samples:] = signals[..., : max(signals.shape[-1] - samples, 0)]
-    return later
-
-
-def without(signals: FloatArray, basis: FloatArray) -> FloatArray:
-    """Signals less their part in an orthonormal basis, shape (..., samples)."""
-    return np.asarray(signals - (signals @ basis) @ basis.T)

@@ -7,7 +7,8 @@ from typing import NamedTuple
 import numpy as np
 
 from estune.core.quantities import FloatArray
-from estune.loop_model.least_squares import FitSignals, whiten
+from estune.loop_model.error_filters import whiten
+from estune.loop_model.least_squares import FitSignals
 from estune.loop_model.model import LoopModel
 from estune.loop_model.noise_model import NoiseModel, shaping
 from estune.loop_model.records import LoopRecord

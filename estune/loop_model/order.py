@@ -15,6 +15,7 @@ import numpy as np
 
 from estune.core.filtering import lfilter
 from estune.core.quantities import FloatArray
+from estune.loop_model.error_filters import delayed, whiten, without
 from estune.loop_model.identification import (
     PoleFit,
     by_cost,
@@ -22,14 +23,7 @@ from estune.loop_model.identification import (
     improve,
     searched_dead_time,
 )
-from estune.loop_model.least_squares import (
-    FitSignals,
-    Solution,
-    delayed,
-    free_parameters,
-    whiten,
-    without,
-)
+from estune.loop_model.least_squares import FitSignals, Solution, free_parameters
 from estune.loop_model.noise_model import WHITE, NoiseModel, shaping
 from estune.loop_model.poles import GROWS_FROM, OUTSIDE, pair_coordinates, sections_of
 from estune.loop_model.sensor_colour import recoloured

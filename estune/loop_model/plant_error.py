@@ -20,7 +20,7 @@ import numpy as np
 from estune.core.gains import Gains
 from estune.core.pidf import ControllerSettings
 from estune.core.quantities import FloatArray
-from estune.loop_model.least_squares import whiten
+from estune.loop_model.error_filters import whiten
 from estune.loop_model.loop_fit import LoopFit
 from estune.loop_model.margins import loop_response
 from estune.loop_model.noise_model import shaping
