@@ -27,8 +27,8 @@ white.
   (`motion_score`). Either is what no linear past explains (`linear_past`).
 - `hum` finds a line that stands at rest; it is free in each record, like its offsets.
 - `fitting` leaves out excitations that spoil the fit of the steps, and records that the others
-  contradict, up to a quarter: those whose prediction by a fit without them is worse than three
-  times the worst of theirs.
+  contradict (`contradiction`), up to a quarter: those whose prediction by a fit without them is
+  worse than three times the worst of theirs.
 - `damping` is the posterior mean of what the records do not tell from zero.
 - `plant_error` bounds what the true plant may differ from G by, in each band; `agreement` finds
   gains whose trials show another loop; `intervals` holds the uncertainty of the parameters;

@@ -2,15 +2,20 @@
 
 import math
 from collections.abc import Sequence
-from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 
-from estune.core.quantities import FloatArray
+from estune.loop_model.contradiction import (
+    APART,
+    foretold_by_others,
+    power_of,
+    prediction_error,
+    standing_out,
+    with_all,
+)
 from estune.loop_model.damping import with_mean_damping
 from estune.loop_model.friction import fit_with_friction
-from estune.loop_model.friction_motion import friction_of, less_friction
 from estune.loop_model.growing_poles import growing_fit
 from estune.loop_model.identification import (
     START_NOISES,
@@ -59,17 +64,6 @@ reel with 0.05 N m is white with four poles, which foretell an unstable loop."""
 TRIED_WITH = (1, 2, 4, 8)
 """Numbers of records with which friction is tried again where it was not found with fewer: it
 takes half a second."""
-
-APART = 3.0
-"""Residual of a record, predicted by the others, over the largest of theirs, from which it is left
-out; records of loops that no linear model explains differ by less, for their trials grow step by
-step."""
-
-LINEAR = 0.1
-"""Largest step of a logarithm, of poles or noise, that slopes are believed for: to 5 % or so."""
-
-OTHERS = 3
-"""Records that have to agree against each one that is left out."""
 
 
 class Beginning(NamedTuple):
@@ -143,18 +137,18 @@ def _fit_of_those_that_agree(
     """The fit of all records but those that the others contradict."""
     again = last is None or len(records) in TRIED_WITH
     fit = _fit(records, settling, starts, last, again=again)
-    suspects = _standing_out(fit)
-    if suspects and _foretold_by_others(fit, records, suspects):
+    suspects = standing_out(fit)
+    if suspects and foretold_by_others(fit, records, suspects):
         return fit
     while suspects:
         others = [i for i in range(len(records)) if i not in suspects]
         kept = [records[i] for i in others]
         # Anew: the poles that took up the disturbance would stay, and foretell unstable loops.
         without = _fit(kept, settling, _cold_starts(kept, settling)[1], None, again=True)
-        most = APART**2 * max(_power(errors) for errors in without.errors)
-        out = [i for i in suspects if _power(prediction_error(without, records[i])) > most]
+        most = APART**2 * max(power_of(errors) for errors in without.errors)
+        out = [i for i in suspects if power_of(prediction_error(without, records[i])) > most]
         if out == suspects:
-            return _with_all(without, records, others, tuple(out))
+            return with_all(without, records, others, tuple(out))
         suspects = out
     return fit
 
@@ -186,104 +180,7 @@ def fit_with_excitations(
     alone = of_steps or fit_loop(steps, sampling_Hz, settling_time_s)
     spoilt, own = (np.concatenate(one.errors[: len(steps)]) for one in (fit, alone))
     chance = 1.0 + 5.0 * math.sqrt(2.0 / own.size)  # five deviations of the power of white noise
-    return (alone, ()) if _power(spoilt) > chance * _power(own) else (fit, tuple(excitations))
-
-
-def _standing_out(fit: LoopFit) -> list[int]:
-    """The records of the largest residuals by far, beyond what chance gives.
-
-    All at once: with one of two disturbed records the fit is as wrong as with both.
-    """
-    powers = [_power(errors) for errors in fit.errors]
-    order = sorted(range(len(powers)), key=powers.__getitem__, reverse=True)
-    for count in range(len(powers) // (OTHERS + 1), 0, -1):
-        least, next_one = order[count - 1], order[count]
-        chance = 1.0 + 5.0 * math.sqrt(2.0 / fit.errors[least].size)
-        if powers[least] > chance * powers[next_one]:
-            return sorted(order[:count])
-    return []
-
-
-def _foretold_by_others(
-    fit: LoopFit, records: Sequence[LoopRecord], suspects: Sequence[int]
-) -> bool:
-    """Whether a linear step to the fit of the other records says that they foretell the suspects.
-
-    It costs one set of slopes instead of a search. A record that spoils a fit moves it further
-    than slopes reach, or the others do not know some direction of it: then nothing is said.
-    """
-    if fit.model.friction:
-        return False
-    model, settling = fit.model, fit.settling_samples
-    signals = signals_of(records, settling, round(settling))
-    x, numerator = np.array(model.coordinates), np.array(model.numerator)
-    here = Solution.at(signals, x, model.dead_samples, fit.noise, numerator)
-    J = here.slopes(signals)
-    of_record = np.concatenate(
-        [np.repeat(g.members, g.effort.shape[1] - g.history) for g in signals.groups]
-    )
-    out = np.isin(of_record, suspects)
-    size = np.maximum(np.linalg.norm(J, axis=0), 1e-300)
-    step, _, rank, _ = np.linalg.lstsq(J[~out] / size, -here.residual[~out], rcond=None)
-    step /= size
-    logarithms = np.delete(step, range(x.size, x.size + numerator.size))
-    if rank < step.size or np.abs(logarithms).max() > LINEAR:
-        return False
-    moved = here.residual + J @ step
-    most = max(_power(moved[of_record == i]) for i in {*of_record[~out].tolist()})
-    return all(_power(moved[of_record == i]) <= APART**2 * most for i in suspects)
-
-
-def _power(errors: FloatArray) -> float:
-    return float(errors @ errors) / max(int(np.count_nonzero(errors)), 1)
-
-
-def prediction_error(fit: LoopFit, record: LoopRecord) -> FloatArray:
-    """Prediction error of a fit on a record that was not fitted, shape (samples,)."""
-    model = fit.model
-    signals = signals_of([record], fit.settling_samples, model.dead_samples)
-    forces = friction_of(model, signals, record)
-    at = Solution.at(
-        less_friction(signals, forces),
-        np.array(model.coordinates),
-        model.dead_samples,
-        fit.noise,
-        np.array(model.numerator),
-    )
-    return np.concatenate([np.zeros(record.samples - at.residual.size), at.residual])
-
-
-def with_predicted(fit: LoopFit, records: Sequence[LoopRecord]) -> LoopFit:
-    """The fit with the errors of further records by it, which it was not fitted to."""
-    errors = tuple(prediction_error(fit, record) for record in records)
-    return fit._replace(
-        misfits=(*fit.misfits, *(map(partial(_misfit, fit), errors, records))),
-        unexplained=(*fit.unexplained, *errors),
-        errors=(*fit.errors, *errors),
-        is_white=False,
-    )
-
-
-def _misfit(fit: LoopFit, error: FloatArray, record: LoopRecord) -> float:
-    """The rho of a record that was not fitted."""
-    beyond = max(_power(error) - fit.residual_std**2, 0.0)
-    return math.sqrt(beyond) / max(record.span, 1e-300)
-
-
-def _with_all(
-    fit: LoopFit, records: Sequence[LoopRecord], fitted: list[int], out: tuple[int, ...]
-) -> LoopFit:
-    misfits = [math.nan] * len(records)
-    unexplained, errors = [np.zeros(0)] * len(records), [np.zeros(0)] * len(records)
-    for i, number in enumerate(fitted):
-        misfits[number], errors[number] = fit.misfits[i], fit.errors[i]
-        unexplained[number] = fit.unexplained[i]
-    for number in out:
-        unexplained[number] = errors[number] = prediction_error(fit, records[number])
-        misfits[number] = _misfit(fit, errors[number], records[number])
-    return fit._replace(
-        misfits=tuple(misfits), unexplained=tuple(unexplained), errors=tuple(errors), left_out=out
-    )
+    return (alone, ()) if power_of(spoilt) > chance * power_of(own) else (fit, tuple(excitations))
 
 
 def _fit(

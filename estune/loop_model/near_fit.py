@@ -12,7 +12,8 @@ from typing import NamedTuple
 import numpy as np
 
 from estune.core.gains import Gains
-from estune.loop_model.fitting import FRICTION_DONE, fit_with_excitations, with_predicted
+from estune.loop_model.contradiction import with_predicted
+from estune.loop_model.fitting import FRICTION_DONE, fit_with_excitations
 from estune.loop_model.loop_fit import LoopFit
 from estune.loop_model.records import LoopRecord
 

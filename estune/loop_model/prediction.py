@@ -73,9 +73,6 @@ class Prediction(NamedTuple):
     peaks: tuple[float, ...]
 
 
-SEQUENCES = 8
-"""Sequences of noise by which the scatter of a cost is estimated, to a quarter."""
-
 UNSTABLE = Prediction(math.inf, math.inf, *margins.UNSTABLE)
 
 
