@@ -144,6 +144,21 @@ def test_overshoot_is_that_of_the_trials_with_the_very_gains():
     assert measured_overshoot(made, rig.best, stopped) is None
 
 
+@pytest.mark.parametrize(("told", "high"), [(0.11, 0.11), (0.02, 0.04)])
+def test_overshoot_reaches_as_high_as_that_of_a_claim_which_the_trials_contradict(told, high):
+    rig = ArithmeticRig()
+    request = TrialRequest("run", 0, rig.best, rig.describe().step)
+    record = rig.run(request)
+    tension = record.setpoint_N.copy()
+    tension[30] += 0.04 * request.profile.step_N
+    overshoot, unknown = Interval(told, 0.9 * told, told), Interval(math.nan, 0.0, math.inf)
+    margins = PredictedMargins(unknown, overshoot, unknown, unknown)
+    claim = Claim(margins, "", 0.0, is_white=True)
+    records = [replace(record, tension_N=tension)]
+    found = measured_overshoot(plan(RobustnessLimits()), rig.best, records, claim)
+    assert (found.value, found.high) == pytest.approx((0.04, high))
+
+
 @pytest.mark.parametrize("peaks", [(0.048, 0.048), (0.04, 0.058, 0.04, 0.058)])
 def test_overshoot_within_its_noise_of_the_limit_is_not_shown(peaks):
     limits = RobustnessLimits(max_sensitivity=None, max_overshoot=0.05)

@@ -17,7 +17,7 @@ from plants.diagnosis.result import BaseParameter, ModelErrors, NamedEffect
 from plants.effects import EFFECTS, CoulombFriction, Effect, Port, parameter
 from plants.effects.plant_scale import PlantScale
 from plants.effects.remedy import Place, Remedy
-from plants.remedies import offers_for, text
+from plants.remedies import offers, offers_for, text
 from plants.remedies.behaviour import behaviour
 from plants.remedies.offers import FORM, REVERSAL_MARGIN
 from plants.simulation.compensation import compensation_of
@@ -148,6 +148,15 @@ def test_interval_of_a_prediction_is_that_of_machines_over_the_interval_of_the_d
     predicted = offer.ratios["tracking"]
     width = predicted.high - predicted.low - 2.0 * FORM * (1.0 - predicted.value)
     assert width == pytest.approx(abs(ends[1] - ends[0]), rel=0.3)
+
+
+def test_remedy_that_a_machine_of_the_interval_does_not_bear_is_offered_unpredicted(monkeypatch):
+    monkeypatch.setattr(
+        offers, "_ratios", lambda *_, seed: np.full(3, 0.5 if seed == 0 else np.nan)
+    )
+    (offer,) = offers_for(found(CoulombFriction(torque_Nm=0.05)), GAINS)
+    assert (offer.ratios, offer.gains) == ({}, None)
+    assert offer.tables
 
 
 def test_prediction_of_a_friction_that_is_known_exactly_is_less_certain_at_reversals():
