@@ -283,73 +283,85 @@ static void peaks_of(const Task *t, const Plant *p, long law, long n, const doub
     }
 }
 
+typedef double Two __attribute__((vector_size(16)));
+
 typedef struct {
-    long late, ar, bs, history; /* terms of A R and of B S; zeros before each signal */
+    long late, ar, bs; /* terms of A R and of B S */
     double AR[MOST_TERMS], BS[MOST_TERMS];
 } Characteristic;
 
-/* A signal over the characteristic polynomial, w, and two polynomials of w, the one late. In
- * several sums, for each waits for its last term. */
-static void driven(const Characteristic *c, const double *B, const double *A, long n,
-                   const double *x, double *w, double *one, double *other)
+/* A signal over the characteristic polynomial, and two polynomials of it, the first late. */
+typedef struct {
+    const double *x, *B, *A;
+    double *of_B, *of_A;
+} Lane;
+
+/* Two lanes of n samples at once, in several sums, for each waits for its last term; w has zeros
+ * before its first sample. */
+static void drive(const Characteristic *c, const Lane *p, const Lane *q, long n, Two *w)
 {
+    Two A[MOST_TERMS], B[MOST_TERMS];
     long i, j;
+    for (j = 0; j < MOST_TERMS; j++)
+        A[j] = (Two){p->A[j], q->A[j]}, B[j] = (Two){p->B[j], q->B[j]};
     for (i = 0; i < n; i++) {
-        const double *before = w + i - c->late;
-        double even = x[i], odd = 0.0, own = 0.0, of_B = 0.0, of_A = 0.0;
+        const Two *before = w + i - c->late;
+        Two late = {0.0, 0.0}, own = late, of_B = late, of_A = late, now = {p->x[i], q->x[i]};
         for (j = 0; j < c->bs; j++)
-            odd -= c->BS[j] * before[-j], of_B += B[j] * before[-j];
+            late += c->BS[j] * before[-j], of_B += B[j] * before[-j];
         for (j = c->ar - 1; j > 0; j--)
-            own -= c->AR[j] * w[i - j], of_A += A[j] * w[i - j];
-        w[i] = even + odd + own;
-        one[i] = of_B, other[i] = of_A + A[0] * w[i];
+            own += c->AR[j] * w[i - j], of_A += A[j] * w[i - j];
+        w[i] = now - late - own, of_A += A[0] * w[i];
+        p->of_B[i] = of_B[0], p->of_A[i] = of_A[0];
+        q->of_B[i] = of_B[1], q->of_A[i] = of_A[1];
     }
 }
 
 static void respond(const Task *t, const Plant *p, long law, long loop, double *work)
 {
     long i, n = t->samples, k = t->law_terms, longest = n > t->drawn ? n : t->drawn;
-    long all = t->before + n;
-    const double *S = t->S + law * k, *T = t->T + law * k, *R = t->R + law * k;
-    const double *f = t->filters + 3 * law;
+    long all = t->before + n, history;
+    const double *f = t->filters + 3 * law, *by[3];
     double of_A[3][MOST_TERMS], of_B[3][MOST_TERMS], kept = 0.0;
     double *y = t->output + loop * all + t->before, *u = t->effort + loop * all + t->before;
-    double *w, *x, *one, *other;
-    const double *by[3];
+    double *one, *other, *filtered, *impulse;
     Characteristic c;
-    by[0] = R, by[1] = S, by[2] = T;
-    c.late = t->dead + 1, c.bs = t->terms + k - 1, c.ar = t->order + k;
-    c.history = c.late + c.bs + c.ar;
+    Two *w = (Two *)work;
+    Lane setpoint, load, noise;
+    by[0] = t->R + law * k, by[1] = t->S + law * k, by[2] = t->T + law * k;
     for (i = 0; i < 3; i++) {
         memcpy(of_A[i], p->A, sizeof p->A), multiply(of_A[i], t->order, by[i], k - 1);
         memcpy(of_B[i], p->B, sizeof p->B), multiply(of_B[i], t->terms - 1, by[i], k - 1);
     }
     memcpy(c.AR, of_A[0], sizeof c.AR), memcpy(c.BS, of_B[1], sizeof c.BS);
-    w = work + c.history, x = w + longest, one = x + longest, other = one + longest;
-    memset(work, 0, c.history * sizeof *work);
+    c.late = t->dead + 1, c.bs = t->terms + k - 1, c.ar = t->order + k;
+    history = c.late + c.bs + c.ar;
+    memset(w, 0, history * sizeof *w), w += history;
+    one = (double *)(w + longest), other = one + longest;
+    filtered = other + longest, impulse = filtered + longest;
     memset(y - t->before, 0, t->before * sizeof *y);
     memset(u - t->before, 0, t->before * sizeof *u);
+    memset(impulse, 0, longest * sizeof *impulse), impulse[0] = 1.0;
     for (i = 0; i < n; i++) {
         kept = f[0] * t->setpoint[i] + f[1] * (i ? t->setpoint[i - 1] : 0.0) + f[2] * kept;
-        x[i] = kept;
+        filtered[i] = kept;
     }
-    driven(&c, of_B[2], of_A[2], n, x, w, y, u);
-    if (t->load) {
-        driven(&c, of_B[0], of_A[0], n, t->load, w, one, other);
-        for (i = 0; i < n; i++) /* - q^-late B S w is A R w less the load */
-            y[i] += one[i], u[i] += other[i] - t->load[i];
-    }
+    setpoint = (Lane){filtered, of_B[2], of_A[2], y, u};
+    load = (Lane){t->load, of_B[0], of_A[0], one, other};
+    noise = (Lane){t->drawn ? t->noise : impulse, of_B[1], of_A[1], one, other};
+    drive(&c, &setpoint, t->load ? &load : &noise, n, w);
+    for (i = 0; t->load && i < n; i++) /* - q^-late B S w is A R w less the load */
+        y[i] += one[i], u[i] += other[i] - t->load[i];
     if (t->drawn) {
         double *measured = t->noise_gains + 2 * loop * t->drawn, *moved = measured + t->drawn;
-        driven(&c, of_B[1], of_A[1], t->drawn, t->noise, w, measured, moved);
+        noise.of_B = measured, noise.of_A = moved;
+        drive(&c, &noise, &noise, t->drawn, w);
         for (i = 0; i < t->drawn; i++) /* A R w is the noise less q^-late B S w */
             measured[i] = t->noise[i] - measured[i], moved[i] = -moved[i];
-    } else {
+    } else if (!t->load) {
         double error = 0.0, moves = 0.0;
-        memset(x, 0, n * sizeof *x), x[0] = 1.0;
-        driven(&c, of_B[1], of_A[1], n, x, w, one, other);
         for (i = 0; i < n; i++) {
-            double move = other[i] - (i ? other[i - 1] : 0.0), measured = x[i] - one[i];
+            double move = other[i] - (i ? other[i - 1] : 0.0), measured = impulse[i] - one[i];
             error += measured * measured, moves += move * move;
         }
         t->noise_gains[2 * loop] = error, t->noise_gains[2 * loop + 1] = moves;
@@ -362,7 +374,7 @@ __attribute__((visibility("default"))) int estune_closed_loops(const Task *t)
     long i, model = -1, law, extra = t->order / 2 * 2 * t->offsets, n = t->angles + extra;
     long longest = t->samples > t->drawn ? t->samples : t->drawn;
     double *g = malloc((COLUMNS * n + extra + 1) * sizeof *g);
-    double *work = malloc((4 * longest + t->dead + 4 * MOST_TERMS) * sizeof *work);
+    double *work = malloc((6 * longest + 2 * (t->dead + 3 * MOST_TERMS)) * sizeof *work);
     Plant p;
     for (i = 0; g && work && i < t->loops; i++) {
         if (model < 0 || t->models > 1) {

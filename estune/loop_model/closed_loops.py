@@ -38,7 +38,8 @@ class Inputs(NamedTuple):
         before: Samples before the step, in which nothing moves.
         setpoint: Deviation from the step on, shape (samples - before,).
         load: Load from the step on, or None.
-        noise: Noise of the measurement, shape (drawn,); None asks for variances after the step.
+        noise: Noise of the measurement, shape (drawn,); None asks for variances after the
+            step, which are known without a load alone.
     """
 
     before: int

@@ -10,12 +10,14 @@ what it can of each step (a proximal step: Moreau, Numerical aspects of the swee
 A record begins at rest with friction of an unknown size, the same in all.
 """
 
+import ctypes
 from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from estune.core.quantities import FloatArray
+from estune.loop_model.compiled import compiled
 from estune.loop_model.least_squares import FitSignals, noise_of, signals_of
 from estune.loop_model.loop_fit import LoopFit
 from estune.loop_model.model import LoopModel
@@ -119,6 +121,15 @@ def friction_force(
         most: Size of the friction, shape (masses,).
         rest: Position before the first sample, shape (masses, records).
     """
+    library = compiled("prediction_errors")
+    if library is not None:
+        taken = np.empty((*rest.shape, effort.shape[1]))
+        arrays = [np.ascontiguousarray(one, float) for one in (effort, a, most, rest)]
+        counts = map(ctypes.c_long, taken.shape)
+        library.estune_friction(
+            *counts, *(ctypes.c_void_p(one.ctypes.data) for one in (*arrays, taken))
+        )
+        return np.nan_to_num(taken, nan=DIVERGED, posinf=DIVERGED, neginf=-DIVERGED)
     unit = a.sum(axis=1)[:, np.newaxis]
     # All of one shape and without new arrays, a sample takes a third of the time.
     like = np.ones(rest.shape)

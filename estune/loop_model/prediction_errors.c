@@ -351,3 +351,25 @@ __attribute__((visibility("default"))) int estune_error_slopes(const FitTask *t)
     free(work);
     return 0;
 }
+
+/* Friction on masses on springs, as of `friction_motion.friction_force`; (masses, records,
+ * samples). */
+__attribute__((visibility("default"))) void estune_friction(
+    long masses, long records, long samples, const double *effort, const double *a,
+    const double *most, const double *rest, double *taken)
+{
+    long m, r, i;
+    for (m = 0; m < masses; m++)
+        for (r = 0; r < records; r++) {
+            double unit = a[3 * m] + a[3 * m + 1] + a[3 * m + 2], limit = unit * most[m];
+            double first = -(1.0 + a[3 * m + 1]), second = -a[3 * m + 2];
+            double now = rest[m * records + r], before = now;
+            const double *pushed = effort + r * samples;
+            double *off = taken + (m * records + r) * samples;
+            for (i = 0; i < samples; i++) {
+                double step = first * now + second * before + unit * pushed[i];
+                double held = step > limit ? limit : step < -limit ? -limit : step;
+                before = now, now += step - held, off[i] = held / unit;
+            }
+        }
+}
