@@ -74,30 +74,70 @@ def compiled_errors(
     Raises:
         MemoryError: there is not enough memory.
     """
-    order, terms = coordinates.size, coordinates.size + 1
+    b = np.empty(coordinates.size + 1) if numerator is None else np.array(numerator, float)
+    task, arrays = _task(groups, hum, coordinates, b, dead, given=numerator is not None)
+    if library.estune_prediction_errors(ctypes.byref(task)):
+        raise MemoryError("no memory for the errors of a fit")
+    ranks, nuisance, regressors, basis, residual = arrays[:5]
+    lengths = (effort.shape[1] - history for effort, _, history in groups)
+    parts = zip(nuisance, ranks.tolist(), lengths, strict=True)
+    return CompiledErrors(
+        tuple(one[:rank, :n].T for one, rank, n in parts),
+        *(regressors.T, basis.T, b, residual),
+        (task, arrays),
+        library,
+    )
+
+
+def filtered_errors(
+    library: ctypes.CDLL,
+    groups: Sequence[Group],
+    hum: float,
+    coordinates: FloatArray,
+    delays: Sequence[int],
+) -> tuple[FloatArray, FloatArray]:
+    """Sums of squared errors (A/C) y - q^-(d+1) (B/C) u at some dead times, C of these poles.
+
+    Returns:
+        The sums, shape (delays,), and the numbers of A and B, shape (delays, 2 poles + 1).
+
+    Raises:
+        MemoryError: there is not enough memory.
+    """
+    b = np.empty(2 * coordinates.size + 1)
+    task, arrays = _task(groups, hum, coordinates, b, 0, given=False)
+    squares, numbers = np.empty(len(delays)), np.empty((len(delays), b.size))
+    dead = np.array(delays, np.int64)
+    places = (ctypes.c_void_p(one.ctypes.data) for one in (dead, squares, numbers))
+    if library.estune_filtered_errors(ctypes.byref(task), ctypes.c_long(len(delays)), *places):
+        raise MemoryError("no memory for the errors of a fit")
+    del arrays  # the task reads them until here
+    return squares, numbers
+
+
+def _task(
+    groups: Sequence[Group],
+    hum: float,
+    coordinates: FloatArray,
+    b: FloatArray,
+    dead: int,
+    *,
+    given: bool,
+) -> tuple[_Task, list[FloatArray]]:
+    """The argument of the C functions, and the arrays that it points to."""
     lengths = [effort.shape[1] - history for effort, _, history in groups]
     residuals = sum(len(g[0]) * n for g, n in zip(groups, lengths, strict=True))
     longest = max(lengths)
     signals = [np.ascontiguousarray(one, float) for group in groups for one in group[:2]]
     sizes = np.array([(*g[0].shape, g[2]) for g in groups], np.int64)
-    ranks = np.empty(len(groups), np.int64)
-    b = np.empty(terms) if numerator is None else np.array(numerator, float)
-    x = np.array(coordinates, float)
-    nuisance = np.empty((len(groups), MOST_COLUMNS, longest))
-    rows, residual = np.empty((2, terms, residuals)), np.empty(residuals)
     addresses = np.array([one.ctypes.data for one in signals], np.int64)
-    arrays = [x, sizes, addresses, b, ranks, nuisance, rows[0], rows[1], residual]
-    given = numerator is not None
+    ranks = np.empty(len(groups), np.int64)
+    nuisance = np.empty((len(groups), MOST_COLUMNS, longest))
+    rows, x = np.empty((2, b.size, residuals)), np.array(coordinates, float)
+    filled = [ranks, nuisance, rows[0], rows[1], np.empty(residuals)]
+    arrays = [x, sizes, addresses, b, *filled]
     task = _Task(
-        *(order, terms, dead, len(groups), residuals, longest, given, hum),
+        *(x.size, b.size, dead, len(groups), residuals, longest, given, hum),
         *(one.ctypes.data for one in arrays),
     )
-    if library.estune_prediction_errors(ctypes.byref(task)):
-        raise MemoryError("no memory for the errors of a fit")
-    parts = zip(nuisance, ranks.tolist(), lengths, strict=True)
-    return CompiledErrors(
-        tuple(one[:rank, :n].T for one, rank, n in parts),
-        *(rows[0].T, rows[1].T, b, residual),
-        (task, [*arrays, *signals]),
-        library,
-    )
+    return task, [*filled, *arrays, *signals]

@@ -15,6 +15,8 @@ from typing import NamedTuple
 import numpy as np
 
 from estune.core.quantities import FloatArray
+from estune.loop_model.compiled import compiled
+from estune.loop_model.compiled_errors import filtered_errors
 from estune.loop_model.error_filters import delayed, filters_of, regressors_of, without
 from estune.loop_model.identification import (
     PoleFit,
@@ -89,8 +91,14 @@ def _solved(signals: FitSignals, C: FloatArray, delays: Iterable[int]) -> Iterat
 
     A is C and q^-1 times a polynomial of one term less, for both begin with one.
     """
-    n, filters = C.size, filters_of(C, WHITE, signals.settling_samples)
-    parts = []
+    n, library = C.size, compiled("prediction_errors")
+    if library is not None:
+        groups, delays = [group[:3] for group in signals.groups], list(delays)
+        found = filtered_errors(library, groups, signals.hum, C, delays)
+        for dead, squares, numbers in zip(delays, *found, strict=True):
+            yield _Linear(float(squares), dead, _with_past(C, numbers))
+        return
+    filters, parts = filters_of(C, WHITE, signals.settling_samples), []
     for group in signals.groups:
         Q = nuisance_of(group, C, WHITE, signals)
         measured = delayed(regressors_of(group.measurement, filters, n)[:-1], 1)
@@ -107,12 +115,17 @@ def _solved(signals: FitSignals, C: FloatArray, delays: Iterable[int]) -> Iterat
         ]
         X = np.vstack([-past, np.concatenate(rows, axis=1)]).T
         size = np.maximum(np.linalg.norm(X, axis=0), 1e-300)
-        found = np.linalg.lstsq(X / size, y, rcond=1e-10)[0] / size
-        left = y - X @ found
-        A = difference_polynomial(C)
-        A[:-1] += found[:n]
-        A[1:] -= found[:n]
-        yield _Linear(float(left @ left), dead, A)
+        numbers = np.linalg.lstsq(X / size, y, rcond=1e-10)[0] / size
+        left = y - X @ numbers
+        yield _Linear(float(left @ left), dead, _with_past(C, numbers))
+
+
+def _with_past(C: FloatArray, numbers: FloatArray) -> FloatArray:
+    """A in powers of 1 - q^-1, of C and the numbers of the past of the measurement."""
+    A, n = difference_polynomial(C), C.size
+    A[:-1] += numbers[:n]
+    A[1:] -= numbers[:n]
+    return A
 
 
 def _grows(coordinates: FloatArray) -> bool:

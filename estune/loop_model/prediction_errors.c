@@ -53,12 +53,14 @@ static void without(long n, long rows, long stride, const double *Q, double *x)
         less(n, shares[j], Q + j * stride, x);
 }
 
-/* Orthonormal rows in place of rows, each orthogonalised twice; triangle has their shares. */
-static void orthonormal(long n, long rows, long stride, double *Q, double *triangle)
+/* Orthonormal rows in place of rows, each orthogonalised twice, from one on before which they are
+ * already; triangle has their shares. */
+static void orthonormal(long n, long from, long rows, long stride, double *Q, double *triangle)
 {
     long i, j, again;
-    memset(triangle, 0, rows * rows * sizeof *triangle);
-    for (j = 0; j < rows; j++) {
+    for (j = from; j < rows; j++) {
+        for (i = 0; i < rows; i++)
+            triangle[i * rows + j] = 0.0;
         double *x = Q + j * stride, size;
         for (again = 0; again < 2; again++)
             for (i = 0; i < j; i++) {
@@ -221,7 +223,7 @@ static long nuisance_at(const FitTask *t, long poles, long n, double *Q)
         for (i = 0; i < n; i++)
             Q[j * stride + i] /= size;
     }
-    orthonormal(n, rows, stride, Q, W);
+    orthonormal(n, 0, rows, stride, Q, W);
     rotate(rows, W, NULL);
     for (j = 0; j < rows; j++)
         sizes[j] = column_size(rows, W, j), largest = fmax(largest, sizes[j]);
@@ -244,14 +246,52 @@ static long nuisance_at(const FitTask *t, long poles, long n, double *Q)
     return rank;
 }
 
+/* Basis of the regressors from one on, and their numbers of least squares unless they are NULL. */
+static void solve_rows(const FitTask *t, long from, double *triangle, const double *y,
+                       double *numbers)
+{
+    double whole[MOST_COLUMNS * MOST_COLUMNS], sizes[MOST_COLUMNS], shares[MOST_COLUMNS];
+    long i, k, m = t->terms, N = t->residuals;
+    for (k = 0; k < m; k++) {
+        const double *row = t->regressors + k * N;
+        sizes[k] = fmax(sqrt(dot(N, row, row)), 1e-300);
+        for (i = 0; k >= from && i < N; i++)
+            t->basis[k * N + i] = row[i] / sizes[k];
+    }
+    orthonormal(N, from, m, N, t->basis, triangle);
+    if (!numbers)
+        return;
+    for (k = 0; k < m; k++)
+        shares[k] = dot(N, t->basis + k * N, y);
+    memcpy(whole, triangle, m * m * sizeof *whole);
+    solve(m, whole, shares, numbers);
+    for (k = 0; k < m; k++)
+        numbers[k] /= sizes[k];
+}
+
+/* A row of n samples from h on, so many late, without start states and offsets. */
+static void late_row(const FitTask *t, long g, long h, long n, long late, const double *x,
+                     double *row)
+{
+    long i;
+    for (i = 0; i < n; i++)
+        row[i] = i + h < late ? 0.0 : x[i + h - late];
+    without(n, t->ranks[g], t->longest, t->nuisance + g * MOST_COLUMNS * t->longest, row);
+}
+
+static void differences(long n, double *x)
+{
+    for (; n > 1; n--)
+        x[n - 1] -= x[n - 2];
+}
+
 /* Returns zero, or one where there is no memory. */
 __attribute__((visibility("default"))) int estune_prediction_errors(const FitTask *t)
 {
     Section s[MOST_SECTIONS];
     long count = sections_at(t->order, t->coordinates, s), g, i, j, k, r, at = 0;
     long N = t->residuals, m = t->terms, late = t->dead + 1, most = 1;
-    double triangle[MOST_COLUMNS * MOST_COLUMNS], sizes[MOST_COLUMNS], shares[MOST_COLUMNS];
-    double *work;
+    double triangle[MOST_COLUMNS * MOST_COLUMNS], *work;
     for (g = 0; g < t->groups; g++)
         most = t->sizes[3 * g + 1] > most ? t->sizes[3 * g + 1] : most;
     if (!(work = malloc(2 * most * sizeof *work)))
@@ -272,31 +312,13 @@ __attribute__((visibility("default"))) int estune_prediction_errors(const FitTas
             for (i = 0; i < count; i++)
                 filter(samples, ONE, s[i].mirrored, x, x);
             for (k = 0; k < m; k++) {
-                double *row = t->regressors + k * N + at;
-                for (i = 0; i < n; i++)
-                    row[i] = i + h < late ? 0.0 : x[i + h - late];
-                without(n, t->ranks[g], t->longest, Q, row);
-                for (i = samples - 1; i > 0; i--)
-                    x[i] -= x[i - 1];
+                late_row(t, g, h, n, late, x, t->regressors + k * N + at);
+                differences(samples, x);
             }
         }
     }
     free(work);
-    memcpy(t->basis, t->regressors, m * N * sizeof *t->basis);
-    for (k = 0; k < m; k++) {
-        double *row = t->basis + k * N;
-        sizes[k] = fmax(sqrt(dot(N, row, row)), 1e-300);
-        for (i = 0; i < N; i++)
-            row[i] /= sizes[k];
-    }
-    orthonormal(N, m, N, t->basis, triangle);
-    if (!t->given) {
-        for (k = 0; k < m; k++)
-            shares[k] = dot(N, t->basis + k * N, t->residual);
-        solve(m, triangle, shares, t->numerator);
-        for (k = 0; k < m; k++)
-            t->numerator[k] /= sizes[k];
-    }
+    solve_rows(t, 0, triangle, t->residual, t->given ? NULL : t->numerator);
     for (j = 0; j < m; j++)
         less(N, t->numerator[j], t->regressors + j * N, t->residual);
     return 0;
@@ -347,6 +369,54 @@ __attribute__((visibility("default"))) int estune_error_slopes(const FitTask *t)
                 without(n, t->ranks[g], t->longest, Q, t->slopes + c * t->residuals + at);
             }
         }
+    }
+    free(work);
+    return 0;
+}
+
+/* Numbers of A and B together at some dead times, as of `growing_poles`: terms are 2 order + 1.
+ * Returns zero, or one where there is no memory. */
+__attribute__((visibility("default"))) int estune_filtered_errors(
+    const FitTask *t, long delays, const long *dead, double *squares, double *numbers)
+{
+    Section s[MOST_SECTIONS];
+    double triangle[MOST_COLUMNS * MOST_COLUMNS], *work;
+    long n_poles = t->order, count = sections_at(n_poles, t->coordinates, s), N = t->residuals;
+    long d, g, i, k, r, most = 1;
+    for (g = 0; g < t->groups; g++)
+        most = t->sizes[3 * g + 1] > most ? t->sizes[3 * g + 1] : most;
+    if (!(work = malloc((most + N) * sizeof *work)))
+        return 1;
+    for (d = 0; d < delays; d++) {
+        long at = 0, from = d ? n_poles : 0;
+        double *x = work, *left = work + most, *found = numbers + d * t->terms;
+        for (g = 0; g < t->groups; g++) {
+            long records = t->sizes[3 * g], samples = t->sizes[3 * g + 1];
+            long h = t->sizes[3 * g + 2], n = samples - h, poles = h || n_poles < 2 ? n_poles : 2;
+            if (!d)
+                t->ranks[g] = nuisance_at(t, poles, n, t->nuisance + g * MOST_COLUMNS * t->longest);
+            for (r = 0; r < records; r++, at += n)
+                for (k = from ? 1 : 0; k < 2; k++) { /* the past of the measurement; the effort */
+                    const double *signal = (const double *)t->signals[2 * g + 1 - k] + r * samples;
+                    double *rows = t->regressors + (k ? n_poles * N : 0) + at;
+                    if (!k)
+                        late_row(t, g, h, n, 0, signal, t->residual + at);
+                    memcpy(x, signal, samples * sizeof *x);
+                    for (i = 0; i < count; i++)
+                        filter(samples, ONE, s[i].mirrored, x, x);
+                    for (i = 0; i < n_poles + k; i++, rows += N) {
+                        late_row(t, g, h, n, k ? dead[d] + 1 : 1, x, rows);
+                        differences(samples, x);
+                    }
+                }
+        }
+        for (i = 0; !d && i < n_poles * N; i++)
+            t->regressors[i] = -t->regressors[i];
+        solve_rows(t, from, triangle, t->residual, found);
+        memcpy(left, t->residual, N * sizeof *left);
+        for (k = 0; k < t->terms; k++)
+            less(N, found[k], t->regressors + k * N, left);
+        squares[d] = dot(N, left, left);
     }
     free(work);
     return 0;
