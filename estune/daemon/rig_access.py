@@ -162,12 +162,7 @@ class RigAccess:
             )
 
     def switch_off(self, tables: Sequence[str]) -> None:
-        """Switches compensations off.
-
-        Raises:
-            InvalidInput: one of them is not on.
-            RigError: the rig has none, or cannot be reached.
-        """
+        """Switches compensations off."""
         if not isinstance(self._rig, CompensatedRig):
             raise RigError(f"rig {self.description.name} cannot switch compensations off")
         self._rig.switch_off(tables)

@@ -54,11 +54,11 @@ _log = logging.getLogger(__name__)
 
 
 class HardwareRig(Closing):
-    """Runs trials on hardware; implements `estune.trial.Rig`. A context manager.
+    """Runs trials on hardware; a `Rig` with its errors, also where the loop has failed.
 
     The loop is a process of its own. The hardware has no power before the first trial; from then
     on the live gains hold it between trials. Any thread may call: one trial runs at a time;
-    `abort` and `estop` wait for no other call.
+    `abort` and `estop` wait for no other call. A context manager.
 
     Attributes:
         notes: Requests of the loop to the system that were not granted, a line each.
@@ -94,22 +94,12 @@ class HardwareRig(Closing):
             _log.warning("rig %s: %s", self._description.name, note)
 
     def describe(self) -> RigDescription:
-        """Description of the rig, with its live gains.
-
-        Raises:
-            RigError: it is closed, or its loop has ended.
-        """
+        """Description of the rig, with its live gains."""
         self._check_alive()
         return self._current_description()
 
     def run(self, request: TrialRequest) -> TrialRecord:
-        """Runs one trial, or returns the record of it if that trial id has run before.
-
-        Raises:
-            InvalidInput: the request is outside the rig's limits; nothing moved.
-            RigError: the rig is closed or latched, its loop has failed, another trial had the id,
-                or the record is kept no longer.
-        """
+        """Runs one trial, or returns the record of it if that trial id has run before."""
         with self._trial:
             self._check_alive()
             stored = self._records.find_record(request)
@@ -129,12 +119,7 @@ class HardwareRig(Closing):
             return record
 
     def apply(self, gains: Gains) -> None:
-        """Makes gains the live ones, without a jump of the current; a schedule then ends.
-
-        Raises:
-            InvalidInput: they are outside the rig's bounds.
-            RigError: the rig is closed, its loop has failed, or its emergency stop is on.
-        """
+        """Makes gains the live ones, without a jump of the current; a schedule then ends."""
         with self._trial:
             self._check_alive()
             if self._memory.words[Word.ESTOP]:
@@ -150,12 +135,7 @@ class HardwareRig(Closing):
             self._live_cost = None
 
     def switch_off(self, tables: Sequence[str]) -> None:
-        """Switches compensations of the rig's file off, until its next start.
-
-        Raises:
-            InvalidInput: one of them is not on; nothing is changed.
-            RigError: the rig is closed, or its loop has failed.
-        """
+        """Switches compensations of the rig's file off, until its next start."""
         with self._trial:
             self._check_alive()
             left = (self._compensation or CompensationTable()).without(tables)
@@ -214,11 +194,7 @@ class HardwareRig(Closing):
         )
 
     def clear(self) -> None:
-        """Lets a rig that was stopped, by its guard or by hand, take trials again.
-
-        Raises:
-            RigError: the rig is closed, or its loop has failed.
-        """
+        """Lets a rig that was stopped, by its guard or by hand, take trials again."""
         with self._trial:
             self._check_alive()
             self._memory.words[Word.ESTOP] = 0

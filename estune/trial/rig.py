@@ -13,6 +13,7 @@ class Rig(Protocol):
 
     A trial uses temporary gains: the live gains are restored when `run` returns or raises. A
     failed trial is an outcome in its record; an exception means that the rig did not accept it.
+    Every method raises `RigError` where the rig is closed, gone, stopped or held by others.
     """
 
     def describe(self) -> RigDescription:
@@ -24,12 +25,16 @@ class Rig(Protocol):
 
         Raises:
             InvalidInput: the request is outside the rig's limits; nothing moved.
-            RigError: the rig cannot be reached, or knows another trial by that id.
+            RigError: it knows another trial by that id, or keeps the record no longer.
         """
         ...
 
     def apply(self, gains: Gains) -> None:
-        """Changes the live gains; nothing else does."""
+        """Changes the live gains, without a jump of the effort; nothing else does.
+
+        Raises:
+            InvalidInput: they are outside the rig's bounds.
+        """
         ...
 
     def abort(self) -> RigDescription:

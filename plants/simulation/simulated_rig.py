@@ -25,7 +25,7 @@ _COLUMNS = ("time_s", "setpoint_N", "tension_N", "angle_rad", "flags", "referenc
 
 
 class SimulatedRig:
-    """Runs the trials of one plant; implements `estune.trial.Rig`.
+    """Runs the trials of one plant; a `Rig` with its errors.
 
     Thread-safe: one trial runs at a time, and any thread may call `abort`.
     """
@@ -76,8 +76,6 @@ class SimulatedRig:
         """Runs one trial, or returns its record if the trial id has run before.
 
         Raises:
-            InvalidInput: the request is outside the rig's limits; nothing moved.
-            RigError: the rig is closed, or has run another trial with that id.
             PlantError: the plant cannot be simulated.
         """
         with self._trial:
@@ -100,12 +98,7 @@ class SimulatedRig:
                     self._running, self._shown = False, None
 
     def apply(self, gains: Gains) -> None:
-        """Makes gains the live ones.
-
-        Raises:
-            InvalidInput: they are outside the rig's bounds.
-            RigError: the rig is closed or stopped.
-        """
+        """Makes gains the live ones."""
         with self._state:
             self._check_free()
             self._description.check_gains(gains)

@@ -47,7 +47,7 @@ _log = logging.getLogger(__name__)
 
 
 class BoardRig(Closing):
-    """Runs trials on a board; implements `estune.trial.Rig`. A context manager.
+    """Runs trials on a board; a `Rig` with its errors, also where the board does not answer.
 
     Args:
         config: The rig's file; `driver.settings` are `port`, `baud`, `answer_within_s` and
@@ -84,22 +84,12 @@ class BoardRig(Closing):
         self._beating.start()
 
     def describe(self) -> RigDescription:
-        """Description of the rig, with its live gains.
-
-        Raises:
-            RigError: it is closed, or the board does not answer.
-        """
+        """Description of the rig, with its live gains."""
         self._check_alive()
         return self._description
 
     def run(self, request: TrialRequest) -> TrialRecord:
-        """Runs one trial, or returns the record of it if that trial id has run before.
-
-        Raises:
-            InvalidInput: the request is outside the rig's limits; nothing moved.
-            RigError: the rig is closed or latched, the board does not answer, or another trial had
-                the id.
-        """
+        """Runs one trial, or returns the record of it if that trial id has run before."""
         with self._trial:
             self._check_alive()
             stored = self._records.find_record(request)
@@ -127,12 +117,7 @@ class BoardRig(Closing):
         return rows[rows["sample"] > sample]
 
     def apply(self, gains: Gains) -> None:
-        """Makes gains the live ones, without a jump of the effort.
-
-        Raises:
-            InvalidInput: they are outside the rig's bounds.
-            RigError: the rig is closed or latched, or the board does not answer.
-        """
+        """Makes gains the live ones, without a jump of the effort."""
         with self._trial:
             self._check_alive()
             self._description.check_gains(gains)

@@ -140,9 +140,6 @@ class RemoteRig(Closing):
             gains: The gains.
             original: The gains that ran before any daemon that shares the rig set others; a rig
                 that cannot keep them sets the gains all the same.
-
-        Raises:
-            InvalidInput: the rig refuses them.
         """
         unknown = f"; whether it has applied the gains {gains} is unknown"
         answer = self._command_with_lease(SetGains("", gains, original), unknown)
@@ -151,11 +148,7 @@ class RemoteRig(Closing):
         answer.check()
 
     def switch_off(self, tables: Sequence[str]) -> None:
-        """Switches compensations of the rig off, until its next start.
-
-        Raises:
-            InvalidInput: one of them is not on.
-        """
+        """Switches compensations of the rig off, until its next start."""
         unknown = f"; whether it has switched {', '.join(tables)} off is unknown"
         self._command_with_lease(SwitchOff("", tuple(tables)), unknown).check()
 

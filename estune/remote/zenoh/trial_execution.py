@@ -197,11 +197,7 @@ class TrialExecutor:
             self._rig.apply(gains)
 
     def switch_off(self, tables: Sequence[str]) -> None:
-        """Switches compensations off.
-
-        Raises:
-            EstuneError: the rig refuses it, has none, or is occupied.
-        """
+        """Switches compensations off."""
         if not isinstance(self._rig, CompensatedRig):
             raise RigError("this rig has no compensations of its own: none can be switched off")
         with self._changing():
@@ -246,11 +242,7 @@ class TrialExecutor:
         return None
 
     def follow(self, setpoint: Setpoint) -> Feedback:
-        """Has the reel follow a setpoint.
-
-        Raises:
-            EstuneError: the rig refuses it.
-        """
+        """Has the reel follow a setpoint."""
         assert isinstance(self._rig, SetpointFollower)  # noqa: S101  else it was refused above
         return self._rig.follow(setpoint)
 
