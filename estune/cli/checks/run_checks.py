@@ -4,7 +4,6 @@ import secrets
 import time
 from collections.abc import Iterator
 from dataclasses import replace
-from typing import Protocol
 
 from estune.cli.checks import (
     current_loop_check,
@@ -16,8 +15,8 @@ from estune.cli.checks import (
 from estune.cli.checks.check_result import CheckResult, State, fine, fix, unknown
 from estune.cli.checks.link_checks import Dated
 from estune.errors import EstuneError
-from estune.remote.messages import Status
-from estune.trial import RigDescription, TrialRecord, TrialRequest
+from estune.remote.zenoh import RemoteRig
+from estune.trial import Rig, RigDescription, TrialRequest
 from estune.trial.profiles import StepProfile
 
 REPEATS = 5
@@ -33,33 +32,13 @@ FAILED = unknown(
 )
 
 
-class TrialRig(Protocol):
-    """The part of a rig that the check trials need."""
-
-    def describe(self) -> RigDescription:
-        """Its description."""
-        ...
-
-    def run(self, request: TrialRequest) -> TrialRecord:
-        """Runs one trial."""
-        ...
-
-
-class RigUnderTest(TrialRig, Protocol):
-    """A rig on the link."""
-
-    def status(self) -> Status:
-        """Asks the rig: mode, holder of the lease, live gains."""
-        ...
-
-
 def gentle_trial(rig: RigDescription) -> StepProfile:
     """The step of the check trials: half of the suggested one."""
     return replace(rig.step, step_N=GENTLER * rig.step.step_N)
 
 
 def run_checks(
-    rig: RigUnderTest,
+    rig: RemoteRig,
     endpoint: str,
     *,
     move: bool,
@@ -93,7 +72,7 @@ def run_checks(
         yield from check_in_motion(rig, about, repeats)
 
 
-def check_in_motion(rig: TrialRig, about: RigDescription, repeats: int) -> Iterator[CheckResult]:
+def check_in_motion(rig: Rig, about: RigDescription, repeats: int) -> Iterator[CheckResult]:
     """Checks a rig by a gentle step with its live gains, repeated, and once in an open loop.
 
     Raises:
@@ -130,7 +109,7 @@ def check_in_motion(rig: TrialRig, about: RigDescription, repeats: int) -> Itera
         )
 
 
-def _of_current_loop(rig: TrialRig, about: RigDescription, closed: TrialRequest) -> CheckResult:
+def _of_current_loop(rig: Rig, about: RigDescription, closed: TrialRequest) -> CheckResult:
     """Check of the current loop by a trial in an open loop, of a plant that comes to rest."""
     gain = current_loop_check.expected_gain(about)
     if gain is None:
