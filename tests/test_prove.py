@@ -19,7 +19,7 @@ from estune.errors import InvalidInput, RigError
 from estune.hardware.config import read_config
 from estune.proof import trials
 from estune.proof.patch import Patch, patch_of, read_patch
-from estune.proof.trials import MeasuredRatio, Proof, prove
+from estune.proof.trials import MeasuredRatio, Proof, RemedyRig, prove
 from estune.remote import zenoh
 from estune.trial import Outcome, TrialRequest
 from estune.trial.tracking import tracking_profile
@@ -52,6 +52,14 @@ def test_proof_on_the_loop_ends_in_a_sentence_with_intervals():
     assert 0.3 < tracking.low < tracking.value < tracking.high < 0.7
     assert "slow tracking error 0." in proof.sentence
     assert proof.ratios["rest"].low < 1.2
+
+
+def test_rig_with_a_remedy_takes_gains_as_the_rig_itself():
+    with closing(REEL.rig()) as rig:
+        before, other = rig.describe().gains, replace(rig.describe().gains, P=0.5)
+        assert other != before
+        RemedyRig(rig, PATCH).apply(other)
+        assert rig.describe().gains == other
 
 
 def test_wrong_sign_is_not_proven():

@@ -18,7 +18,7 @@ from plants.effects import EFFECTS, CoulombFriction, Effect, Port, parameter
 from plants.effects.plant_scale import PlantScale
 from plants.effects.remedy import Place, Remedy
 from plants.remedies import offers, offers_for, text
-from plants.remedies.behaviour import behaviour
+from plants.remedies.behaviour import MEASURES, behaviour
 from plants.remedies.offers import FORM, REVERSAL_MARGIN
 from plants.simulation.compensation import compensation_of
 from tests.support_diagnosis import deciding, diagnosis, interval
@@ -172,6 +172,18 @@ def test_sensitivity_with_a_notch_has_the_interval_of_the_modes_frequency():
     ratio = notch.ratios["sensitivity"]
     assert ratio.low <= ratio.value <= ratio.high
     assert ratio.low < ratio.high
+
+
+@pytest.mark.parametrize(("cost", "is_worth"), [(1.0, True), (1.03, False)])
+def test_remedy_that_harms_one_measure_is_not_worth_its_gain_in_another(
+    cost, is_worth, monkeypatch
+):
+    ratios = {"cost": cost, "tracking": 0.8, "reversal": 1.0, "rest": 1.0}
+    monkeypatch.setattr(
+        offers, "_ratios", lambda *_, **__: np.array([ratios[name] for name in MEASURES])
+    )
+    (offer,) = offers_for(found(CoulombFriction(torque_Nm=0.05)), GAINS)
+    assert offer.worth is is_worth
 
 
 def test_small_friction_is_listed_as_not_worth_it():
