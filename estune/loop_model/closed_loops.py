@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from estune.core.quantities import FloatArray
-from estune.loop_model.compiled import compiled
+from estune.loop_model.compiled import compiled, places
 from estune.loop_model.model import Laws, LoopModel
 
 _COUNTS = ("models", "laws", "loops", "order", "terms", "dead", "law_terms")
@@ -104,26 +104,20 @@ def closed_loops(
     # One block of memory for each direction: an address takes longer to ask for than to fill.
     given = (coordinates, numerators, laws.measurement, laws.setpoint, laws.denominator)
     block = np.concatenate([one.ravel() for one in (*given, laws.filters)])
-    from_block = _places(block, [one.size for one in (*given, laws.filters)])
+    from_block = places(block, [one.size for one in (*given, laws.filters)])
     sizes = [math.prod(shape) for shape in shapes]
     answers = np.empty(sum(sizes))
-    places = _places(answers, sizes)
+    asked = places(answers, sizes)
     task = _Task(
         *(len(models), len(laws.setpoint), count, *coordinates.shape[1:], *numerators.shape[1:]),
         *(models[0].dead_samples, laws.setpoint.shape[1]),
         *(table.shape[1], about.size, before, after, drawn),
         *from_block,
         *(table.ctypes.data, about.ctypes.data, *signals),
-        *(places if after else places[:3]),
+        *(asked if after else asked[:3]),
     )
     if library.estune_closed_loops(ctypes.byref(task)):
         raise MemoryError("no memory for closed loops; predict fewer at once")
     ends = [*accumulate(sizes)]
     parts = zip((0, *ends), ends, shapes, strict=False)
     return ClosedLoops(*(answers[begin:end].reshape(of) for begin, end, of in parts))
-
-
-def _places(block: FloatArray, sizes: Sequence[int]) -> list[int]:
-    """Addresses of consecutive arrays of such sizes."""
-    first = block.ctypes.data
-    return [first + block.itemsize * before for before in accumulate((0, *sizes[:-1]))]

@@ -1,12 +1,16 @@
 """Prediction errors of records as compiled C (`prediction_errors.c`), as of `least_squares`."""
 
 import ctypes
+import math
 from collections.abc import Sequence
-from typing import NamedTuple
+from itertools import accumulate
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from estune.core.quantities import FloatArray
+from estune.loop_model.compiled import places
 
 MOST_COLUMNS = 24
 """Columns that the C code has room for in each group."""
@@ -47,7 +51,7 @@ class CompiledErrors(NamedTuple):
     basis: FloatArray
     numerator: FloatArray
     residual: FloatArray
-    memory: tuple[_Task, list[FloatArray]]
+    memory: tuple[_Task, list[NDArray[Any]]]
     library: ctypes.CDLL
 
     def slopes(self) -> FloatArray:
@@ -74,17 +78,16 @@ def compiled_errors(
     Raises:
         MemoryError: there is not enough memory.
     """
-    b = np.empty(coordinates.size + 1) if numerator is None else np.array(numerator, float)
-    task, arrays = _task(groups, hum, coordinates, b, dead, given=numerator is not None)
+    task, numbers, ranks, memory = _task(groups, hum, coordinates, dead, numerator=numerator)
     if library.estune_prediction_errors(ctypes.byref(task)):
         raise MemoryError("no memory for the errors of a fit")
-    ranks, nuisance, regressors, basis, residual = arrays[:5]
+    _, b, residual, regressors, basis, nuisance = numbers
     lengths = (effort.shape[1] - history for effort, _, history in groups)
     parts = zip(nuisance, ranks.tolist(), lengths, strict=True)
     return CompiledErrors(
         tuple(one[:rank, :n].T for one, rank, n in parts),
         *(regressors.T, basis.T, b, residual),
-        (task, arrays),
+        (task, memory),
         library,
     )
 
@@ -104,40 +107,54 @@ def filtered_errors(
     Raises:
         MemoryError: there is not enough memory.
     """
-    b = np.empty(2 * coordinates.size + 1)
-    task, arrays = _task(groups, hum, coordinates, b, 0, given=False)
-    squares, numbers = np.empty(len(delays)), np.empty((len(delays), b.size))
+    terms = 2 * coordinates.size + 1
+    task, *_, memory = _task(groups, hum, coordinates, 0, terms=terms)
+    squares, numbers = np.empty(len(delays)), np.empty((len(delays), terms))
     dead = np.array(delays, np.int64)
-    places = (ctypes.c_void_p(one.ctypes.data) for one in (dead, squares, numbers))
-    if library.estune_filtered_errors(ctypes.byref(task), ctypes.c_long(len(delays)), *places):
+    arrays = (ctypes.c_void_p(one.ctypes.data) for one in (dead, squares, numbers))
+    if library.estune_filtered_errors(ctypes.byref(task), ctypes.c_long(len(delays)), *arrays):
         raise MemoryError("no memory for the errors of a fit")
-    del arrays  # the task reads them until here
+    del memory  # the task reads it until here
     return squares, numbers
 
 
 def _task(
     groups: Sequence[Group],
     hum: float,
-    coordinates: FloatArray,
-    b: FloatArray,
+    x: FloatArray,
     dead: int,
     *,
-    given: bool,
-) -> tuple[_Task, list[FloatArray]]:
-    """The argument of the C functions, and the arrays that it points to."""
+    numerator: FloatArray | None = None,
+    terms: int | None = None,
+) -> tuple[_Task, list[FloatArray], NDArray[np.int64], list[NDArray[Any]]]:
+    """The argument of the C functions, its arrays of numbers, its ranks, and all its memory."""
     lengths = [effort.shape[1] - history for effort, _, history in groups]
     residuals = sum(len(g[0]) * n for g, n in zip(groups, lengths, strict=True))
-    longest = max(lengths)
+    longest, m, count = max(lengths), terms or x.size + 1, len(groups)
     signals = [np.ascontiguousarray(one, float) for group in groups for one in group[:2]]
-    sizes = np.array([(*g[0].shape, g[2]) for g in groups], np.int64)
-    addresses = np.array([one.ctypes.data for one in signals], np.int64)
-    ranks = np.empty(len(groups), np.int64)
-    nuisance = np.empty((len(groups), MOST_COLUMNS, longest))
-    rows, x = np.empty((2, b.size, residuals)), np.array(coordinates, float)
-    filled = [ranks, nuisance, rows[0], rows[1], np.empty(residuals)]
-    arrays = [x, sizes, addresses, b, *filled]
-    task = _Task(
-        *(x.size, b.size, dead, len(groups), residuals, longest, given, hum),
-        *(one.ctypes.data for one in arrays),
+    whole = np.array(
+        [
+            *(n for effort, _, history in groups for n in (*effort.shape, history)),
+            *(one.ctypes.data for one in signals),
+            *[0] * count,
+        ],
+        np.int64,
     )
-    return task, [*filled, *arrays, *signals]
+    rows = (m, residuals)
+    shapes = (x.shape, (m,), (residuals,), rows, rows, (count, MOST_COLUMNS, longest))
+    sizes = [math.prod(shape) for shape in shapes]
+    block = np.empty(sum(sizes))
+    ends = [*accumulate(sizes)]
+    parts = zip((0, *ends), ends, shapes, strict=False)
+    numbers = [block[begin:end].reshape(shape) for begin, end, shape in parts]
+    numbers[0][:] = x
+    if numerator is not None:
+        numbers[1][:] = numerator
+    of_x, b, residual, regressors, basis, nuisance = places(block, sizes)
+    sized, addresses, ranks = places(whole, (3 * count, 2 * count, count))
+    given = numerator is not None
+    task = _Task(
+        *(x.size, m, dead, count, residuals, longest, given, hum),
+        *(of_x, sized, addresses, b, ranks, nuisance, regressors, basis, residual),
+    )
+    return task, numbers, whole[-count:], [block, whole, *signals]

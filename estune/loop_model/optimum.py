@@ -3,7 +3,7 @@
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 
@@ -77,12 +77,19 @@ class RobustnessLimits:
             ]
         )
 
-    def excesses(self, p: Prediction) -> FloatArray:
-        """The same with the sensitivity of each band, shape (bands + 2,), which has no kinks."""
-        beyond = self.excess(p)
-        if self.max_sensitivity is None:
-            return beyond
-        return np.append(np.log(np.array(p.peaks) / self.max_sensitivity), beyond[1:])
+    def excesses(self, found: Sequence[Prediction]) -> FloatArray:
+        """The same with the sensitivity of each band, (predictions, bands + 2), without kinks."""
+        Ms, overshoot, angle = self.max_sensitivity, self.max_overshoot, self.min_phase_margin_deg
+        none = np.full((len(found), 1), -1.0)
+        tops, angles = np.array([(p.overshoot, p.phase_margin_deg) for p in found]).T[..., None]
+        of_bands = none if Ms is None else np.log(np.array([p.peaks for p in found]) / Ms)
+        return np.hstack(
+            [
+                of_bands,
+                none if overshoot is None else tops - overshoot,
+                none if angle is None else np.radians(angle - angles),
+            ]
+        )
 
     def broken_by(self, margins: PredictedMargins) -> str:
         """The limits that a loop breaks, whichever value of its intervals is true; or nothing."""
@@ -272,35 +279,33 @@ class RegionSearch:
             bounds=list(zip(self.low, self.high, strict=True)),
             constraints={
                 "type": "ineq",
-                "fun": lambda x: -self._excess(x),
-                "jac": lambda x: -self._slopes(x, self._excess),
+                "fun": lambda x: -self._excesses([self.predicted(x)])[0],
+                "jac": lambda x: -self._slopes(x, self._excesses),
             },
             options={"maxiter": iterations, "ftol": DESCENDED},
         )
         x = np.clip(found.x, self.low, self.high)
-        kept = bool(self._excess(x).max() < TOLERANCE)
+        kept = bool(self._excesses([self.predicted(x)]).max() < TOLERANCE)
         return Optimum(x, self.predicted(x), feasible=kept)
 
     def _objective_with_slopes(self, x: FloatArray) -> tuple[float, FloatArray]:
         # Nearly every point whose value is asked for has its slopes asked for next.
-        slopes = self._slopes(x, self._objective)
+        slopes = self._slopes(x, _log_costs)
         return self._objective(x), slopes
 
-    def _slopes(self, x: FloatArray, values: Callable[[FloatArray], Any]) -> FloatArray:
+    def _slopes(
+        self, x: FloatArray, values: Callable[[Sequence[Prediction]], FloatArray]
+    ) -> FloatArray:
         """Slopes of values along each coordinate, shape (..., n), all points predicted at once."""
         steps = np.where(x + SLOPE_STEP <= self.high, SLOPE_STEP, -SLOPE_STEP)
-        beside = [x + step for step in np.diag(steps)]
-        self.all_predicted([x, *beside])
-        here = values(x)
-        moved = [(values(there) - here) / (there[i] - x[i]) for i, there in enumerate(beside)]
-        return np.stack(moved, axis=-1)
+        at = values(self.all_predicted([x, *(x + np.diag(steps))]))
+        return np.asarray((at[1:] - at[0]).T / steps)
 
     def _objective(self, x: FloatArray) -> float:
-        cost = self.predicted(x).cost
-        return math.log(cost) if math.isfinite(cost) else INFEASIBLE
+        return float(_log_costs([self.predicted(x)])[0])
 
-    def _excess(self, x: FloatArray) -> FloatArray:
-        return _bounded(self.limits.excesses(self.predicted(x)))
+    def _excesses(self, found: Sequence[Prediction]) -> FloatArray:
+        return _bounded(self.limits.excesses(found))
 
     def _penalised(self, x: FloatArray, penalty: float) -> float:
         beyond = np.maximum(_bounded(self.limits.excess(self.predicted(x))) - TOLERANCE, 0.0)
@@ -322,6 +327,12 @@ class RegionSearch:
                 return x
             x = np.clip(x + GENTLER[: x.size], self.low, self.high)
         return None
+
+
+def _log_costs(found: Sequence[Prediction]) -> FloatArray:
+    """Logarithms of costs, with a largest value, that of an unstable loop."""
+    costs = np.array([one.cost for one in found])
+    return np.where(np.isfinite(costs), np.log(costs), INFEASIBLE)
 
 
 def _bounded(excess: FloatArray) -> FloatArray:
