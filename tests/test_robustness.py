@@ -156,17 +156,6 @@ def test_short_settling_time_and_few_samples_are_told():
     assert any("fewer than 25" in remark for remark in remarks)
 
 
-def test_rig_that_ignores_gains_is_found_out():
-    class Deaf(Behind):
-        def run(self, request):
-            there = self._rig.run(replace(request, gains=self._rig.describe().gains))
-            return replace(there, gains=request.gains)
-
-    result = tune(Deaf(plants.reference_reel().rig()), trials=6)
-    assert not result.success
-    assert any("check that the rig applies the gains" in remark for remark in result.remarks())
-
-
 @pytest.mark.slow
 def test_plant_that_changes_between_trials_is_not_claimed():
     class Changing(Behind):

@@ -30,6 +30,7 @@ from estune.run.trial_quality import check_noise
 from estune.run.tuning_run import TuningRun, adopt_first, keep_record, read_kept_records
 from estune.support.blas import one_blas_thread
 from estune.trial import Outcome, Rig, RigDescription, TrialRecord, TrialRequest
+from estune.trial.applied_gains import applied_fault
 from estune.trial.loop_records import loop_signals
 from estune.trial.record_checks import request_fault
 from estune.trial.scoring import constraint_margin, cost_of, unscored
@@ -290,13 +291,16 @@ def _record_trial(
         RigError: the rig ran another trial than requested; nothing is committed.
     """
     was_run = not record.outcome.is_void and record.outcome is not Outcome.DECLINED
-    if was_run and (fault := request_fault(record, request, tuning.description)):
+    fault = request_fault(record, request, tuning.description) if was_run else ""
+    if not (fault or tuning.session.baseline):
+        adopt_first(tuning, record)
+    if was_run and not tuning.plan.forced:
+        fault = fault or applied_fault(record, tuning.description)
+    if fault:
         raise RigError(
             f"the record of trial {request.trial_id} of rig {record.rig} is not of the trial that "
             f"was asked for: {fault}; check the rig's limits and its software, then resume"
         )
-    if not tuning.session.baseline:
-        adopt_first(tuning, record)
     plan, before = tuning.plan, tuning.session
     phase, cost, reason = before.phase or Phase.CONFIRM, math.nan, record.reason
     if phase is not Phase.EXCITE:

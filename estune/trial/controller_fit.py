@@ -10,6 +10,7 @@ import numpy as np
 
 from estune.core.controller_equation import unlimited_effort
 from estune.core.controller_form import OWN_FORM, ControllerForm
+from estune.core.pidf import ControllerSettings
 from estune.core.quantities import FloatArray
 from estune.errors import InvalidInput
 from estune.trial.description import RigDescription
@@ -72,11 +73,15 @@ def _residual(
         )
     except InvalidInput:
         return math.inf
-    settings = rig.controller
-    forgotten = math.ceil(FORGOTTEN * settings.derivative_filter_s * settings.sampling_Hz) + 3
-    known = slice(min(forgotten, logged.size // 4), None)
+    known = known_samples(rig.controller, logged.size)
     moves, left = np.diff(logged)[known], (np.diff(effort) - np.diff(logged))[known]
     return float(np.linalg.norm(left) / max(float(np.linalg.norm(moves)), 1e-300))
+
+
+def known_samples(settings: ControllerSettings, samples: int) -> slice:
+    """The samples in which the filter has forgotten what was before the record."""
+    forgotten = math.ceil(FORGOTTEN * settings.derivative_filter_s * settings.sampling_Hz) + 3
+    return slice(min(forgotten, samples // 4), None)
 
 
 def _forms() -> Iterator[ControllerForm]:

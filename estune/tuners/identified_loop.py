@@ -48,11 +48,6 @@ MISFIT_MAX = 0.02
 disturbance, stiffening) end near the optimum; a reel with friction in its eyelet, 3 %, ends 23 %
 above it by the model."""
 
-FAR_WORSE = 1.0
-"""Logarithm of a predicted cost over the least measured one from which the prediction is doubted
-where the model leaves something unexplained: after a load in the first of three trials one went
-from a cost of 5.3 to 164. Limits cost 5 to 30 %."""
-
 PREDICTION_FAILED = 0.5
 """Median error of the last three predictions of the log cost from which the fallback proposes."""
 
@@ -225,16 +220,11 @@ class IdentifiedLoopTuner:
         return not state.fallen_back or self._fallback.may_end(state.fallback, tolerance)
 
     def would_repeat(self, state: IdentifiedLoopState, tolerance: float) -> bool:
-        """Whether the model predicts of the next trial what it predicts of one that was run.
-
-        Not where that is far worse than what a trial measured: the model is wrong of one of them.
-        """
+        """Whether the model predicts of the next trial what it predicts of one that was run."""
         if state.fit is None or state.fallen_back:
             return False
         following = self._at(state, state.fit, self.space.coordinates(state.proposal))
         run = state.points[-self.memory :]
-        if not log_of_cost(following) < min(state.costs) + FAR_WORSE and not state.fit.is_white:
-            return False
         return any(difference(self._at(state, state.fit, x), following) < tolerance for x in run)
 
     def predict(self, state: IdentifiedLoopState, point: Point) -> CostPrediction:

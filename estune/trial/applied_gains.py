@@ -1,0 +1,131 @@
+"""The controller that acted in a trial, from the effort it logged.
+
+The effort follows from setpoint, measurement and gains by the controller's equation, which is
+linear in P, I and D and in the step of the setpoint. Where the log is that of other gains, or of
+another step, than the record states, so are the response and its cost.
+"""
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from estune.core.controller_equation import unlimited_effort
+from estune.core.quantities import FloatArray
+from estune.trial.controller_fit import REPRODUCED, known_samples
+from estune.trial.description import RigDescription
+from estune.trial.outcome import Outcome
+from estune.trial.records import SATURATED, TrialRecord
+
+RATIO_ERROR = 0.05
+"""Error of a ratio of gains that is allowed."""
+
+FILTERS = 60
+"""Time constants of the setpoint filter that are tried."""
+
+BETTER = 0.25
+"""Largest residual of what acted over that of what is stated: another form of the derivative's
+filter leaves more than this of it with any gains."""
+
+
+def applied_fault(record: TrialRecord, rig: RigDescription) -> str:
+    """What acted in a trial in place of what its record states; empty where the log agrees.
+
+    Empty, too, where no other gains nor step explain the log to `REPRODUCED`, and where the effort
+    was held at a limit.
+    """
+    logged = record.controller_A * rig.newtons_per_ampere
+    if record.outcome is not Outcome.DONE or (record.flags & SATURATED).any():
+        return ""
+    if not (np.isfinite(logged).all() and np.isfinite(record.tension_N).all()):
+        return ""
+    known = known_samples(rig.controller, logged.size)
+
+    def moves_of(effort: FloatArray) -> FloatArray:
+        return np.asarray(np.diff(effort)[known])
+
+    moves, whole = moves_of(logged), moves_of(_effort(record, rig))
+    stated, size = float(np.linalg.norm(whole - moves)), float(np.linalg.norm(moves))
+    if not stated > REPRODUCED * size:
+        return ""
+    names, parts = zip(*_parts(record, rig), strict=True)
+    gains = _Explained.by(names, np.array([moves_of(part) for part in parts]).T, moves)
+    rest = moves_of(_effort(_without_step(record), rig))
+    step = _Explained.by(("the step",), (whole - rest)[:, None], moves - rest)
+    filtered = _by_filter(record, rig, moves_of, moves)
+    best = min((gains, step, filtered), key=lambda one: one.left)
+    return "" if best.left > min(REPRODUCED * size, BETTER * stated) else best.sentence(record)
+
+
+class _Explained(NamedTuple):
+    """What explains a log: factors of what was stated.
+
+    Attributes:
+        left: Norm of what is left of the increments.
+        ratios: Factors by name.
+    """
+
+    left: float
+    ratios: dict[str, float]
+
+    @classmethod
+    def by(cls, names: Sequence[str], columns: FloatArray, moves: FloatArray) -> "_Explained":
+        """Factors of columns, shape (samples, n), by least squares."""
+        size = np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
+        ratios = np.linalg.lstsq(columns / size, moves, rcond=None)[0] / size
+        left = float(np.linalg.norm(columns @ ratios - moves))
+        return cls(left, dict(zip(names, ratios.tolist(), strict=True)))
+
+    def sentence(self, record: TrialRecord) -> str:
+        """What acted; empty where nothing differs by more than may be."""
+        off = {n: ratio for n, ratio in self.ratios.items() if abs(ratio - 1.0) > RATIO_ERROR}
+        values = [*off.values()]
+        if 1 < len(off) == len(self.ratios) and np.ptp(values) < RATIO_ERROR * np.mean(values):
+            off = {"P, I and D" if len(off) > 2 else " and ".join(off): float(np.mean(values))}
+        what = " and ".join(f"{ratio:.3g} times {name}" for name, ratio in off.items())
+        return f"its logged effort is that of {what} as stated ({record.gains})" if off else ""
+
+
+def _by_filter(
+    record: TrialRecord,
+    rig: RigDescription,
+    moves_of: Callable[[FloatArray], FloatArray],
+    moves: FloatArray,
+) -> _Explained:
+    """The log by a setpoint filter of another time constant, from a sample to the whole trial."""
+    from scipy.optimize import minimize_scalar  # noqa: PLC0415  slow to import
+
+    rate, stated_s = record.sampling_Hz, record.gains.setpoint_filter_s
+
+    def left(logarithm: float) -> float:
+        gains = replace(record.gains, setpoint_filter_s=math.exp(logarithm))
+        return float(np.linalg.norm(moves_of(_effort(replace(record, gains=gains), rig)) - moves))
+
+    tried = np.linspace(-math.log(rate), math.log(moves.size / rate), FILTERS)
+    at = int(np.argmin([left(one) for one in tried]))
+    ends = tried[max(at - 1, 0)], tried[min(at + 1, FILTERS - 1)]
+    found = minimize_scalar(left, bounds=ends, method="bounded", options={"xatol": 1e-4})
+    ratio = math.exp(found.x) / (stated_s or 1.0 / rate)
+    name = "the setpoint filter" if stated_s else "a setpoint filter of one sample"
+    return _Explained(float(found.fun), {name: ratio})
+
+
+def _parts(record: TrialRecord, rig: RigDescription) -> Iterator[tuple[str, FloatArray]]:
+    """The part of the effort by each gain that is not zero, shape (samples,)."""
+    whole = _effort(record, rig)
+    for name in ("P", "I", "D"):
+        if gain := getattr(record.gains, name):
+            twice = replace(record, gains=replace(record.gains, **{name: 2.0 * gain}))
+            yield name, _effort(twice, rig) - whole
+
+
+def _without_step(record: TrialRecord) -> TrialRecord:
+    return replace(record, setpoint_N=np.full_like(record.setpoint_N, record.setpoint_N[0]))
+
+
+def _effort(record: TrialRecord, rig: RigDescription) -> FloatArray:
+    """The controller's effort, shape (samples,), but for a constant."""
+    columns = record.setpoint_N, record.tension_N
+    return unlimited_effort(rig.controller, record.gains, *columns, first_effort=0.0)
