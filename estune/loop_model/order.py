@@ -177,7 +177,7 @@ def without_slowest_pole(signals: FitSignals, fit: PoleFit) -> PoleFit:
     real = sorted((-poles.real[poles.imag == 0.0]).tolist())
     if fit.coordinates.size < 3 or len(real) < 2 or is_resolved(signals, fit.coordinates):
         return fit
-    if real[0] < 0.0:  # a pole outside the unit circle is none of the plant's integrators
+    if poles.real.max() > 0.0:  # one outside the unit circle is none of the plant's integrators
         return fit
     turning = poles[poles.imag > 0.0]
     sizes = np.abs(turning)
