@@ -15,6 +15,12 @@ from estune.core.quantities import FloatArray
 Random = np.random.Generator
 CAUSES = ("tuning", "sticking", "outside", "sensor", "none")
 
+DETAILS = {
+    "tuning": ("tight", "tight", "slow"),
+    "sensor": ("steps", "frozen", "spikes", "noise"),
+    "outside": ("period", "period", "step"),
+}
+
 MATERIAL = 1.5
 """Least factor by which a fault raises the error's rms; one that does less is no cause."""
 
@@ -276,16 +282,21 @@ def _with_fault(
 
 
 def draw(seed: int, cause: str, noise_most: float = 0.02) -> DrawnLog:
-    """A log of a loop whose cause is known, from a seed of its own."""
-    for attempt in range(100):
-        random = np.random.default_rng([seed, CAUSES.index(cause), attempt])
-        log = _drawn(random, cause, noise_most)
+    """A log of a loop whose cause is known, from a seed of its own.
+
+    The seed decides what is wrong before any loop is drawn: a tight loop is material more seldom
+    than a slow one, and two of three tight ones would become one of eleven.
+    """
+    number = CAUSES.index(cause)
+    detail = str(np.random.default_rng([seed, number]).choice(DETAILS.get(cause, ("",))))
+    for attempt in range(1000):
+        log = _drawn(np.random.default_rng([seed, number, attempt]), cause, detail, noise_most)
         if log is not None:
             return log
     raise RuntimeError(f"no loop of seed {seed} shows {cause}")
 
 
-def _drawn(random: Random, cause: str, noise_most: float) -> DrawnLog | None:
+def _drawn(random: Random, cause: str, detail: str, noise_most: float) -> DrawnLog | None:
     """A log, or None where the fault makes too little of a difference."""
     plant = plant_of(random)
     pid = sound(random, plant)
@@ -294,12 +305,6 @@ def _drawn(random: Random, cause: str, noise_most: float) -> DrawnLog | None:
         return None
     pace = max(plant.pace, 1.0)
     count = int(np.clip(random.uniform(60.0, 200.0) * pace, 400, 2000))
-    kinds = {
-        "tuning": ("tight", "tight", "slow"),
-        "sensor": ("steps", "frozen", "spikes", "noise"),
-        "outside": ("period", "period", "step"),
-    }
-    detail = str(random.choice(kinds.get(cause, ("",))))
     moves = ("still", "still", "steps", "few", "cascade", "ramps")
     move = str(random.choice(moves)) if detail not in ("slow", "noise") else "steps"
     r = setpoint_of(random, count, pace, move)

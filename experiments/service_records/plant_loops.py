@@ -28,6 +28,7 @@ from experiments.service_records.loops import (
 )
 
 CAUSES = ("tuning", "sticking", "outside", "none")
+DETAILS = {"outside": ("wave", "wave", "square", "step")}
 FASTEST, SLOWEST = 0.3, 60.0
 
 SWINGS = 3
@@ -35,10 +36,11 @@ SWINGS = 3
 
 
 def draw(seed: int, cause: str) -> DrawnLog:
-    """A log of a loop whose cause is known, from a seed of its own."""
-    for attempt in range(200):
-        random = np.random.default_rng([seed, 10 + CAUSES.index(cause), attempt])
-        log = _drawn(random, cause)
+    """A log of a loop whose cause is known, from a seed of its own, which decides its kind."""
+    number = 10 + CAUSES.index(cause)
+    detail = str(np.random.default_rng([seed, number]).choice(DETAILS.get(cause, ("",))))
+    for attempt in range(1000):
+        log = _drawn(np.random.default_rng([seed, number, attempt]), cause, detail)
         if log is not None:
             return log
     raise RuntimeError(f"no loop of seed {seed} shows {cause}")
@@ -50,7 +52,7 @@ def _pace(plant: Lags, pid: Pid) -> float:
     return max(plant.pace, 1.0 / acts, 1.0)
 
 
-def _drawn(random: Random, cause: str) -> DrawnLog | None:
+def _drawn(random: Random, cause: str, detail: str) -> DrawnLog | None:
     """A log, or None where the fault makes too little of a difference."""
     plant = plant_of(random, FASTEST)
     pid = sound(random, plant, SLOWEST)
@@ -58,7 +60,7 @@ def _drawn(random: Random, cause: str) -> DrawnLog | None:
     if not 1.0 < sensitivity(plant, pid) < 1.8 or count < 6.0 * pace:
         return None
     usual, noise = _usual(random, count, plant, pace)
-    (faulty, detail), gains = _with_fault(random, cause, usual, plant, pace), pid
+    faulty, gains = _with_fault(random, (cause, detail), usual, plant, pace), pid
     if cause == "tuning":
         gains = tight(random, plant, pid, by=1.1)
     ran = material(random, plant, (faulty, gains), None if cause == "none" else (usual, pid))
@@ -87,19 +89,19 @@ def _usual(random: Random, count: int, plant: Lags, pace: float) -> tuple[LoopRu
 
 
 def _with_fault(
-    random: Random, cause: str, usual: LoopRun, plant: Lags, pace: float
-) -> tuple[LoopRun, str]:
-    """What acts on a loop with a fault that is not its gains', and the kind of it."""
+    random: Random, what: tuple[str, str], usual: LoopRun, plant: Lags, pace: float
+) -> LoopRun:
+    """What acts on a loop with a fault that is not its gains'."""
+    cause, detail = what
     if cause == "sticking":
         band = plant.effort * math.exp(random.uniform(math.log(0.03), math.log(1.0)))
         slip = band * random.uniform(0.1, 1.0)
         spread = float(random.choice([0.0, 0.05, 0.15, 0.4]))
-        return usual._replace(valve=(0.5 * (band + slip), 0.5 * (band - slip), spread)), ""
+        return usual._replace(valve=(0.5 * (band + slip), 0.5 * (band - slip), spread))
     if cause == "outside":
-        detail = str(random.choice(("wave", "wave", "square", "step")))
         load = _from_outside(random, detail, usual.load.size, plant, pace)
-        return usual._replace(load=usual.load + load), detail
-    return usual, ""
+        return usual._replace(load=usual.load + load)
+    return usual
 
 
 def _from_outside(random: Random, detail: str, count: int, plant: Lags, pace: float) -> FloatArray:
