@@ -150,7 +150,7 @@ def test_actuator_that_begins_to_stick_is_reported_and_no_gains_are_offered():
     watch = MarginWatch(config_from(tomllib.loads(text), "test", Path()).rig[0], "test")
     gains = Gains(0.1, 2.0, 0.0, 0.0)
     valve = plants.linear_plant(control.tf([2.0], [0.02, 1.0]), 0.0, 100.0, gains=gains)
-    sticks = valve + StickingActuator(band_A=0.03, slip=0.5)
+    sticks = valve + StickingActuator(band_A=0.03, slip=0.2)
     free, stuck = (plant.rig(name="flow", gains=gains, seed=3) for plant in (valve, sticks))
     *quiet, told = (watch.take(None, rig, rig.describe(), gains) for rig in (free, free, stuck))
     assert quiet == [[], []]

@@ -145,6 +145,10 @@ def setpoint_of(random: Random, count: int, pace: float, kind: str) -> FloatArra
             r[at:] += random.choice([-1.0, 1.0]) * random.uniform(0.1, 0.5)
     elif kind == "cascade":
         r = wander(random, count, random.uniform(2.0, 10.0) * pace, random.uniform(0.05, 0.2))
+    elif kind == "dither":  # as the daemon adds it
+        waves = np.arange(count) / (pace * np.geomspace(1.0, 30.0, 12)[:, np.newaxis])
+        phases = random.uniform(0.0, 1.0, (12, 1))
+        r = random.uniform(0.02, 0.1) * np.sin(2.0 * np.pi * (waves + phases)).sum(axis=0)
     elif kind == "ramps":
         times = np.sort(random.integers(0, count, 6))
         r = np.interp(np.arange(count), times, np.repeat(random.uniform(-0.4, 0.4, 3), 2))

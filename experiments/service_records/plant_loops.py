@@ -77,7 +77,7 @@ def _drawn(random: Random, cause: str, detail: str) -> DrawnLog | None:
 
 def _usual(random: Random, count: int, plant: Lags, pace: float) -> tuple[LoopRun, float]:
     """Setpoint, load and noise of a sound loop, and the noise's deviation."""
-    move = str(random.choice(("still", "steps", "few", "few", "cascade", "ramps")))
+    move = str(random.choice(("still", "steps", "few", "few", "cascade", "ramps", "dither")))
     r = setpoint_of(random, count, pace if random.random() < 0.5 else plant.pace, move)
     load = wander(random, count, pace * 10.0 ** random.uniform(-0.5, 1.0), 1.0)
     load *= plant.effort * 10.0 ** random.uniform(-2.0, -0.5)

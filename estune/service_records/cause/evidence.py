@@ -44,14 +44,17 @@ class CauseEvidence(NamedTuple):
 
 
 NAMES = (
-    "gain", "informed", "slow linear", "slow sticking", "curved", "moving", "offset", "together",
+    "gain", "without best", "informed", "slow", "curved", "moving", "offset", "together",
     "returns", "later", "line", "sharp", "line of error", "beside peak", "Ms", "room", "jump",
-    "noise", "integrating", "band", "blocks",
+    "noise", "band", "least band", "blocks",
 )  # fmt: skip
 
 CLIP = (-6.0, 12.0)
 """Least and greatest gain in likelihood of one block of forty that counts: one setpoint step whose
 model is a sample late would else outvote the rest of the log."""
+
+BEST = 3
+"""Blocks that are left out of the gain once: a load step that looks like a slip is in as many."""
 
 BETTER = 0.5
 """Gain in log likelihood by which one law foretells a block better than the other. A load step is
@@ -77,10 +80,15 @@ def evidence(log: JudgedSignals) -> CauseEvidence:
     sudden = jump(predicted.linear.errors, signals.setpoint, length)
     valve = predicted.sticking.valve
     band = valve.band / (span(signals.output) or 1.0) if valve else 1.0
+    least = min((one.band for one in predicted.near), default=0.0) / (
+        np.ptp(signals.output) or 1.0
+    )
+    gains = np.sort(np.clip(predicted.blocks, *CLIP))
     numbers = (
-        math.asinh(float(np.clip(predicted.blocks, *CLIP).sum()) / 8.0),
+        math.asinh(float(gains.sum()) / 8.0),
+        math.asinh(float(gains[:-BEST].sum()) / 8.0),
         math.asinh(predicted.informed / 20.0),
-        *predicted.slow,
+        predicted.slow,
         found.curved,
         found.moving,
         math.log(found.offset + 0.05),
@@ -95,8 +103,8 @@ def evidence(log: JudgedSignals) -> CauseEvidence:
         math.log(factor),
         math.log1p(sudden.score),
         min(white / (float(np.std(signals.measurement)) or 1.0), 1.0),
-        float(predicted.linear.pole == 1.0),
         math.log(band + 1e-3),
+        math.log(least + 1e-3),
         float(np.mean(predicted.blocks > BETTER) - np.mean(predicted.blocks < -BETTER)),
     )
     return CauseEvidence(

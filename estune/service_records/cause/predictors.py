@@ -89,8 +89,8 @@ class ModelComparison(NamedTuple):
         informed: Gain of the linear loop over one whose output does nothing.
         left: What the linear plant leaves of the measurement, shape (samples,): the disturbance.
         near: Actuators whose likelihood the log does not distinguish from the best, at 95 %.
-        slow: Shares of the measurement's variance at the pace of the swings that the linear and
-            the sticking loop leave when they run on from the output alone.
+        slow: Share of the measurement's variance at the pace of the swings that the linear loop
+            leaves when it runs on from the output alone.
     """
 
     linear: FittedPredictor
@@ -99,7 +99,7 @@ class ModelComparison(NamedTuple):
     informed: float
     left: FloatArray
     near: tuple[Valve, ...]
-    slow: tuple[float, float]
+    slow: float
 
 
 class _Plant(NamedTuple):
@@ -163,7 +163,7 @@ def compare(signals: JudgedSignals, sign: float) -> ModelComparison:
     )
     ratio = (float((alone**2).sum()) + 1e-300) / (float(totals[at[0]]) + 1e-300)
     informed = 0.5 * errors.shape[0] * math.log(ratio)
-    slow = _slow(scaled_y, paths, linear, swing_length(u), sign)
+    slow = _slow(scaled_y, paths[:, linear], swing_length(u), sign)
     return ModelComparison(
         found[0], found[1], blocks, informed, left[:, at[0]] * size_y, near, slow
     )
@@ -342,10 +342,8 @@ def _log_mean(x: FloatArray) -> FloatArray:
     return np.asarray(most[..., 0] + np.log(np.exp(x - most).mean(axis=-1)))
 
 
-def _slow(
-    y: FloatArray, paths: FloatArray, linear: BoolArray, length: float, sign: float
-) -> tuple[float, float]:
-    """Least shares that a linear and a sticking loop leave where they run on over a swing."""
+def _slow(y: FloatArray, paths: FloatArray, length: float, sign: float) -> float:
+    """Least share that a loop leaves where it runs on over a swing."""
     by = max(1, round(length / PER_SWING))
     rows = y.size // by * by
     keep = float(np.exp(-by / length))
@@ -359,4 +357,4 @@ def _slow(
     product, power = ran @ moves, (ran**2).sum(axis=1)
     gains = product / (power + 1e-12)
     left = np.where(gains * sign > 0.0, 1.0 - gains * product / float(moves @ moves + 1e-300), 1.0)
-    return float(left[linear].min()), float(left[~linear].min())
+    return float(left.min())

@@ -2,9 +2,9 @@
 
 Two logistic regressions, fitted to simulated loops of known cause by
 `./dev python -m experiments.service_records.cause_weights`; no measured log took part. Whether
-the actuator sticks is decided first and by nine numbers: what the valve foretells beyond a linear
-loop and in how many blocks, what that one foretells, and shapes. With all of them, simulated loops
-were told better and measured ones worse: of nine sticking loops of a plant five instead of nine.
+the actuator sticks is decided first: by what the valve foretells beyond a linear loop, in how many
+blocks and without the best of them, how large its band is at least, how tight the linear loop is,
+and shapes. The lower end of the band's interval parts simulated loops that were left out best.
 """
 
 from collections.abc import Sequence
@@ -19,10 +19,11 @@ from estune.service_records.cause.weights import OTHERS, STICKING, Weights
 CauseName = Literal["tuning", "sticking", "outside", "sensor", "none", "unknown"]
 
 FOR_STICKING = (
-    "gain", "curved", "moving", "offset", "informed", "together", "returns", "noise", "blocks",
+    "gain", "without best", "curved", "moving", "offset", "informed", "together", "returns",
+    "noise", "blocks", "band", "least band", "Ms", "room",
 )  # fmt: skip
 FOR_OTHERS = (
-    "informed", "slow linear", "curved", "moving", "returns", "later", "line", "sharp",
+    "informed", "slow", "curved", "moving", "returns", "later", "line", "sharp",
     "line of error", "beside peak", "Ms", "room", "jump", "together", "noise",
 )  # fmt: skip
 SQUARED = ("returns", "line", "Ms", "room", "beside peak", "jump")
