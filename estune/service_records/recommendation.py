@@ -126,8 +126,8 @@ def _scaled_down(
     limits: RobustnessLimits,
     known: tuple[Callable[[FloatArray], Gains], Callable[[FloatArray], PredictedMargins]],
     about: Sequence[FloatArray],
-) -> tuple[FloatArray, PredictedMargins] | None:
-    """The best of scaled-down gains whose limits hold by their intervals; None without any."""
+) -> list[tuple[FloatArray, PredictedMargins]]:
+    """The best of scaled-down gains whose limits hold by their intervals, if there is one."""
     gains_of, margins_at = known
     beside = np.array([[1.0, 1.0, 1.0, 0.0], [0, 1.0, 0, 0], [0, 0, 1.0, 0], [0, 0, 0, 1.0]])
     scaled = [(x, shares) for x in about for shares in SCALED_DOWN]

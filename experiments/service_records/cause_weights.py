@@ -98,13 +98,14 @@ def fitted(textbook: Loops, plant: Loops) -> dict[str, tuple[FloatArray, ...]]:
 
 
 def text(name: str, found: tuple[FloatArray, ...]) -> str:
-    """A regression as the lines of a module."""
-    fields = ("mean", "deviation", "constant")
+    """A regression as the lines of a module, the first class without weights."""
+    mean, deviation, constant, slopes = found
+    fields = {"mean": mean, "deviation": deviation, "constant": constant[1:] - constant[0]}
     lines = [f"{name} = Weights("]
-    for field, x in zip(fields, found[:3], strict=True):
+    for field, x in fields.items():
         lines += [f"    {field}=(", _wrapped(x, 8), "    ),"]
     lines += ["    slopes=("]
-    for row in found[3]:
+    for row in slopes[1:] - slopes[0]:
         lines += ["        (", _wrapped(row, 12), "        ),"]
     return "\n".join([*lines, "    ),", ")"])
 

@@ -59,6 +59,6 @@ def _columns(numbers: FloatArray, names: Sequence[str]) -> FloatArray:
 def _shares(terms: FloatArray, weights: Weights) -> FloatArray:
     mean, deviation = np.array(weights.mean), np.array(weights.deviation)
     away = np.clip((terms - mean) / deviation, -FARTHEST, FARTHEST)
-    score = np.array(weights.constant) + np.array(weights.slopes) @ away
+    score = np.array([0.0, *(np.array(weights.constant) + np.array(weights.slopes) @ away)])
     score = np.exp(score - score.max())
     return np.asarray(score / score.sum())
