@@ -17,6 +17,9 @@ from estune.core.controller_form import OWN_FORM, ControllerForm
 from estune.core.gains import Gains
 from estune.core.pidf import ControllerSettings, bumpless, coefficients, state_at_rest, step
 from estune.errors import InvalidInput
+from estune.run.journal import Journal
+from estune.run.loop import replay
+from estune.run.planning import description_from_json, plan_from_json
 from estune.trial import TrialRequest
 from estune.trial.controller_fit import fitted_form
 
@@ -213,3 +216,14 @@ def test_rig_of_another_form_is_told_so_and_resumes(tmp_path):
     assert result.fitted_form == form == result.rig.controller.form
     assert any("derivative: exponential" in remark for remark in result.remarks())
     assert estune.load(tmp_path / "other").fitted_form == form
+
+
+def test_run_on_a_rig_of_another_form_is_replayed_with_the_state_that_it_had(tmp_path):
+    form, states = ControllerForm(derivative="exponential"), []
+    short = {"trials": 2, "repeats": 1, "watch": lambda p: states.append(p.session.tuner_state)}
+    estune.tune(OtherForm(form), folder=tmp_path, run="other", **short)
+    with Journal.open(tmp_path / "other") as journal:
+        rig = description_from_json(journal.fact("rig"))
+        replayed = replay(plan_from_json(journal.fact("plan")), rig, journal)
+    assert replayed.session.tuner_state.centre == states[-1].centre
+    assert replayed.session.tuner_state.fit.model == states[-1].fit.model

@@ -74,6 +74,7 @@ AREAS: dict[str, Area] = {
             "request_handler",
             "request_handler_stops",
             "extended_search",
+            "controller_form",
             "prove",
             "model_based",
         ),
