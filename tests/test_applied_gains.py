@@ -74,3 +74,10 @@ def test_rig_that_keeps_its_own_gains_is_refused_at_the_first_others():
     with pytest.raises(RigError, match=r"times .* as stated"):
         tune(rig)
     assert rig.trials <= 3
+
+
+def test_rig_that_logs_no_effort_is_not_refused_for_it():
+    rig = Otherwise()
+    about = rig.describe()
+    record = rig.run(TrialRequest("run", 0, about.gains, about.step))
+    assert applied_fault(replace(record, current_A=0.0 * record.current_A), about) == ""

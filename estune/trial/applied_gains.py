@@ -48,7 +48,7 @@ def applied_fault(record: TrialRecord, rig: RigDescription) -> str:
 
     moves, whole = moves_of(logged), moves_of(_effort(record, rig))
     stated, size = float(np.linalg.norm(whole - moves)), float(np.linalg.norm(moves))
-    if not stated > REPRODUCED * size:
+    if not size or stated <= REPRODUCED * size:  # a rig may log no effort
         return ""
     names, parts = zip(*_parts(record, rig), strict=True)
     gains = _Explained.by(names, np.array([moves_of(part) for part in parts]).T, moves)
