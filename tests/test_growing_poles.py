@@ -20,6 +20,7 @@ from estune.loop_model.poles import (
     OUTSIDE,
     coordinates_of,
     difference_polynomial,
+    mirrored,
     polynomial,
     sections_of,
 )
@@ -150,3 +151,11 @@ def test_start_that_is_only_just_stable_is_not_pushed_towards_instability(monkey
         assert true_sensitivity(plant, proposed) <= 1.02 * here
         record = record_of(plant, proposed)
         state = tuner.tell(state, Observation(1.1, record=record))
+
+
+def test_growing_pole_beside_one_that_decays_at_once_has_an_inverse():
+    pair = np.array([OUTSIDE - 2.0, 2000.0])
+    kept = mirrored(pair)
+    assert np.isfinite(kept).all()
+    slower = sections_of(kept)[0].poles[0].real
+    assert 0.0 < slower < 1.0

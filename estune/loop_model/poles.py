@@ -150,7 +150,7 @@ def mirrored(coordinates: FloatArray) -> FloatArray:
     for i in range(0, coordinates.size - 1, 2):
         if grow[i] and not grow[i + 1]:
             mean, half = found[i : i + 2].sum() / 2.0, (found[i] - found[i + 1]) / 2.0
-            found[i : i + 2] = mean, math.log(math.cosh(half))
+            found[i : i + 2] = mean, np.logaddexp(half, -half) - math.log(2.0)
     return found
 
 
