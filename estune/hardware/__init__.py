@@ -74,16 +74,17 @@ __all__ = [
 __getattr__, __dir__ = lazy_exports(
     __name__,
     {
-        "Drive": "estune.hardware.driver",
-        "Driver": "estune.hardware.driver",
-        "Gauge": "estune.hardware.driver",
-        "GaugeReading": "estune.hardware.driver",
-        "HardwareRig": "estune.hardware.rig",
-        "Position": "estune.hardware.driver",
-        "Reading": "estune.hardware.driver",
-        "RigConfig": "estune.hardware.config",
-        "bad_reading": "estune.hardware.driver",
-        "controller_source": "estune.hardware.firmware",
-        "read_config": "estune.hardware.config",
+        "estune.hardware.config": ("RigConfig", "read_config"),
+        "estune.hardware.driver": (
+            "Drive",
+            "Driver",
+            "Gauge",
+            "GaugeReading",
+            "Position",
+            "Reading",
+            "bad_reading",
+        ),
+        "estune.hardware.firmware": ("controller_source",),
+        "estune.hardware.rig": ("HardwareRig",),
     },
 )
