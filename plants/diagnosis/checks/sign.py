@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from estune.core.quantities import FloatArray
 from estune.recordings.issue import DataIssue
+from plants.diagnosis.checks.units import torque_terms
 from plants.diagnosis.constants import CONSTANTS
 from plants.diagnosis.data.measured_record import MeasuredRecord
 from plants.diagnosis.data.smoothing import Smoother, proportion
@@ -123,16 +124,8 @@ def _brakes(angle_rad: FloatArray, effort: FloatArray, b: BaseNumbers, smoother:
     part of the record has to say so. Motion in one direction cannot tell friction from an offset:
     such a part says nothing.
     """
-    velocity = smoother.sampled(angle_rad, 0.0, 1.0)
-    terms = np.column_stack(
-        [
-            smoother.sampled(angle_rad, 0.0, 0.0, 1.0),
-            velocity,
-            np.sign(velocity),
-            np.ones(velocity.size),
-            *(smoother.sampled(f(angle_rad), 1.0) for f in (np.sin, np.cos)),
-        ]
-    )
+    terms = torque_terms(angle_rad, smoother)
+    velocity = terms[:, 1]
     known = np.flatnonzero(np.isfinite(terms).all(axis=1) & np.isfinite(effort))
     said = []
     for part in _parts(known, velocity):

@@ -3,6 +3,8 @@
 import math
 from collections.abc import Iterator
 
+import numpy as np
+
 from estune.core.quantities import FloatArray
 from estune.recordings.issue import DataIssue
 from plants.diagnosis.constants import CONSTANTS
@@ -10,13 +12,30 @@ from plants.diagnosis.data.measured_record import MeasuredRecord
 from plants.diagnosis.data.smoothing import Smoother, proportion
 from plants.diagnosis.models.base import BaseNumbers
 
+DATA_SHEET = 4.0
+"""Factor by which an inertia of a data sheet was off where the model lacked an effect."""
+_ANGLES = {
+    math.degrees(1.0): ("degrees", "give rad, or explain with --unit angle=deg"),
+    1e3: (
+        "thousandths, as mm or mrad, or the command in kN",
+        "give rad, or m of a stage, or explain with --scale angle=0.001",
+    ),
+    0.5 / math.pi: ("turns", "check it and the inertia, and if so explain with --unit angle=turn"),
+}
+_COMMANDS = {
+    1e3: (
+        "thousandths, as mN m, mN or mA",
+        "give N m, N or A, or explain with --scale current=0.001",
+    ),
+}
+"""Factors of units that people mistake, with each unit and what to do."""
+
 
 def mistaken_units(m: MeasuredRecord, b: BaseNumbers, rate_Hz: float) -> Iterator[DataIssue]:
     """Columns that seem to be in another unit: refused where that is clear.
 
-    A reel's tension follows the angle by k R and the command by about one; of a free drum the
-    command accelerates the inertia and works against friction. Judged by factors of twenty and
-    more.
+    A reel's tension follows the angle by k R and the command by about one, which is judged by
+    factors of twenty and more. A free drive is judged by its balance of torques.
     """
     if b.linear is not None:
         return
@@ -35,14 +54,11 @@ def mistaken_units(m: MeasuredRecord, b: BaseNumbers, rate_Hz: float) -> Iterato
         if m.angle_rad is not None:
             by_angle = _slope(smoother.sampled(m.angle_rad, b.tension_per_angle_N_rad), T)
     elif m.angle_rad is not None and b.stiffness_N_m is None:
-        torque = smoother.sampled(m.angle_rad, 0.0, b.viscous_friction_Nms, b.drum_inertia_kg_m2)
-        by_angle = _slope(torque, b.drum_radius_m * u)
+        yield from _of_drive(m.angle_rad, u, b, m.command_column, smoother)
     elif m.angle_rad is not None:
         by_angle = _slope(smoother.sampled(m.angle_rad, b.tension_per_angle_N_rad), u)
     if b.stiffness_N_m is not None:
         yield from _issues(m, by_angle, by_effort)
-    elif by_angle is not None:
-        yield from _issues_of_drive(m, 1.0 / by_angle)
 
 
 def _issues(
@@ -61,19 +77,69 @@ def _issues(
         yield _issue("angle_rad", 1.0 / by_angle, "what the model turns", units)
 
 
-def _issues_of_drive(m: MeasuredRecord, times: float) -> Iterator[DataIssue]:
-    """Issues by the torque that the motion takes, relative to the command."""
-    # A model may be off by 2 pi, too: it is said, and the record is used.
-    if within_factor(times * 2.0 * math.pi):
-        sentence = "its changes are 1/6.28 of what the model turns, the ratio of turns to rad"
-        yield DataIssue("warning", f"{sentence}; check the unit and the inertia", "angle_rad")
-    elif not within_factor(times, CONSTANTS.range) and times < 1.0:
-        unit = "thousandths, as mN m, mN or mA"
-        yield _issue(m.command_column, 1.0 / times, "what the motion takes", {1e3: unit})
-    elif not within_factor(times, CONSTANTS.range):
-        thousandths = "thousandths, as mm or mrad, or the command in kN"
-        units = {math.degrees(1.0): "degrees", 1e3: thousandths}
-        yield _issue("angle_rad", times, "what the model turns", units)
+def _of_drive(
+    angle_rad: FloatArray,
+    effort: FloatArray,
+    b: BaseNumbers,
+    command: str,
+    smoother: Smoother,
+) -> Iterator[DataIssue]:
+    """Columns in whose other unit the model explains most of what it cannot explain in its own."""
+    known = np.isfinite(effort)
+    if known.sum() < CONSTANTS.fewest:
+        return
+    torque = b.drum_radius_m * effort[known]
+    # Beside all of them, or waves of a motor look like gravity of a link in turns.
+    turns = 2.0 * math.pi * angle_rad
+    waves = np.column_stack([smoother.sampled(f(turns), 1.0) for f in (np.sin, np.cos)])
+    left = {}
+    for f in (1.0, *_ANGLES):
+        terms = np.hstack([torque_terms(angle_rad / f, smoother), waves])[known]
+        for g in (1.0, *_COMMANDS):
+            left[f, g] = _unexplained(terms, torque / g, b.drum_inertia_kg_m2)
+    # Fewer columns first where several units do the same.
+    best = min(left, key=lambda units: (round(left[units][0], 2), sum(f != 1.0 for f in units)))
+    (now, _), (then, seen) = left[1.0, 1.0], left[best]
+    # Unless its inertia is seen, a load on a spring looks like gravity in degrees.
+    if then >= CONSTANTS.law_left * min(now, 1.0, seen):
+        return
+    for column, table, factor in (("angle_rad", _ANGLES, best[0]), (command, _COMMANDS, best[1])):
+        if factor != 1.0:
+            unit, remedy = table[factor]
+            sentence = (
+                f"the model leaves {min(now, 1.0):.1%} of the command's power, {then:.1%} with "
+                f"this column divided by {factor:.4g}: it seems to be in {unit}; {remedy}"
+            )
+            # A model may be off by 2 pi, too: it is said, and the record is used.
+            is_clear = factor > CONSTANTS.range
+            yield DataIssue("refused" if is_clear else "warning", sentence, column)
+
+
+def torque_terms(angle_rad: FloatArray, smoother: Smoother) -> FloatArray:
+    """What a torque may be made of: inertia first, friction, a constant, and gravity of a link."""
+    # The sign of a smooth velocity is not that of the velocity, smoothed.
+    sharp = smoother._replace(width_s=max(0.1 * smoother.width_s, 1.0 / smoother.sampling_Hz))
+    way = np.sign(np.nan_to_num(sharp.sampled(angle_rad, 0.0, 1.0)))
+    return np.column_stack(
+        [
+            smoother.sampled(angle_rad, 0.0, 0.0, 1.0),
+            smoother.sampled(angle_rad, 0.0, 1.0),
+            smoother.sampled(way, 1.0),
+            np.ones(angle_rad.size),
+            *(smoother.sampled(f(angle_rad), 1.0) for f in (np.sin, np.cos)),
+        ]
+    )
+
+
+def _unexplained(terms: FloatArray, torque: FloatArray, inertia: float) -> tuple[float, float]:
+    """Share of a torque's power left with an inertia of about the given one, and with none."""
+    sizes = np.linalg.lstsq(terms, torque, rcond=1e-9)[0]
+    within = float(np.clip(sizes[0], inertia / DATA_SHEET, inertia * DATA_SHEET))
+    rest = np.column_stack([torque - within * terms[:, 0], torque])
+    rest -= terms[:, 1:] @ np.linalg.lstsq(terms[:, 1:], rest, rcond=1e-9)[0]
+    moved = max(float(np.sum((torque - torque.mean()) ** 2)), 1e-300)
+    left, without = (np.sum(rest**2, axis=0) / moved).tolist()
+    return left, without
 
 
 def _issue(column: str, times: float, what: str, units: dict[float, str]) -> DataIssue:
@@ -82,7 +148,6 @@ def _issue(column: str, times: float, what: str, units: dict[float, str]) -> Dat
     if not near:
         return DataIssue("warning", f"{sentence}; check the unit and the model", column)
     proper = "rad, or m of a stage" if column == "angle_rad" else column.rpartition("_")[2]
-    proper = "N m, N or A" if "mN m" in near[0] else proper
     sentence += f": it seems to be in {near[0]}; give {proper}"
     return DataIssue("refused", sentence, column)
 
