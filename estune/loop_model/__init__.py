@@ -30,6 +30,7 @@ white.
   contradict (`contradiction`), up to a quarter: those whose prediction by a fit without them is
   worse than three times the worst of theirs.
 - `damping` is the posterior mean of what the records do not tell from zero.
+- `near_fit` is the loop of the trials near some gains, where no linear model explains all.
 - `plant_error` bounds what the true plant may differ from G by, in each band; `agreement` finds
   gains whose trials show another loop; `intervals` holds the uncertainty of the parameters;
   `claim` says what of the loop is known, or which band is not, and `excitation` how large a
@@ -60,8 +61,9 @@ Choices that are not obvious
 - Load and drift are searched before the colour, and the colour before further poles: a plant that
   is given the sensor's colour has poles that it has not. A load explains what a slow pole does;
   where there is one, a slow pole is tried in its place.
-- In trials from rest no load is searched, and what is left of them counts as error of the plant:
-  the answer of a plant that is not linear repeats with every trial and does not average out.
+- In trials from rest a load is searched where two of them show it before their steps, and only if
+  it leaves nothing unexplained. Else what is left of them counts as error of the plant: the answer
+  of a plant that is not linear repeats with every trial and does not average out.
 - The direct method uses what the noise excites through the feedback, too. It excites a band the
   more, the more the controller does there, which is where it matters: ten records of the
   reference reel bound the share of |1 + L| to 0.27 up to half the sampling rate, four records to

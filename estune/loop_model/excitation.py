@@ -24,6 +24,7 @@ from estune.core.quantities import FloatArray
 from estune.loop_model.loop_fit import LoopFit
 from estune.loop_model.margins import loop_response
 from estune.loop_model.model import close_loop
+from estune.loop_model.near_fit import lacks_excitation
 from estune.loop_model.plant_error import (
     DEVIATIONS,
     HALF_WIDTH,
@@ -72,6 +73,8 @@ class UnknownLoop(NamedTuple):
     @property
     def is_known(self) -> bool:
         """Whether more excitation would not tell more about Ms."""
+        if lacks_excitation(self.fit, self.records, self.gains, self.tried):
+            return False
         margin = self.margin(self.powers.bound())
         if margin.unknown is not None:
             return margin.excited

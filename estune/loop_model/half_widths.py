@@ -5,10 +5,10 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 from estune.core.gains import Gains
-from estune.loop_model.intervals import NEAR_ERROR, margins_by_records
+from estune.loop_model.intervals import margins_by_records
 from estune.loop_model.limited_loop import setpoint_response
 from estune.loop_model.loop_fit import LoopFit
-from estune.loop_model.near_fit import is_explained
+from estune.loop_model.near_fit import NEAR_ERROR, is_explained
 from estune.loop_model.peak import peak_deviation
 from estune.loop_model.plant_error import band_powers, error_margin
 from estune.loop_model.prediction import StepTrial
@@ -28,6 +28,10 @@ REPEATS, MOVES = 2, 1.5
 """Trials of a confirmation at least, and the half width of the overshoot then over that before,
 with what its estimate moves by: with 1 the upper end lay 0.01 to 0.14 % of the step above the
 limit on 3 of 14 plants of `experiments.batch` whose overshoot is limited, with 1.25 on 2."""
+
+OVERSHOOT_MOST = 0.015
+"""Most half width of the overshoot, as a share of the step, where no model explains all trials:
+where a gain varies by 2 to 15 % it is 1.2 to 2.5 %."""
 
 SHOWN = 3.2
 """Upper end of what the trials show of a peak, in standard deviations, in nine of ten cases: 1.96,
@@ -94,15 +98,16 @@ def half_widths(
     error = error_margin(fit, bound, gains, trial.controller)
     Ms, overshoot, angle = at.sensitivity, at.overshoot, at.phase_margin_deg
     above = math.hypot(*(math.log(end / Ms.value) for end in (Ms.high, error.sensitivity)))
+    over, most = math.inf, assumed.overshoot
     if not is_explained(fit):
         above = math.hypot(above, NEAR_ERROR, NEAR_APART)
-    over = math.inf
-    if fit.is_white:
+        over, most = max(overshoot.high - overshoot.value, most), max(most, OVERSHOOT_MOST)
+    elif fit.is_white:
         shown = SHOWN * peak_deviation(fit, trial, gains) / math.sqrt(REPEATS)
         over = math.hypot(MOVES * (overshoot.high - overshoot.value), shown)
     below = angle.value - angle.low
     return HalfWidths(
         min(above, LARGEST) if math.isfinite(above) else assumed.sensitivity,
-        min(over, assumed.overshoot),
+        min(over, most) if math.isfinite(over) else assumed.overshoot,
         below if math.isfinite(below) else assumed.phase_margin_deg,
     )

@@ -27,12 +27,6 @@ FRICTION_ERROR = 0.015
 """Error of Ms where friction was identified, relative to it: up to 1.2 % on the reference reel
 with 0.005 to 0.05 N m, whose friction acts between the samples."""
 
-NEAR_ERROR = 0.04
-"""Error of Ms by the trials near some gains where no model explains all, relative to it. A linear
-model of one step fits the answer of a spring or sensor whose slope changes without an error that
-shows: it gave Ms 0.7 to 7.4 % off on nine of `experiments.loop_claims.mild`, 4.2 % in the root
-mean square, and up to 1 % off where a gain drifts or varies."""
-
 
 class Interval(NamedTuple):
     """An estimate with its 95 % interval."""
@@ -99,7 +93,7 @@ def predict_with_intervals(
 def remaining_error(fit: LoopFit, model_error: float = MODEL_ERROR) -> float:
     """Error of ln Ms that no further record takes off."""
     of_loop = FRICTION_ERROR if fit.model.friction else 0.0
-    return math.hypot(model_error, of_loop if fit.is_of_all else NEAR_ERROR)
+    return math.hypot(model_error, fit.near_error or of_loop)
 
 
 def margins_by_records(

@@ -38,8 +38,8 @@ class LoopFit(NamedTuple):
         errors: Its prediction errors, shape (its samples,).
         left_out: Numbers of the records that the others contradict, and that are not fitted.
         settling_samples: Settling time asked for, which scales the noise model.
-        is_of_all: Whether it is of all trials, and not of those near some gains alone because no
-            linear model explains all.
+        near_error: Error of ln Ms where it is of the trials near some gains alone because no
+            linear model explains all; zero of a fit of all.
     """
 
     model: LoopModel
@@ -55,7 +55,7 @@ class LoopFit(NamedTuple):
     is_white: bool
     left_out: tuple[int, ...]
     settling_samples: float
-    is_of_all: bool = True
+    near_error: float = 0.0
 
     @property
     def order(self) -> int:

@@ -62,6 +62,11 @@ class LoopRecord(NamedTuple):
         return int(moved[0]) if moved.size else 0
 
     @property
+    def is_step(self) -> bool:
+        """Whether the setpoint moves once at most, as in a step trial."""
+        return int(np.count_nonzero(np.diff(self.setpoint))) <= 1
+
+    @property
     def step_size(self) -> float:
         """Setpoint at the end less that of the first sample."""
         return float(self.setpoint[-1] - self.setpoint[0])

@@ -229,7 +229,7 @@ def _judged(run: TuningRun, change: Change | None) -> Verdict:
     claimed = claim_from(loop, plan, rig, gains)
     broken = ""
     if not change.is_decrease and claimed.margins and plan.limits.broken_by(claimed.margins) == "":
-        if loop.fit is None or loop.fit.is_of_all:
+        if loop.fit is None or not loop.fit.near_error:
             at_start = loop
         else:
             at_start = identify(records, run.excitations, plan, rig, own=own, gains=plan.start)
