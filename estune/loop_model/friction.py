@@ -146,15 +146,16 @@ def _search(
     def residual(x: FloatArray) -> FloatArray:
         return residual_of(x, [force[0] for force in _about(motion, x)])
 
-    x, *_ = leastsq(
-        residual,
-        start.coordinates,
-        Dfun=jacobian,
-        full_output=True,
-        xtol=1e-5,
-        ftol=1e-6,
-        maxfev=evaluations,
-    )
+    with np.errstate(over="ignore", invalid="ignore"):  # of a covariance that nobody uses
+        x, *_ = leastsq(
+            residual,
+            start.coordinates,
+            Dfun=jacobian,
+            full_output=True,
+            xtol=1e-5,
+            ftol=1e-6,
+            maxfev=evaluations,
+        )
     left = residual(x)
     return PoleFit(0.5 * float(left @ left), x, dead)
 

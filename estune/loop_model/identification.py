@@ -145,7 +145,7 @@ def improve(signals: FitSignals, start: PoleFit, tolerance: float = FINE) -> Pol
         slopes = here.search_slopes(signals)
         return np.asarray(slopes - here.basis @ (here.basis.T @ slopes))
 
-    with np.errstate(over="ignore"):  # of a covariance that comes along and is not used
+    with np.errstate(over="ignore", invalid="ignore"):  # of a covariance that nobody uses
         x, *_ = leastsq(
             lambda x: at(x).residual,
             search_vector(first.coordinates, first.noise),
