@@ -6,16 +6,16 @@ another step, than the record states, so are the response and its cost.
 """
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
-from estune.core.controller_equation import unlimited_effort
 from estune.core.quantities import FloatArray
 from estune.trial.controller_fit import REPRODUCED, known_samples
 from estune.trial.description import RigDescription
+from estune.trial.loop_records import recomputed_effort
 from estune.trial.outcome import Outcome
 from estune.trial.records import SATURATED, TrialRecord
 
@@ -41,21 +41,16 @@ def applied_fault(record: TrialRecord, rig: RigDescription) -> str:
         return ""
     if not (np.isfinite(logged).all() and np.isfinite(record.tension_N).all()):
         return ""
-    known = known_samples(rig.controller, logged.size)
-
-    def moves_of(effort: FloatArray) -> FloatArray:
-        return np.asarray(np.diff(effort)[known])
-
-    moves, whole = moves_of(logged), moves_of(_effort(record, rig))
+    moves, whole = np.diff(logged)[known_samples(rig.controller, logged.size)], _moves(record, rig)
     stated, size = float(np.linalg.norm(whole - moves)), float(np.linalg.norm(moves))
     if not size or stated <= REPRODUCED * size:  # a rig may log no effort
         return ""
     names, parts = zip(*_parts(record, rig), strict=True)
-    gains = _Explained.by(names, np.array([moves_of(part) for part in parts]).T, moves)
-    rest = moves_of(_effort(_without_step(record), rig))
+    gains = _Explained.by(names, np.array(parts).T, moves)
+    level = np.full_like(record.setpoint_N, record.setpoint_N[0])
+    rest = _moves(replace(record, setpoint_N=level), rig)
     step = _Explained.by(("the step",), (whole - rest)[:, None], moves - rest)
-    filtered = _by_filter(record, rig, moves_of, moves)
-    best = min((gains, step, filtered), key=lambda one: one.left)
+    best = min((gains, step, _by_filter(record, rig, moves)), key=lambda one: one.left)
     return "" if best.left > min(REPRODUCED * size, BETTER * stated) else best.sentence(record)
 
 
@@ -88,12 +83,7 @@ class _Explained(NamedTuple):
         return f"its logged effort is that of {what} as stated ({record.gains})" if off else ""
 
 
-def _by_filter(
-    record: TrialRecord,
-    rig: RigDescription,
-    moves_of: Callable[[FloatArray], FloatArray],
-    moves: FloatArray,
-) -> _Explained:
+def _by_filter(record: TrialRecord, rig: RigDescription, moves: FloatArray) -> _Explained:
     """The log by a setpoint filter of another time constant, from a sample to the whole trial."""
     from scipy.optimize import minimize_scalar  # noqa: PLC0415  slow to import
 
@@ -101,7 +91,7 @@ def _by_filter(
 
     def left(logarithm: float) -> float:
         gains = replace(record.gains, setpoint_filter_s=math.exp(logarithm))
-        return float(np.linalg.norm(moves_of(_effort(replace(record, gains=gains), rig)) - moves))
+        return float(np.linalg.norm(_moves(replace(record, gains=gains), rig) - moves))
 
     tried = np.linspace(-math.log(rate), math.log(moves.size / rate), FILTERS)
     at = int(np.argmin([left(one) for one in tried]))
@@ -113,19 +103,15 @@ def _by_filter(
 
 
 def _parts(record: TrialRecord, rig: RigDescription) -> Iterator[tuple[str, FloatArray]]:
-    """The part of the effort by each gain that is not zero, shape (samples,)."""
-    whole = _effort(record, rig)
+    """The part of the effort's increments by each gain that is not zero."""
+    whole = _moves(record, rig)
     for name in ("P", "I", "D"):
         if gain := getattr(record.gains, name):
             twice = replace(record, gains=replace(record.gains, **{name: 2.0 * gain}))
-            yield name, _effort(twice, rig) - whole
+            yield name, _moves(twice, rig) - whole
 
 
-def _without_step(record: TrialRecord) -> TrialRecord:
-    return replace(record, setpoint_N=np.full_like(record.setpoint_N, record.setpoint_N[0]))
-
-
-def _effort(record: TrialRecord, rig: RigDescription) -> FloatArray:
-    """The controller's effort, shape (samples,), but for a constant."""
-    columns = record.setpoint_N, record.tension_N
-    return unlimited_effort(rig.controller, record.gains, *columns, first_effort=0.0)
+def _moves(record: TrialRecord, rig: RigDescription) -> FloatArray:
+    """Increments of the effort that follows from a record, where the filter knows no past."""
+    effort = recomputed_effort(record, rig, 0.0)
+    return np.asarray(np.diff(effort)[known_samples(rig.controller, effort.size)])
