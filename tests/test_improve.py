@@ -17,7 +17,7 @@ from estune.run.trial_file import TrialFile, run_trial
 from estune.trial import Outcome, RigLimits
 from estune.trial.profiles import StepProfile
 from plants.diagnosis.data.records import read_measurements
-from plants.diagnosis.experiments.designs import initial_experiments
+from plants.diagnosis.experiments.designs import Experiment, initial_experiments
 from plants.effects import CoulombFriction
 from plants.improvement import improve as module
 from plants.improvement.experiment_runner import ExperimentRunner
@@ -157,6 +157,11 @@ def test_rig_known_by_its_linear_model_keeps_its_effort_per_ampere(tmp_path):
     [
         (plants.stage(95.0, 200.0), "current_limit_A"),
         (
+            plants.stage(95.0, 200.0, current_limit_A=50.0),
+            "speed_max_rad_s .of a stage speed_max_m_s. and travel_max_rad",
+        ),
+        (plants.servo(0.1, 0.2, current_limit_A=5.0, speed_max_rad_s=9.0), "travel_max_rad"),
+        (
             plants.linear_plant(control.tf([1.0], [1.0, 1.0]), gains=Gains(1.0, 1.0, 0.0, 0.0)),
             "output_max_N",
         ),
@@ -169,6 +174,21 @@ def test_nothing_is_run_on_a_machine_without_limits(plant, line, tmp_path):
     step = TrialFile("step", plant.profile)
     with pytest.raises(InvalidInput, match=f"nothing is run on it: add .*{line}"):
         run_trial(plant.rig(), step)
+
+
+def test_experiment_that_would_move_a_drive_too_far_is_not_run(tmp_path):
+    """1 N m on 0.1 kg m2 for 0.8 s: 8 rad/s and 3.2 rad, and a quarter beside."""
+    step = StepProfile(0.0, 1.0, 0.2, 1.0, loop="open")
+    allowed = {"current_limit_A": 5.0, "speed_max_rad_s": 11.0, "travel_max_rad": 4.2}
+    for name, unlike in (("travel", {"travel_max_rad": 3.8}), ("speed", {"speed_max_rad_s": 9.0})):
+        rig = plants.servo(0.1, 0.0, **allowed | unlike).rig()
+        with pytest.raises(InvalidInput, match=f"reach a {name} of .* raise {name}_max_rad"):
+            run_trial(rig, TrialFile("step", step))
+        lab = ExperimentRunner(rig, rig.describe(), tmp_path / name, "now", lambda _: None)
+        assert lab.run([Experiment("step", "a step", step)]) == ()
+        assert "step was not run: the trial would reach" in lab.remarks[0]
+    done = run_trial(plants.servo(0.1, 0.0, **allowed).rig(), TrialFile("step", step))
+    assert np.ptp(done.angle_rad) == pytest.approx(3.2, rel=0.02)
 
 
 @pytest.mark.parametrize("plant", [PLANT_20_N_A, REEL, plants.unloaded_reel()])

@@ -104,6 +104,7 @@ def run_trial(
     try:
         about = rig.describe()
         about.check_limited()
+        about.check_motion(trial.profile)
         gains = trial.gains or about.gains
         return rig.run(TrialRequest(run, 0, gains, trial.profile))
     except KeyboardInterrupt:

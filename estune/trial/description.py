@@ -9,6 +9,7 @@ from pydantic import Field
 
 from estune.core.gains import Gains
 from estune.core.pidf import ControllerSettings
+from estune.core.quantities import FloatArray
 from estune.core.setting import Setting, check_settings, documented
 from estune.errors import InvalidInput
 from estune.trial.gain_bounds import EXCESS_LIVE, EXCESS_TRIAL, GainBounds, bounds_by_effort
@@ -20,6 +21,14 @@ GAIN_MAX = 1e12
 
 UNLIMITED_N = 1e9
 """Value for "no limit" in files, where there is no infinity."""
+
+_MOTION_LINES = {
+    "speed": "speed_max_rad_s (of a stage speed_max_m_s)",
+    "travel": "travel_max_rad (of a stage travel_max_m)",
+}
+MOTION_MARGIN = 0.25
+"""Part of a predicted motion for what a drive's model leaves unexplained: inertias of owners are
+up to a fifth off on the machines of `experiments.hidden_machines`."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,6 +67,16 @@ class LinearModel:
         gain = abs(self.E - float(np.array(self.C) @ rest))
         return float(f"{gain:.9g}") if gain < GAIN_MAX else math.inf
 
+    def response(self, command: FloatArray, sampling_Hz: float) -> FloatArray:
+        """Output to a command that is held between samples, from rest, without the delay."""
+        from scipy.signal import lsim  # noqa: PLC0415  slow to import
+
+        n = len(self.B)
+        system = np.reshape(self.A, (n, n)), np.reshape(self.B, (n, 1)), [self.C], [[self.E]]
+        time = np.arange(command.size) / sampling_Hz
+        output = lsim(system, command, time, interp=False)[1]
+        return np.asarray(output, dtype=np.float64)
+
     def gain_at(self, frequency_rad_s: float) -> float:
         """Size of the frequency response, to nine digits."""
         A, B, C = (np.array(matrix) for matrix in (self.A, self.B, self.C))
@@ -95,6 +114,16 @@ class RigLimits:
             least=0.0,
         ),
     ] = 0.0
+    speed_max_rad_s: Annotated[
+        float,
+        omitted_if(math.inf),
+        Setting("Greatest speed in a trial of an open loop", "rad/s", infinite=True, above=0.0),
+    ] = math.inf
+    travel_max_rad: Annotated[
+        float,
+        omitted_if(math.inf),
+        Setting("Longest way in a trial of an open loop", "rad", infinite=True, above=0.0),
+    ] = math.inf
 
     def __post_init__(self) -> None:
         check_settings(self)
@@ -206,7 +235,9 @@ class RigDescription(NamedSignals):
         return default if stated is None else stated.and_default(default)
 
     def check_limited(self) -> None:
-        """Refuses a rig whose effort or setpoint has no limit: an experiment would ask for any.
+        """Refuses a rig that has no limit: an experiment would ask for any.
+
+        A servo or a stage needs limits of its speed and travel, too.
 
         Raises:
             InvalidInput: a limit is missing; the message names the lines to add.
@@ -218,17 +249,42 @@ class RigDescription(NamedSignals):
         missing = [
             name for name, ends in sides.items() if not all(abs(end) < UNLIMITED_N for end in ends)
         ]
+        motion = {"speed": self.limits.speed_max_rad_s, "travel": self.limits.travel_max_rad}
+        missing += [name for name, most in motion.items() if UNLIMITED_N <= most < math.inf]
         if not missing:
             return
         lines = "output_min_N, output_max_N and limits to the table of the plant"
         if self.step.loop == "open":
-            lines = "current_limit_A, the greatest current or effort, to the table of the drive"
+            drive = ("current_limit_A, the greatest current or effort", *_MOTION_LINES.values())
+            lines = f"{' and '.join(drive)} to the table of the drive"
         raise InvalidInput(
             f"rig {self.name} has no limit of its {' and its '.join(missing)}, and nothing is run "
             f"on it: add {lines} in its model file, or to a rig's file the limits of its loop, as "
             "in `current_limit_A = 2.0`, `output_max_N = 50.0` or `limits = { tension_min_N = "
             "0.0, tension_max_N = 40.0, duration_max_s = 60.0 }`"
         )
+
+    def check_motion(self, profile: AnyProfile) -> None:
+        """Refuses a trial in an open loop that moves a drive too fast or too far, by its model.
+
+        Raises:
+            InvalidInput: the motion predicted, and `MOTION_MARGIN` of it beside, is over a limit.
+        """
+        model, limits = self.linear_model, self.limits
+        most = {"speed": limits.speed_max_rad_s, "travel": limits.travel_max_rad}
+        if model is None or profile.loop != "open" or min(most.values()) == math.inf:
+            return
+        rate_Hz = self.controller.sampling_Hz
+        angle = model.response(profile.setpoint(rate_Hz), rate_Hz)
+        speed = np.diff(angle) * rate_Hz
+        moved = {"speed": np.abs(speed).max(initial=0.0), "travel": np.abs(angle - angle[0]).max()}
+        for name, reached in moved.items():
+            if (1.0 + MOTION_MARGIN) * reached > most[name]:
+                raise InvalidInput(
+                    f"the trial would reach a {name} of {reached:.3g} by the model, and with a "
+                    f"margin of {MOTION_MARGIN:.0%} more than the limit of {most[name]:.3g}; ask "
+                    f"for less, or raise {_MOTION_LINES[name]} in the table of the drive"
+                )
 
     def check_gains(self, gains: Gains, *, trial: bool = False) -> None:
         """Refuses gains outside the rig's bounds of a trial's gains, or of live ones.

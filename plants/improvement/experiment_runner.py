@@ -57,8 +57,15 @@ class ExperimentRunner:
 
     def run(self, experiments: Sequence[Experiment]) -> tuple[str, ...]:
         """Runs experiments one after the other; each record is on disk before the next begins."""
+        names = []
         for experiment in experiments:
             self.done.add(experiment.profile)
+            try:
+                self.about.check_motion(experiment.profile)
+            except InvalidInput as error:
+                self.remarks.append(f"{experiment.name} was not run: {error}")
+                continue
+            names.append(experiment.name)
             self.say(f"running {experiment.title} ({experiment.profile.duration_s:.3g} s)")
             name, profile = f"{self._number:02d}-{experiment.name}", experiment.profile
             file = TrialFile(name, profile, why=experiment.title)
@@ -70,7 +77,7 @@ class ExperimentRunner:
             else:
                 why = record.reason or record.outcome.sentence
                 self.remarks.append(f"{experiment.name} was left out: {why}")
-        return tuple(experiment.name for experiment in experiments)
+        return tuple(names)
 
     def new_experiments(self, count: int) -> list[Experiment]:
         """Candidate experiments that have not been run yet, spread over the list."""

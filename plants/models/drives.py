@@ -6,10 +6,11 @@ tables of model files, results and sentences the plant's own.
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
 from estune.core.quantities import check_not_negative, check_positive
+from estune.trial import RigLimits
 from estune.trial.description import UNLIMITED_N
 from plants.effects.plant_scale import PlantScale
 from plants.models.unloaded_reel import UnloadedReel
@@ -27,11 +28,24 @@ class Servo(UnloadedReel):
         "viscous_friction_Nms": "viscous_friction_Nms",
         "torque_constant_Nm_A": "torque_constant_Nm_A",
         "current_limit_A": "current_limit_A",
+        "speed_max_rad_s": "speed_max_rad_s",
+        "travel_max_rad": "travel_max_rad",
         "dead_time_s": "dead_time_s",
         "encoder_counts": "encoder_counts",
         "sampling_Hz": "sampling_Hz",
     }
     """Fields by the names of the model file's keys."""
+    speed_max_rad_s: float = UNLIMITED_N
+    travel_max_rad: float = UNLIMITED_N
+
+    @property
+    def limits(self) -> RigLimits:
+        """Limits of its trials, with those of its motion."""
+        return replace(
+            super().limits,
+            speed_max_rad_s=self.speed_max_rad_s,
+            travel_max_rad=self.travel_max_rad,
+        )
 
     @property
     def scale(self) -> PlantScale:
@@ -60,6 +74,8 @@ class Stage(Servo):
         "viscous_friction_Ns_m": "viscous_friction_Nms",
         "force_constant_N_A": "torque_constant_Nm_A",
         "current_limit_A": "current_limit_A",
+        "speed_max_m_s": "speed_max_rad_s",
+        "travel_max_m": "travel_max_rad",
         "dead_time_s": "dead_time_s",
         "encoder_step_m": "encoder_counts",
         "sampling_Hz": "sampling_Hz",
@@ -98,6 +114,8 @@ def servo(
     *,
     torque_constant_Nm_A: float = 1.0,
     current_limit_A: float = UNLIMITED_N,
+    speed_max_rad_s: float = UNLIMITED_N,
+    travel_max_rad: float = UNLIMITED_N,
     dead_time_s: float = 0.0,
     encoder_counts: float = 2.0**20,
     sampling_Hz: float = 1000.0,
@@ -109,6 +127,8 @@ def servo(
         viscous_friction_Nms: Viscous friction b, N m s/rad.
         torque_constant_Nm_A: Torque per current Kt, N m/A; 1 where the command is a torque.
         current_limit_A: Maximum magnitude of the current, A; none by default.
+        speed_max_rad_s: Greatest speed in experiments, rad/s; none by default.
+        travel_max_rad: Longest way in experiments, rad; none by default.
         dead_time_s: Dead time from command to torque, s.
         encoder_counts: Encoder counts per turn.
         sampling_Hz: Sampling rate, Hz.
@@ -126,6 +146,8 @@ def stage(
     *,
     force_constant_N_A: float = 1.0,
     current_limit_A: float = UNLIMITED_N,
+    speed_max_m_s: float = UNLIMITED_N,
+    travel_max_m: float = UNLIMITED_N,
     dead_time_s: float = 0.0,
     encoder_step_m: float = 1e-6,
     sampling_Hz: float = 1000.0,
@@ -137,6 +159,8 @@ def stage(
         viscous_friction_Ns_m: Viscous friction b, N s/m.
         force_constant_N_A: Force per current Kf, N/A; 1 where the command is a force.
         current_limit_A: Maximum magnitude of the current, A; none by default.
+        speed_max_m_s: Greatest speed in experiments, m/s; none by default.
+        travel_max_m: Longest way in experiments, m; none by default.
         dead_time_s: Dead time from command to force, s.
         encoder_step_m: Step of the position read, m.
         sampling_Hz: Sampling rate, Hz.

@@ -97,6 +97,11 @@ class UnloadedReel(PlantModel):
         """Force at the maximum current, N."""
         return self.current_limit_A * self.newtons_per_ampere
 
+    @property
+    def limits(self) -> RigLimits:
+        """Limits of its trials: a drum without a cable may turn as it likes."""
+        return RigLimits(-self.force_limit_N, self.force_limit_N, duration_max_s=60.0)
+
     @cached_property
     def controller(self) -> ControllerSettings:
         """Controller whose limits are those of the current."""
@@ -120,13 +125,12 @@ class UnloadedReel(PlantModel):
 
     def describe(self, name: str, gains: Gains | None) -> RigDescription:
         """Description of a rig that runs this drum."""
-        limit = self.force_limit_N
         return RigDescription(
             name=name,
             gains=gains or Gains(1.0, 0.0, 0.0, 0.0),  # its trials run without a controller
             controller=self.controller,
             newtons_per_ampere=self.newtons_per_ampere,
-            limits=RigLimits(-limit, limit, duration_max_s=60.0),
+            limits=self.limits,
             step=self.profile,
             settling_time_s=self.profile.duration_s,
             linear_model=self.linear_model(),

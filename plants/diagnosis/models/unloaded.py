@@ -68,8 +68,9 @@ class DiagnosedDrum(DiagnosedModel):
     def _calibrations(self) -> list[Slot]:
         p, c = self.model, self.calibration
         # Friction that would take all of the torque at the recorded velocities.
-        most = self.sizes.torque_max_Nm / max(self.sizes.velocity_rms_rad_s, 1e-300)
-        most = max(most if math.isfinite(most) else 0.0, 20.0 * p.viscous_friction_Nms)
+        speed = self.sizes.velocity_rms_rad_s
+        most = self.sizes.torque_max_Nm / speed if speed > 0.0 else 0.0
+        most = max(most, 20.0 * p.viscous_friction_Nms)
         inertia = positive("drum_inertia_kg_m2", "kg m2", p.drum_inertia_kg_m2)
         friction = from_zero("viscous_friction_Nms", "N m s/rad", p.viscous_friction_Nms, most)
         reach = max(self.sizes.torque_max_Nm, 1e-300)
