@@ -158,7 +158,7 @@ def test_rig_known_by_its_linear_model_keeps_its_effort_per_ampere(tmp_path):
         (plants.stage(95.0, 200.0), "current_limit_A"),
         (
             plants.stage(95.0, 200.0, current_limit_A=50.0),
-            "speed_max_rad_s .of a stage speed_max_m_s. and travel_max_rad",
+            "speed_max_m_s. and travel_max_rad",
         ),
         (plants.servo(0.1, 0.2, current_limit_A=5.0, speed_max_rad_s=9.0), "travel_max_rad"),
         (
