@@ -11,7 +11,9 @@ import estune
 import plants
 from estune.core.cost import StepCost
 from estune.core.gains import Gains
+from estune.loop_model import growing_poles
 from estune.loop_model.fitting import fit_loop
+from estune.loop_model.growing_poles import growing_fit
 from estune.loop_model.intervals import predict_with_intervals
 from estune.loop_model.least_squares import Solution, signals_of
 from estune.loop_model.margins import robustness
@@ -85,6 +87,17 @@ def test_one_record_of_an_unstable_plant_tells_the_sensitivity_at_other_gains(na
     other = replace(gains, P=1.2 * gains.P, D=0.8 * gains.D)
     Ms = predict_with_intervals(fit, trial, other).sensitivity
     assert Ms.low <= true_sensitivity(plant, other) <= Ms.high < 1.5 * Ms.value
+
+
+def test_growing_poles_without_a_compiler_are_the_same(monkeypatch):
+    plant, (*_, settling_s, gains) = plant_of("lag"), SYSTEMS["lag"]
+    settling = settling_s * plant.controller.sampling_Hz
+    signals = signals_of([record_of(plant, gains)], settling, round(settling))
+    found = growing_fit(signals)
+    monkeypatch.setattr(growing_poles, "compiled", lambda _: None)
+    same = growing_fit(signals)
+    assert found.dead == same.dead
+    np.testing.assert_allclose(found.coordinates, same.coordinates, rtol=1e-6)
 
 
 @pytest.mark.parametrize(

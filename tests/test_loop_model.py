@@ -13,7 +13,7 @@ from estune.core.gains import Gains
 from estune.core.margins import loop_margins, sample_plant
 from estune.core.pidf import ControllerSettings
 from estune.core.response import LoadStep
-from estune.loop_model import closed_loops, least_squares
+from estune.loop_model import closed_loops, friction_motion, least_squares
 from estune.loop_model.claim import claim
 from estune.loop_model.fitting import fit_loop, fit_with_excitations
 from estune.loop_model.intervals import predict_with_intervals
@@ -297,6 +297,15 @@ def test_friction_is_identified_from_one_record():
     gains = Gains(1.0, 30.0, 0.018, 0.0016)
     Ms = robustness(model, gains, reel.controller).sensitivity
     assert Ms == pytest.approx(true_sensitivity(reel, gains), rel=0.05)
+
+
+def test_friction_without_a_compiler_is_the_same(monkeypatch):
+    efforts = np.random.default_rng(1).standard_normal((2, 200)).cumsum(axis=1)
+    masses = np.array([[1.0, -1.8, 0.85], [1.0, -1.2, 0.4]])
+    asked = efforts, masses, np.array([0.5, 3.0]), np.ones((2, 2))
+    found = friction_motion.friction_force(*asked)
+    monkeypatch.setattr(friction_motion, "compiled", lambda _: None)
+    np.testing.assert_allclose(found, friction_motion.friction_force(*asked), atol=1e-9)
 
 
 def test_claim_is_refused_where_friction_in_the_eyelet_leaves_a_misfit():

@@ -37,6 +37,8 @@ white.
   multisine on the setpoint would make it known.
 - `rival` is the model of one pair of poles more that the criterion refuses and the likelihood does
   not: recommended gains keep their limits with it, too.
+- `compiled`: what a search asks for most, closed loops (`closed_loops`) and prediction errors
+  with white noise (`compiled_errors`), is C; without a compiler NumPy finds the same.
 - `optimum`, `drawn_optima`, `limit_price`, `prediction`, `sampled_loop`: the best gains within
   limits, by the model.
 
