@@ -1,8 +1,9 @@
 """Probabilities of the causes from the evidence of a log.
 
 Two logistic regressions, fitted to simulated loops of known cause by
-`./dev python -m experiments.service_records.cause_weights`; no measured log took part. Whether
-the actuator sticks is decided first: by what the valve foretells beyond a linear loop, in how many
+`./dev python -m experiments.service_records.cause_weights`. Which evidence tells of sticking was
+chosen with 25 logs of a plant in view; no measured log took part in the weights. Whether the
+actuator sticks is decided first: by what the valve foretells beyond a linear loop, in how many
 blocks and without the best of them, how large its band is at least, how tight the linear loop is,
 and shapes. The lower end of the band's interval parts simulated loops that were left out best.
 """
