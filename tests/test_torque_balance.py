@@ -1,5 +1,7 @@
 """Laws that the balance of torques names on joints of an integrator of its own."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -70,6 +72,15 @@ def test_a_law_that_a_balance_could_see_is_denied_where_it_is_not_there(joints):
     assert denied("coulomb", 0.2)
     assert not denied("coulomb", 1e-4)  # too small to be seen
     assert not denied("load", 0.3)
+
+
+def test_balance_of_records_of_unlike_rates_is_of_those_longer_than_its_kernel(joints):
+    m, model = record(joints["coulomb"], 14)
+    both = [replace(m, sampling_Hz=5e5, time_s=m.time_s * 4e-4), m]
+    numbers = [BaseNumbers.of(model, one) for one in both]
+    balance = torque_balance(both, numbers, Noise(1e-4, 0.0, "steps"))
+    assert balance is not None
+    assert np.isfinite(balance.torque_Nm).all()
 
 
 def test_a_law_that_the_model_declares_changes_no_other(joints):

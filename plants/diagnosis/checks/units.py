@@ -86,9 +86,9 @@ def _of_drive(
 ) -> Iterator[DataIssue]:
     """Columns in whose other unit the model explains most of what it cannot explain in its own."""
     known = np.isfinite(effort)
-    if known.sum() < CONSTANTS.fewest:
-        return
     torque = b.drum_radius_m * effort[known]
+    if torque.size < CONSTANTS.fewest or np.ptp(torque) <= 1e-9 * np.abs(torque).max():
+        return
     # Beside all of them, or waves of a motor look like gravity of a link in turns.
     turns = 2.0 * math.pi * angle_rad
     waves = np.column_stack([smoother.sampled(f(turns), 1.0) for f in (np.sin, np.cos)])
