@@ -7,7 +7,7 @@ from estune.errors import InvalidInput
 from estune.loop_model.excitation import UnknownLoop
 from estune.loop_model.foretold import trials_to_show
 from estune.loop_model.intervals import margins_by_records
-from estune.run import showing_limits
+from estune.run import excitation, showing_limits
 from estune.run.ending import RunEnding
 from estune.run.loop import Stopped
 from estune.run.phase import Phase
@@ -85,3 +85,16 @@ def test_foretold_trials_are_more_the_closer_the_limit_and_none_below_the_estima
     close, far = (foretold(Ms.value + share * (Ms.high - Ms.value)) for share in (0.7, 0.9))
     assert 1 <= far < close
     assert foretold(0.99 * Ms.value) is None
+
+
+def test_excitation_of_chosen_lines_leaves_less_unknown_than_one_of_all_lines(shown, monkeypatch):
+    fit, signals = shown.identified.fit, shown.identified.signals
+    loop = UnknownLoop(fit, signals, shown.gains, shown.gains, shown.rig.controller)
+    best = excitation.best_excitation(loop, shown.plan, shown.rig)
+    monkeypatch.setattr(excitation, "LINES_MIN", 200)
+    all_lines = excitation.best_excitation(loop, shown.plan, shown.rig)
+    assert best.trial.profile.last_line < all_lines.trial.profile.last_line
+    assert best.margin.distance > all_lines.margin.distance
+    for one in (best, all_lines):
+        most = 0.5 * abs(shown.plan.step.step_N) * (1.0 + 1e-9)
+        assert max(abs(one.answer.setpoint).max(), abs(one.answer.measurement).max()) <= most
