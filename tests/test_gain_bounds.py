@@ -22,7 +22,7 @@ from estune.remote.messages.replies import Description
 from estune.remote.state_machine.reply_codes import ReplyCode
 from estune.remote.zenoh.request_handler import RequestHandler
 from estune.run.planning import make_tuner
-from estune.trial import Outcome, TrialRequest
+from estune.trial import Outcome, RigLimits, TrialRequest
 from estune.trial.gain_bounds import UNBOUNDED, GainBounds
 from experiments.virtual_loop import virtual_rig
 from tests.support_hardware import config, tables
@@ -159,3 +159,11 @@ def test_description_states_bounds_of_the_file_alone():
     assert told["live_bounds"]["I"] == [0.0, None]
     assert stated.bounds_of(trial=False).P == (0.1, 2.0)
     assert stated.bounds_of(trial=False).I == description().bounds_of(trial=False).I
+
+
+@pytest.mark.parametrize(
+    "limits", [(0.0, 10.0, 0.0), (0.0, 10.0, math.nan), (0.0, 10.0, 5.0, -1.0), (10.0, 0.0, 5.0)]
+)
+def test_limits_that_no_trial_can_keep_are_refused(limits):
+    with pytest.raises(InvalidInput):
+        RigLimits(*limits)

@@ -136,5 +136,13 @@ UNCHANGED: dict[tuple[str, str], str] = {
         "low = float(np.clip(1e-3 * slow, 1e-12, low))",
         "constant scaled",
     ): "nothing crosses or turns there: the loop is above 500 and its integrator leads",
+    (
+        "if RigAction.STOP in move.orders and trial is not None and not trial.is_stopping:",
+        "part of a condition dropped",
+    ): "the state machine orders the stop of an active trial only, and once",
+    (
+        "if self.effort_weight > 0.0:",
+        "condition replaced",
+    ): "a weight of zero adds nothing",
 }
 """Faults that change no behaviour, by their line and kind, with the reason."""
