@@ -36,7 +36,7 @@ CONFIRMATION_REPEATS_MAX = 10
 SHOWING_MAX = 4
 """Most trials after the confirmation, to show that the confirmed gains keep the limits. On the 27
 plants of `experiments.batch` with noise of 1 % of the step one trial showed them for four of the
-six whose confirmation did not; for the other two more than 50 were foretold."""
+six whose confirmation did not; for the other two 19 and more than 50 were foretold."""
 
 EXCITATIONS_MAX = 2
 """Most excitations of a run: one at the initial gains, where these move the effort enough to be of
