@@ -109,7 +109,7 @@ class RigLimits:
         float,
         omitted_if(0.0),
         Setting(
-            "Largest load step that the rig can add to the effort; zero where it cannot",
+            "Largest load step added to the effort; zero where it adds none",
             "N",
             least=0.0,
         ),
@@ -117,12 +117,12 @@ class RigLimits:
     speed_max_rad_s: Annotated[
         float,
         omitted_if(math.inf),
-        Setting("Greatest speed in a trial of an open loop", "rad/s", infinite=True, above=0.0),
+        Setting("Greatest open-loop speed", "rad/s", infinite=True, above=0.0),
     ] = math.inf
     travel_max_rad: Annotated[
         float,
         omitted_if(math.inf),
-        Setting("Longest way in a trial of an open loop", "rad", infinite=True, above=0.0),
+        Setting("Longest open-loop way", "rad", infinite=True, above=0.0),
     ] = math.inf
 
     def __post_init__(self) -> None:
