@@ -103,8 +103,7 @@ def recommend(
         tighter = _tightened(within, limits, margins)
         if tighter is None:
             kept.append((x, margins))
-            break
-        if tighter == within:
+        if tighter is None or tighter == within:
             break
         within = tighter
     if not kept or _price(kept[0][1], first_cost) > DEAR:

@@ -46,7 +46,9 @@ def shapes(signals: JudgedSignals, sign: float, noise: float) -> Shapes:
         at = slice(swing.start, swing.start + parts * by)
         mean_y, mean_e = (x[at].reshape(parts, by).mean(axis=1) for x in (y, error))
         inner = float(np.var(mean_y[1:-1])) - noise**2 / by
-        offset = abs(float(mean_e.mean())) / (float(mean_e.std()) + 1e-12 * span_of(y))
+        offset = abs(float(mean_e.mean())) / (
+            float(mean_e.std()) + 1e-12 * (float(np.ptp(y)) or 1.0)
+        )
         found.append((_curved(u[swing]), max(inner, 0.0), min(offset, 10.0)))
         weights.append(abs(float(u[swing.stop] - u[swing.start])))
     variance = max(float(np.var(y)) - noise**2, 1e-300)
@@ -65,11 +67,6 @@ def shapes(signals: JudgedSignals, sign: float, noise: float) -> Shapes:
         returns,
         later,
     )
-
-
-def span_of(x: FloatArray) -> float:
-    """Range of a signal, not zero."""
-    return float(np.ptp(x)) or 1.0
 
 
 def _curved(u: FloatArray) -> float:
