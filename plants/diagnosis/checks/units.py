@@ -92,14 +92,20 @@ def _of_drive(
     # Beside all of them, or waves of a motor look like gravity of a link in turns.
     turns = 2.0 * math.pi * angle_rad
     waves = np.column_stack([smoother.sampled(f(turns), 1.0) for f in (np.sin, np.cos)])
+    terms = {
+        f: np.hstack([torque_terms(angle_rad / f, smoother), waves])[known]
+        for f in (1.0, *_ANGLES)
+    }
     left = {}
-    for f in (1.0, *_ANGLES):
-        terms = np.hstack([torque_terms(angle_rad / f, smoother), waves])[known]
+    for f, of_f in terms.items():
         for g in (1.0, *_COMMANDS):
-            left[f, g] = _unexplained(terms, torque / g, b.drum_inertia_kg_m2)
+            left[f, g] = _unexplained(of_f, torque / g, b.drum_inertia_kg_m2, DATA_SHEET)
     # Fewer columns first where several units do the same.
     best = min(left, key=lambda units: (round(left[units][0], 2), sum(f != 1.0 for f in units)))
     (now, _), (then, seen) = left[1.0, 1.0], left[best]
+    if max(best) > CONSTANTS.range:
+        # A guess of the inertia ten times off, in rad, was refused as degrees.
+        now, _ = _unexplained(terms[1.0], torque, b.drum_inertia_kg_m2, CONSTANTS.range)
     # Unless its inertia is seen, a load on a spring looks like gravity in degrees.
     if then >= CONSTANTS.law_left * min(now, 1.0, seen):
         return
@@ -131,11 +137,13 @@ def torque_terms(angle_rad: FloatArray, smoother: Smoother) -> FloatArray:
     )
 
 
-def _unexplained(terms: FloatArray, torque: FloatArray, inertia: float) -> tuple[float, float]:
-    """Share of a torque's power left with an inertia of about the given one, and with none."""
+def _unexplained(
+    terms: FloatArray, torque: FloatArray, inertia: float, within: float
+) -> tuple[float, float]:
+    """Share of a torque's power left with an inertia within a factor of one, and with none."""
     sizes = np.linalg.lstsq(terms, torque, rcond=1e-9)[0]
-    within = float(np.clip(sizes[0], inertia / DATA_SHEET, inertia * DATA_SHEET))
-    rest = np.column_stack([torque - within * terms[:, 0], torque])
+    fitted = float(np.clip(sizes[0], inertia / within, inertia * within))
+    rest = np.column_stack([torque - fitted * terms[:, 0], torque])
     rest -= terms[:, 1:] @ np.linalg.lstsq(terms[:, 1:], rest, rcond=1e-9)[0]
     moved = max(float(np.sum((torque - torque.mean()) ** 2)), 1e-300)
     left, without = (np.sum(rest**2, axis=0) / moved).tolist()
