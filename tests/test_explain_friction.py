@@ -117,6 +117,16 @@ def test_friction_is_all_that_is_missing_where_a_noisy_speed_was_integrated(gues
     assert at.low < size < at.high
 
 
+def test_a_friction_that_falls_while_a_machine_runs_is_no_coulomb_friction():
+    def warming(velocity, time_s):
+        size = FRICTION_Nm * (0.3 + math.exp(-time_s / 0.8))
+        return size * math.tanh(velocity / 0.04), time_s + STEP_s
+
+    found = plants.explain(BELIEVED, list(records(warming)))
+    assert (found.verdict, found.effects) == ("unknown", ())
+    assert "a dry friction that changes with time" in found.sentence
+
+
 def test_friction_of_a_gear_grows_with_its_torque():
     rng, count = np.random.default_rng(4), 2.0 * np.pi / COUNTS
 

@@ -14,6 +14,7 @@ from plants.diagnosis.search.model_fitter import CandidateFit, ModelFitter
 from plants.diagnosis.torque_balance.agreement import VISIBLE, family_of
 from plants.diagnosis.torque_balance.balance import INERTIA, OFFSET, VISCOUS, torque_balance
 from plants.diagnosis.torque_balance.judge import TorqueJudgement, judge
+from plants.diagnosis.torque_balance.laws import CHANGING
 from plants.effects import EFFECTS, Effect, Port, RateLimit, Role
 from plants.effects.plant_scale import PlantScale
 
@@ -78,15 +79,17 @@ def disputed(
     command that was logged as its mean, or at other moments than the angle, looks to a
     prediction as if a limit had cut it: torques then balance worse with the limit. One that acts
     in a single stretch of time may be any disturbance; it is not believed beside another effect,
-    nor where the torques balance without it.
+    nor where the torques balance without it. A dry friction of constant size is not believed where
+    it halves in the course of a record.
     """
     limits = [e for e in fit.effects if e.port is Port.ACTUATOR and e.named(Role.LIMIT)]
     plant, free, encoder = fitted.plant, _free(fitted, judged), fitted.noise.channels["angle_rad"]
     more = [e for e in fit.effects if family_of(e) in VISIBLE - judged.families]
     whole = torque_balance(plant.measurements, free, encoder) if limits or more else None
+    found = {e for e in fit.effects if judged.changes_Nm and family_of(e) == CHANGING.family}
     if whole is None:
-        return frozenset()
-    found = {e for e in more if judged.laws and judged.denies(whole, e, fit.values)}
+        return frozenset(found)
+    found |= {e for e in more if judged.laws and judged.denies(whole, e, fit.values)}
     beside = len(fit.effects) > 1
     for effect in limits:
         (name,) = effect.named(Role.LIMIT)

@@ -38,8 +38,9 @@ from plants.diagnosis.torque_balance.agreement import (
     family_of,
 )
 from plants.diagnosis.torque_balance.judge import TorqueJudgement
+from plants.diagnosis.torque_balance.laws import CHANGING
 from plants.effects import Cogging, Effect, MainsInterference, Quantisation
-from plants.effects.plant_scale import si, written_unit
+from plants.effects.plant_scale import PlantScale, si, written_unit
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -180,23 +181,28 @@ def _undisputed(
     fitted: BaseFit,
     judged: TorqueJudgement,
 ) -> tuple[Conclusion, tuple[ModelStage, ...]]:
-    """The conclusion without limits of the drive that the balance of torques disputes."""
+    """The conclusion without effects that the balance of torques disputes."""
     last = stages[-1]
     wrong = disputed(fitted, judged, last.fit)
-    if not wrong:
+    if not wrong and (judged.changes_Nm is None or conclusion.verdict != "unknown"):
         return conclusion, stages
     titles = " and ".join(effect.title for effect in last.fit.effects)
+    like = ""
+    if judged.changes_Nm is not None:
+        scale = PlantScale.of(fitted.plant.model)
+        low, high = (scale.torque(max(size, 0.0)) for size in judged.changes_Nm)
+        like = f"{CHANGING.title}, {low} to {high} in the course of a record"
     rest = frozenset(e.name for e in last.fit.effects if e not in wrong)
     if not rest:
-        reason = (
-            f"The prediction of the motion would name {titles}; with it torques balance worse."
-        )
-        return conclusion.unknown(reason), stages[:1]
+        would = f"The prediction of the motion would name {titles}; with it torques balance worse."
+        return conclusion.unknown("" if like else would)._replace(like=like), stages[:1]
     fit = models.with_effects.get(rest) or _without(last, rest)
     kept = stage(last.fitter, last.fitter.final(fit), next(iter(sorted(rest))))
     complete = kept.step.ratio <= CONSTANTS.above_noise
     verdict: Verdict = "named" if complete else "incomplete"
-    conclusion = conclusion._replace(verdict=verdict, stages=(models.base, fit), tied=(), rest="")
+    conclusion = conclusion._replace(
+        verdict=verdict, stages=(models.base, fit), tied=(), rest=like
+    )
     return conclusion, (*stages[:1], kept)
 
 

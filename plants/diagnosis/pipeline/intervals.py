@@ -37,7 +37,7 @@ def intervals(compared: EffectComparison) -> StatedIntervals:
     if together.weight == "balance" and not together.shared:
         believed |= _of_balance(compared)
     elif last is not first:
-        believed = dict(fitted_intervals(last.fitter, last.fit, first.fit))
+        believed = dict(fitted_intervals(last.fitter, last.fit, first.fit, along=True))
         believed |= _where_first_reads_zero(believed, last)
         if together.weight == "both" and last.step.ratio > CONSTANTS.above_noise:
             believed |= _of_both(believed, compared.judged.values if compared.judged else {})

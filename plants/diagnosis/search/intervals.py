@@ -20,10 +20,16 @@ No machine follows a law exactly, which shifts values in a way that every group 
 model error f changes a value by at most f sqrt((H^-1)_ii); f is a share of the length of what the
 effects explain, and another of the length of what nothing explains. The first is at most that
 share of the value itself.
+
+At a bound, and of the shapes of a friction, a derivative says little: residuals jump, and a bend
+of next to nothing changes next to nothing. There all values are told that leave a sum of squares
+no more above the least than the end of an interval does elsewhere, 1.96^2 (c^2 + l^2), with the
+errors of form as lengths l and c^2 the usual ratio of s^2 to (H^-1)_ii.
 """
 
 import math
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,16 +38,19 @@ from estune.core.quantities import FloatArray
 from plants.diagnosis.constants import CONSTANTS
 from plants.diagnosis.interval import Interval
 from plants.diagnosis.models.free_parameters import BASE, Free, prior_deviation
-from plants.diagnosis.search.model_fitter import CandidateFit, ModelFitter, record_of
+from plants.diagnosis.search.model_fitter import CandidateFit, ModelFitter, edges, record_of
+from plants.effects import Role
 from plants.effects.plant_scale import PlantScale
 
+TRIED = 24
+"""Values at which a sum of squares is looked at, from a fit to a bound."""
 FIRST_ZERO = "encoder_zero_rad[0]"
 """Zero of the first record's encoder. Phases of waves along a drive are known relative to it; of a
 reel they count from where the cable is taut."""
 
 
 def intervals(
-    fitter: ModelFitter, model: CandidateFit, base: CandidateFit
+    fitter: ModelFitter, model: CandidateFit, base: CandidateFit, *, along: bool = False
 ) -> Mapping[str, Interval]:
     """Values and 95 % confidence intervals of all that the records share.
 
@@ -52,6 +61,7 @@ def intervals(
         model: The model.
         base: The model without effects: of what the effects explain, a share is put down to the
             wrong value where their laws are unlike the machine's.
+        along: Whether to go along values at bounds and shapes of frictions.
     """
     fitted = model.fitted
     moves = fitter.moves(fitted.predictor)
@@ -87,13 +97,22 @@ def intervals(
         CONSTANTS.form_taken_up if model.effects else CONSTANTS.form_lacking
     )
     form = {e.name: max(e.form_error, CONSTANTS.form_least) for e in model.effects}
+    shapes = {f"{e.name}.{n}" for e in model.effects if e.resists for n in e.named(Role.SHAPE)}
     # The hysteresis of a gauge shifts base parameters, above all the torque's gain.
     has_gauge = "tension_N" in fitter.floor.channels
     base_least = CONSTANTS.form_least if has_gauge else CONSTANTS.base_least
+    shifts = greatest_shifts(columns)
+    colour = float(np.median(np.square(spread / prior / shifts)))
+    alike = [values]
+    for n, f in enumerate(free if along else ()):
+        if f.owner in form and (f.name in shapes or edges(f, float(values[n]))):
+            lengths = colour + (form[f.owner] * explained) ** 2 + unexplained**2
+            more = CONSTANTS.quantile**2 * lengths
+            alike += list(_consistent(model, moves, columns, n, more))
+    lows, highs = np.min(alike, axis=0).tolist(), np.max(alike, axis=0).tolist()
     stated = {}
-    for f, value, s, unit, shift in zip(
-        free, values.tolist(), spread, prior, greatest_shifts(columns), strict=True
-    ):
+    listed = zip(free, values.tolist(), spread, prior, shifts, lows, highs, strict=True)
+    for f, value, s, unit, shift, low, high in listed:
         if record_of(f.owner) is not None:
             continue
         # A limit is neutral far up, a ratio at one: what counts is the nearer of that and zero.
@@ -106,8 +125,50 @@ def intervals(
             by_law = CONSTANTS.form_least * size
         calibrated = base_least * size if f.owner == BASE else 0.0
         by_rest = min(unexplained * shift * unit, most)
-        stated[f.name] = _interval(f, value, math.hypot(s, by_law, by_rest, calibrated))
+        at = _interval(f, value, math.hypot(s, by_law, by_rest, calibrated))
+        at = replace(at, low=min(at.low, low), high=max(at.high, high))
+        stated[f.name] = at
     return stated
+
+
+def _consistent(
+    model: CandidateFit, moves: NDArray[np.int64], columns: FloatArray, n: int, more: float
+) -> FloatArray:
+    """Values that leave no more than so much above the least sum of squares, along one of them.
+
+    Args:
+        model: The fit.
+        moves: Numbers of the values.
+        columns: Derivative of the residuals by the values in prior deviations, (values, entries).
+        n: Which of the values is moved, from bound to bound, the others following it.
+        more: Growth of the sum of squares.
+
+    Returns:
+        Rows of all values, shape (some, values); the fit is one.
+    """
+    fitted, free = model.fitted, model.fitted.predictor.free
+    f, value = free[moves[n]], float(fitted.values[moves[n]])
+    away = np.geomspace(1e-6, 1.0, TRIED)
+    ends = [e for e in (f.low, f.high) if not math.isclose(e, value, rel_tol=1e-6)]
+    tried = [
+        np.geomspace(value, e, TRIED + 1)[1:] if f.scale == "log" else value + (e - value) * away
+        for e in ends
+    ]
+    rows = np.tile(fitted.values, (1 + TRIED * len(ends), 1))
+    rows[1:, moves[n]] = np.concatenate(tried)
+    residuals = fitted.predictor.residuals(rows, fitted.entries)
+    others = np.delete(columns, n, axis=0)
+    steps = np.linalg.solve(others @ others.T + np.eye(len(others)), others @ residuals.T).T
+    places = np.delete(moves, n)
+    unit = np.array([prior_deviation(free[m], float(fitted.values[m])) for m in places])
+    followed = rows.copy()
+    followed[:, places] -= (steps - steps[0]) * unit
+    followed = np.clip(followed, [one.low for one in free], [one.high for one in free])
+    again = np.square(fitted.predictor.residuals(followed, fitted.entries)).sum(1)
+    least = np.square(residuals).sum(1)
+    most = least[0] + more
+    found: FloatArray = np.concatenate([rows[least <= most], followed[again <= most]])[:, moves]
+    return found
 
 
 def _interval(free: Free, value: float, error: float) -> Interval:

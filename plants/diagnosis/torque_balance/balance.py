@@ -27,7 +27,7 @@ from plants.diagnosis.models.base import BaseNumbers
 INERTIA, VISCOUS, OFFSET = "inertia", "viscous", "offset"
 COULOMB, DRAG, SPEED, SINE, COSINE = "coulomb", "drag", "speed", "sine", "cosine"
 BASE = (INERTIA, VISCOUS, OFFSET)
-VELOCITY_KNOTS, ANGLE_KNOTS, FADINGS = 6, 8, 7
+VELOCITY_KNOTS, ANGLE_KNOTS, TIME_KNOTS, FADINGS = 6, 8, 4, 7
 PARTS, FEWEST_PARTS, LEAST_SAMPLES = 4, 8, 16
 
 
@@ -57,12 +57,14 @@ class Scale:
         usual_rad_s: Speed in motion, rms.
         angles_rad: Knots over the angle, shape (knots,).
         fadings_rad_s: Velocities tried over which a friction fades, shape (some,).
+        lasts_s: Duration of the longest record.
     """
 
     least_rad_s: float
     usual_rad_s: float
     angles_rad: FloatArray
     fadings_rad_s: FloatArray
+    lasts_s: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,6 +138,7 @@ def torque_balance(
         usual,
         np.linspace(float(np.nanmin(angle)), float(np.nanmax(angle)), ANGLE_KNOTS),
         np.geomspace(max(0.03 * usual, least), usual, FADINGS),
+        max(m.duration_s for m, _ in pairs),
     )
     scale = scale if like is None else like.scale
     parts = max(PARTS, math.ceil(FEWEST_PARTS / len(listed)))
@@ -268,6 +271,10 @@ def _terms(
         terms[f"velocity {n}"] = s.spread(np.interp(place, knots, one))
     for n, one in enumerate(np.eye(ANGLE_KNOTS)):
         terms[f"over angle {n}"] = s.spread(np.interp(s.angle_rad, scale.angles_rad, one))
+    time_s = np.arange(v.size) / s.smoother.sampling_Hz
+    times = np.linspace(0.0, scale.lasts_s, TIME_KNOTS)
+    for n, one in enumerate(np.eye(TIME_KNOTS)):
+        terms[f"time {n}"] = s.spread(way * np.interp(time_s, times, one))
     turning = s.spread((np.abs(v) > scale.least_rad_s).astype(np.float64))
     jumps = s.spread((np.abs(v) > fastest_rad_s).astype(np.float64))
     inside = np.isfinite(s.torque_Nm) & np.isfinite(s.velocity_rad_s)

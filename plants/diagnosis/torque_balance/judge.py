@@ -10,7 +10,7 @@ import numpy as np
 from plants.diagnosis.constants import CONSTANTS
 from plants.diagnosis.interval import Interval
 from plants.diagnosis.torque_balance.balance import BASE, INERTIA, TorqueBalance
-from plants.diagnosis.torque_balance.laws import TorqueLaw, curves, laws
+from plants.diagnosis.torque_balance.laws import CHANGING, TorqueLaw, curves, laws
 from plants.diagnosis.torque_balance.left_out import BalanceFits, LeftOut, rest_Nm
 from plants.effects import Effect
 
@@ -31,6 +31,8 @@ class TorqueJudgement(NamedTuple):
         noise_Nm: What may be left by a complete model.
         stretches: Number of stretches of time that were left out in turn.
         held_Nm: The two above on records held out of all fits, or None.
+        changes_Nm: The least and the greatest dry friction in the course of a record, where one of
+            constant size is not what there is; or None.
     """
 
     laws: tuple[TorqueLaw, ...]
@@ -45,6 +47,7 @@ class TorqueJudgement(NamedTuple):
     noise_Nm: float
     stretches: int
     held_Nm: tuple[float, float] | None = None
+    changes_Nm: tuple[float, float] | None = None
 
     @property
     def effects(self) -> tuple[type[Effect], ...]:
@@ -120,6 +123,8 @@ def judge(
         ):
             kept = _simplest(best, sets)
     like, vetoed = _like(fits, kept)
+    changes_Nm = _changes_Nm(fits, kept, sets) if balance.both_ways else None
+    vetoed = vetoed or changes_Nm is not None
     rivals = () if vetoed or kept is base else _rivals(kept, sets)
     if vetoed:
         kept = base
@@ -138,6 +143,7 @@ def judge(
         noise_Nm=balance.noise_Nm,
         stretches=len(base.error),
         held_Nm=None if aside is None else (rest_Nm(aside, base), rest_Nm(aside, kept)),
+        changes_Nm=changes_Nm,
     )
 
 
@@ -236,6 +242,20 @@ def _like(fits: BalanceFits, kept: LeftOut) -> tuple[str, bool]:
         return "", False
     total, title = min(tried)
     return title, total <= (1.0 - CONSTANTS.named_share) * kept.total
+
+
+def _changes_Nm(
+    fits: BalanceFits, kept: LeftOut, sets: Sequence[LeftOut]
+) -> tuple[float, float] | None:
+    """Least and greatest dry friction over time, where one halves and leaves half of the rest."""
+    others = [law for law in kept.laws if law.family != CHANGING.family]
+    of_constant = [f for f in sets if {law.family for law in f.laws} == {CHANGING.family}]
+    best = min((kept, *of_constant), key=_total)
+    fit = fits.left_out((*others, CHANGING))
+    sizes = [fit.sizes[name] for name in CHANGING.columns]
+    halves = max(min(sizes), 0.0) <= CONSTANTS.law_left * max(sizes)
+    shown = fit.total <= CONSTANTS.law_left * best.total and _is_better(fit, best)
+    return (min(sizes), max(sizes)) if halves and shown else None
 
 
 def _by_strength(fits: BalanceFits, kept: LeftOut, own: int) -> tuple[TorqueLaw, ...]:

@@ -13,6 +13,7 @@ from plants.diagnosis.torque_balance.balance import (
     DRAG,
     SINE,
     SPEED,
+    TIME_KNOTS,
     VELOCITY_KNOTS,
     TorqueBalance,
 )
@@ -121,6 +122,16 @@ def laws(balance: TorqueBalance, effects: Sequence[type[Effect]]) -> tuple[Torqu
     if balance.turned_rad >= CONSTANTS.turned_rad:
         listed.append(_law(LinkGravity, ANGLE, (SINE, COSINE), _gravity))
     return tuple(law for law in listed if law.effect in effects)
+
+
+CHANGING = TorqueLaw(
+    None,
+    "a dry friction that changes with time",
+    CoulombFriction.family,
+    VELOCITY,
+    tuple(f"time {n}" for n in range(TIME_KNOTS)),
+)
+"""Dry friction by the time since a record's start, which warms or wears in."""
 
 
 def curves() -> tuple[TorqueLaw, ...]:
