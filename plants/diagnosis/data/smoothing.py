@@ -46,9 +46,12 @@ class Smoother(NamedTuple):
         Returns:
             Shape (samples,); nan at both ends, where the kernel reaches beyond the record.
         """
-        t = np.arange(-self.reach, self.reach + 1) / self.sampling_Hz
+        reach = self.reach
+        if signal.size <= 2 * reach:
+            return _unknown(signal)
+        t = np.arange(-reach, reach + 1) / self.sampling_Hz
         kernel = sum(c * self._derivative(t, order) for order, c in enumerate(coefficients))
-        return _convolved(signal, np.asarray(kernel) / self.sampling_Hz, self.reach)
+        return _convolved(signal, np.asarray(kernel) / self.sampling_Hz, reach)
 
     def held(self, signal: FloatArray, delay_s: float, *coefficients: float) -> FloatArray:
         """`c0 x + c1 x' + ...` smoothed, of a delayed signal with zero-order hold.
@@ -59,6 +62,8 @@ class Smoother(NamedTuple):
             *coefficients: Of the derivatives, from order zero.
         """
         reach = self.reach + int(np.ceil(delay_s * self.sampling_Hz)) + 1
+        if signal.size <= 2 * reach:
+            return _unknown(signal)
         t = np.arange(-reach, reach + 1) / self.sampling_Hz - delay_s
         kernel = sum(
             c * (self._integral(t, order) - self._integral(t - 1.0 / self.sampling_Hz, order))
@@ -94,9 +99,15 @@ def proportion(x: FloatArray, y: FloatArray) -> tuple[float, float]:
     return (xy / xx, xy**2 / (xx * yy)) if xx > 0.0 and yy > 0.0 else (0.0, 0.0)
 
 
+def _unknown(signal: FloatArray) -> FloatArray:
+    """A signal shorter than its kernel, of which nothing is known.
+
+    No kernel is made: beside records a thousand times slower it took minutes.
+    """
+    return np.full(signal.size, np.nan)
+
+
 def _convolved(signal: FloatArray, kernel: FloatArray, reach: int) -> FloatArray:
-    if signal.size <= 2 * reach:
-        return np.full(signal.size, np.nan)
     from scipy.signal import oaconvolve  # noqa: PLC0415  slow to import
 
     # Without the mean, rounding in the fast convolution stays below the derivative.

@@ -120,8 +120,8 @@ def torque_balance(
     listed = [_signals(m, b, sharp_s, width_s) for m, b in pairs]
     velocity = np.concatenate([s.sharp_rad_s for s in listed])
     b = pairs[0][1]
-    sharp, smoother = (Smoother(s, pairs[0][0].sampling_Hz) for s in (sharp_s, width_s))
-    # Records of another rate may be shorter than the kernel is at the first one's.
+    sharp, smoother = (Smoother(s, _usual_rate_Hz(pairs)) for s in (sharp_s, width_s))
+    # Records of another rate may be shorter than the kernel is at the usual one.
     most = max(*(m.samples for m, _ in pairs), 4 * sharp.reach, 4 * smoother.reach)
     noise = encoder.drawn(most)
     of_velocity = float(np.nanstd(sharp.sampled(noise, 0.0, 1.0)))
@@ -183,7 +183,7 @@ def _widths_s(
 ) -> tuple[float, float]:
     """The least kernel that keeps the noise out of the motion, and the widest that keeps that."""
     durations = [m.duration_s for m, _ in pairs]
-    rate_Hz = pairs[0][0].sampling_Hz
+    rate_Hz = _usual_rate_Hz(pairs)
     commands = [
         m.command_A(b.newtons_per_ampere) * b.newtons_per_ampere * b.drum_radius_m
         for m, b in pairs
@@ -224,6 +224,15 @@ def _widths_s(
 
     widest = CONSTANTS.kernel_widest * float(np.median(durations))
     return least, least if widest <= least else least_width(loses, least, widest)
+
+
+def _usual_rate_Hz(pairs: Sequence[tuple[MeasuredRecord, BaseNumbers]]) -> float:
+    """The median rate, at which the encoder's noise is drawn.
+
+    At that of the first record, whose clock was a thousand times too fast, a kernel of the others
+    had millions of samples, which took minutes.
+    """
+    return sorted(m.sampling_Hz for m, _ in pairs)[(len(pairs) - 1) // 2]
 
 
 def _angle(m: MeasuredRecord) -> FloatArray:
