@@ -31,7 +31,7 @@ LAWS = {
 }
 
 
-class Joint(NamedTuple):
+class DrawnJoint(NamedTuple):
     """A joint with one law; torques in N m.
 
     Attributes:
@@ -57,7 +57,7 @@ class Joint(NamedTuple):
     reference: tuple[float, float, float, float, float]
 
     @classmethod
-    def drawn(cls, law: str, rng: np.random.Generator) -> "Joint":
+    def drawn(cls, law: str, rng: np.random.Generator) -> "DrawnJoint":
         """A joint by chance: its inertia takes about as much torque as its viscous friction."""
         inertia = float(np.exp(rng.uniform(np.log(1e-4), np.log(1.0))))
         slow, fast = rng.uniform(0.8, 1.5), rng.uniform(2.5, 4.0)
@@ -120,7 +120,7 @@ class JointCase(NamedTuple):
 def diagnose(law: str, rate_Hz: float, bits: int, seed: int, off: float) -> JointCase:
     """The diagnosis of one joint."""
     rng = np.random.default_rng([seed, [*LAWS].index(law), round(rate_Hz), bits])
-    joint = Joint.drawn(law, rng)
+    joint = DrawnJoint.drawn(law, rng)
     angle, torque = joint.run(rate_Hz)
     step = 2.0 * np.pi / 2**bits
     record = MeasuredRecord(

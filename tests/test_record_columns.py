@@ -244,5 +244,5 @@ def test_joint_angle_and_torque_are_found_by_the_names_of_robots_in_a_drive_alon
 def test_a_fault_of_many_files_is_said_once():
     faults = [DataIssue("refused", "there is no time", "time", source=f"{k}.csv") for k in "abc"]
     other = DataIssue("refused", "the file is empty", source="d.csv")
-    said = "a.csv and 2 more, column time: there is no time; d.csv: the file is empty"
+    said = "a.csv, b.csv, c.csv, column time: there is no time; d.csv: the file is empty"
     assert refusals([*faults, other]) == said

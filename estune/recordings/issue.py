@@ -47,12 +47,13 @@ def refusals(issues: Iterable[DataIssue]) -> str:
     for issue in issues:
         if issue.level == "refused":
             alike.setdefault(replace(issue, source=""), []).append(issue.source)
-    said = [
-        str(replace(issue, source=first + (f" and {len(others)} more" if others else "")))
-        for issue, (first, *others) in alike.items()
-    ]
-    more = f"; and {len(said) - LISTED} more" if len(said) > LISTED else ""
-    return "; ".join(said[:LISTED]) + more
+    said = [str(replace(issue, source=_first(sources, ", "))) for issue, sources in alike.items()]
+    return _first(said, "; ")
+
+
+def _first(texts: list[str], separator: str) -> str:
+    more = f"{separator}and {len(texts) - LISTED} more" if len(texts) > LISTED else ""
+    return separator.join(texts[:LISTED]) + more
 
 
 class Unusable(InvalidInput):

@@ -106,6 +106,8 @@ class Constants(NamedTuple):
     random walk (13.5 mrad beside a step of 0.63 mrad), periods of a jittered timer by its jitter
     (0.085 to 0.122 N where the gauge has 0.040 N); four fifths of a gauge's power are white on the
     machines of the experiments, whose noise is 1.1 times that of their upper spectrum."""
+    data_sheet: float = 4.0
+    """Factor by which an inertia of a data sheet was off where the model lacked an effect."""
     range: float = 20.0
     """Factor by which a fit may change a positive parameter either way."""
     leaping: float = 0.03

@@ -12,8 +12,6 @@ from plants.diagnosis.data.measured_record import MeasuredRecord
 from plants.diagnosis.data.smoothing import Smoother, proportion
 from plants.diagnosis.models.base import BaseNumbers
 
-DATA_SHEET = 4.0
-"""Factor by which an inertia of a data sheet was off where the model lacked an effect."""
 _ANGLES = {
     math.degrees(1.0): ("degrees", "give rad, or explain with --unit angle=deg"),
     1e3: (
@@ -99,7 +97,7 @@ def _of_drive(
     left = {}
     for f, of_f in terms.items():
         for g in (1.0, *_COMMANDS):
-            left[f, g] = _unexplained(of_f, torque / g, b.drum_inertia_kg_m2, DATA_SHEET)
+            left[f, g] = _unexplained(of_f, torque / g, b.drum_inertia_kg_m2, CONSTANTS.data_sheet)
     # Fewer columns first where several units do the same.
     best = min(left, key=lambda units: (round(left[units][0], 2), sum(f != 1.0 for f in units)))
     (now, _), (then, seen) = left[1.0, 1.0], left[best]

@@ -31,10 +31,9 @@ SIMPLER: Mapping[str, tuple[str, ...]] = {
     ),
 }
 """Simpler variables beside those that contain them."""
-FOLDS, STRETCHES = 4, 32
-"""Parts that are left out in turn, and stretches of each record that are dealt out to them."""
-LEVELS = 3
-"""Levels of a tension or load that a direction of motion is crossed with."""
+FOLDS, STRETCHES, LEVELS = 4, 32, 3
+"""Parts that are left out in turn, stretches of each record that are dealt out to them, and levels
+of a tension or load that a direction of motion is crossed with."""
 SEGMENTS, LEAST_SEGMENTS = 16, 8
 """Segments of a response over frequency: a mode of 6 Hz that rings for 2.6 s, swept through in 20
 s, is seen with 16 (0.42), not with 32 (0.11). Of fewer than 8 none is known on those left out."""

@@ -42,8 +42,6 @@ from plants.diagnosis.search.model_fitter import CandidateFit, ModelFitter, edge
 from plants.effects import Role
 from plants.effects.plant_scale import PlantScale
 
-TRIED = 24
-"""Values at which a sum of squares is looked at, from a fit to a bound."""
 FIRST_ZERO = "encoder_zero_rad[0]"
 """Zero of the first record's encoder. Phases of waves along a drive are known relative to it; of a
 reel they count from where the cable is taut."""
@@ -148,13 +146,15 @@ def _consistent(
     """
     fitted, free = model.fitted, model.fitted.predictor.free
     f, value = free[moves[n]], float(fitted.values[moves[n]])
-    away = np.geomspace(1e-6, 1.0, TRIED)
+    away = np.geomspace(1e-6, 1.0, 24)  # values from the fit to a bound
     ends = [e for e in (f.low, f.high) if not math.isclose(e, value, rel_tol=1e-6)]
     tried = [
-        np.geomspace(value, e, TRIED + 1)[1:] if f.scale == "log" else value + (e - value) * away
+        np.geomspace(value, e, away.size + 1)[1:]
+        if f.scale == "log"
+        else value + (e - value) * away
         for e in ends
     ]
-    rows = np.tile(fitted.values, (1 + TRIED * len(ends), 1))
+    rows = np.tile(fitted.values, (1 + away.size * len(ends), 1))
     rows[1:, moves[n]] = np.concatenate(tried)
     residuals = fitted.predictor.residuals(rows, fitted.entries)
     others = np.delete(columns, n, axis=0)
