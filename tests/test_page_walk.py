@@ -47,6 +47,7 @@ def expect_result(page, run) -> None:
     expect(page.locator("#trial-text")).to_contain_text(f"of {run}")
     expect(page.locator("#search")).to_be_visible()
     expect(page.locator("#answer")).to_be_empty()
+    expect(page.locator(RUNS).get_by_text(run, exact=True)).to_be_visible()
 
 
 def tune_on_the_page(page) -> str:
