@@ -2,13 +2,16 @@
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from estune.core.gains import Gains
 from estune.loop_model.fitting import fit_loop
 from estune.loop_model.intervals import predict_with_intervals
+from estune.loop_model.least_squares import FitSignals, RecordGroup
 from estune.loop_model.margins import robustness
 from estune.loop_model.near_fit import fit_near
+from estune.loop_model.whiteness import LAGS, is_disturbed
 from estune.trial import TrialRequest
 from estune.trial.loop_records import loop_signals
 from experiments.batch.__main__ import start_of
@@ -75,3 +78,11 @@ def test_coloured_load_before_the_steps_is_noise_and_not_a_pole():
     assert fit.order <= 2
     Ms = robustness(fit.model, tried, description.controller).sensitivity
     assert loop.at(tried, COST).Ms == pytest.approx(Ms, rel=0.1)
+
+
+def test_drift_before_the_steps_is_a_load_unless_the_reading_rests():
+    drift = np.cumsum(np.random.default_rng(1).standard_normal((2, 8 * LAGS)), axis=1)
+    moving = RecordGroup(np.zeros_like(drift), drift, 0, (0, 1), 4 * LAGS)
+    resting = moving._replace(measurement=np.zeros_like(drift))
+    assert is_disturbed(FitSignals((moving,), 100.0, 0.01), drift.ravel())
+    assert not is_disturbed(FitSignals((resting,), 100.0, 0.01), drift.ravel())

@@ -63,6 +63,8 @@ def _is_correlated(rows: Sequence[FloatArray]) -> bool:
         for lag in range(1, min(LAGS, row.shape[1] - 1) + 1):
             moments[lag - 1] += float(np.vdot(row[:, lag:], row[:, :-lag]))
     squares = sum(float(np.vdot(row, row)) for row in rows)
+    if not squares:  # a sensor that rounds reads the same at rest: 0 / 0 would warn
+        return False
     portmanteau = sum(row.size for row in rows) * float(np.sum((moments / squares) ** 2))
     return bool(chdtrc(LAGS, portmanteau) < CHANCE)
 
