@@ -98,6 +98,17 @@ def test_speed_in_place_of_the_angle_is_integrated_and_told(tmp_path):
 
 
 @pytest.mark.parametrize(
+    ("name", "dividing"), [("torque", 0.5), ("force", 20.0), ("current", 1.0)]
+)
+def test_column_named_after_a_quantity_is_read_in_its_unit(tmp_path, name, dividing):
+    c, drum = columns(), Drum(radius_m=0.025, newtons_per_ampere=20.0)
+    foreign = {"time_s": c["time_s"], name: c["current_A"], "angle_rad": c["angle_rad"]}
+    write_csv(tmp_path / "log.csv", foreign)
+    read = read_recording(tmp_path / "log.csv", names(current=name), drum)
+    np.testing.assert_allclose(read.parts[0]["current_A"], c["current_A"] / dividing, rtol=1e-3)
+
+
+@pytest.mark.parametrize(
     ("ending", "factor", "unit", "taken"),
     [
         ("deg", 57.3, "", "deg"),
@@ -115,7 +126,7 @@ def test_unit_that_a_channels_name_ends_in_is_used_and_told(tmp_path, ending, fa
     read = read_recording(tmp_path / "log.csv", AS_NAMED.with_options({"angle": name}, units, {}))
     np.testing.assert_allclose(factor * read.parts[0]["angle_rad"], c["angle_rad"], rtol=1e-3)
     assert read.mapped["angle_rad"].unit == taken
-    assert any("as its name ends" in issue.sentence for issue in read.issues) == (taken != "rad")
+    assert any("by its name" in issue.sentence for issue in read.issues) == (taken != "rad")
 
 
 @pytest.mark.parametrize(

@@ -28,6 +28,8 @@ RATES = ("speed", "velocity")
 """Dimensions of an angle's rate, which is integrated."""
 _MECHANICAL = ("time", "force", "current", "angle", "length", "torque", "frequency")
 """Dimensions that are converted, or refused, wherever they stand."""
+_NAMED_QUANTITIES = {"force": "N", "torque": "Nm", "tau": "Nm"}
+"""Names that are a quantity; with a torque constant of 5 a torque was read as amperes."""
 _STEMS = {name.partition("_")[0]: name for name in TABLE_COLUMNS} | SYNONYMS
 
 _DAYS = (*("%Y/%m/%d", "%d.%m.%Y", "%d/%m/%Y", "%m/%d/%Y"), "%d.%m.%y", "%d/%m/%y", "%m/%d/%y")
@@ -223,7 +225,7 @@ def is_bare(table: ColumnTable, channel: Channel) -> bool:
 
 
 def unit_by_name(table: ColumnTable, channel: Channel, si: str, drum: Drum) -> str:
-    """The unit that a channel's name ends in, as `angle_deg`, else the record's own.
+    """The unit that a channel's name says, as `angle_deg` or `torque`, else the record's own.
 
     Only where nothing else says one: a scale is of values in the record's own unit.
 
@@ -233,7 +235,8 @@ def unit_by_name(table: ColumnTable, channel: Channel, si: str, drum: Drum) -> s
         si: The record's own unit; empty for a plain number.
         drum: Numbers of the reel, for lengths and torques.
     """
-    unit = heading(channel.name).unit
+    said = heading(channel.name)
+    unit = said.unit or _NAMED_QUANTITIES.get(said.key, "")
     if not unit or not si or table.scale != 1.0 or table.offset != 0.0:
         return si
     try:

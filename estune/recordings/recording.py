@@ -232,7 +232,7 @@ def _by_name(
         return [DataIssue("warning", said, name)]
     if table.unit or channel.unit:
         return []
-    said = f"{channel.name} is taken to be in {found.unit}, as its name ends"
+    said = f"{channel.name} is taken to be in {found.unit}, by its name"
     return [DataIssue("warning", f"{said}; give --unit {stem}={si} if it is not", name)]
 
 

@@ -35,7 +35,7 @@ class Backlash(Effect):
     """
 
     name = "backlash"
-    title = "backlash between motor and drum"
+    title = "backlash between motor and load"
     appearance = (
         "where the torque turns round and no load holds the teeth together, the angle leaps "
         "ahead and stops with a jerk"

@@ -27,7 +27,7 @@ class CableStiffening(Effect):
     """
 
     name = "cable_stiffening"
-    title = "stiffening of the cable"
+    title = "stiffness that grows with the load"
     appearance = (
         "tension against angle is bent upward while tension against current is straight; "
         "the resonance rises with the tension"
@@ -73,9 +73,10 @@ class CableStiffening(Effect):
         )
 
     @classmethod
-    def remedies(cls, _p: Values, _plant: PlantScale) -> tuple[Remedy, ...]:
+    def remedies(cls, _p: Values, plant: PlantScale) -> tuple[Remedy, ...]:
         """What can be done about it."""
-        return (limit("schedule the gains over the tension: the loop's gain grows with it"),)
+        load = "tension" if plant.has_cable else "measurement"
+        return (limit(f"schedule the gains over {load}: the loop's gain grows with it"),)
 
     @staticmethod
     def respond(p: Values, state: Signal, signal: Signal, _site: Site) -> Response:

@@ -18,7 +18,7 @@ class GaugeDrift(Effect):
     """
 
     name = "gauge_drift"
-    title = "drift of the gauge"
+    title = "drift of the sensor"
     appearance = (
         "tension read and current move apart in proportion to the time, at any motion; "
         "the first and last rest of a record disagree"

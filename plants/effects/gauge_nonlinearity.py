@@ -23,7 +23,7 @@ class GaugeNonlinearity(Effect):
     """
 
     name = "gauge_nonlinearity"
-    title = "nonlinearity of the gauge"
+    title = "nonlinearity of the sensor"
     appearance = (
         "tension read against current is bent while angle against current is straight; "
         "the loop's gain depends on the tension level"

@@ -18,7 +18,7 @@ class GaugeOffset(Effect):
     """
 
     name = "gauge_offset"
-    title = "zero offset of the gauge"
+    title = "zero offset of the sensor"
     appearance = (
         "tension read and current differ by a constant that no motion changes, "
         "and the cable is slack at a reading other than zero"

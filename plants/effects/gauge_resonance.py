@@ -30,7 +30,7 @@ class GaugeResonance(Effect):
     """
 
     name = "gauge_resonance"
-    title = "second resonance of the gauge"
+    title = "second resonance of the sensor"
     appearance = (
         "the reading rings at a high frequency after each blow while current and angle do not"
     )

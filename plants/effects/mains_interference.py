@@ -26,7 +26,7 @@ class MainsInterference(Effect):
     """
 
     name = "mains_interference"
-    title = "mains interference in the gauge"
+    title = "mains interference in the sensor"
     appearance = "the reading carries a sine of the mains frequency at rest as well as in motion"
     excitation = "rest for a second or more"
     in_noise = True

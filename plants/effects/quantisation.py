@@ -21,7 +21,7 @@ class Quantisation(Effect):
     """
 
     name = "quantisation"
-    title = "quantisation of the gauge"
+    title = "quantisation of the sensor"
     appearance = "the reading takes few values, and at rest jumps between two of them"
     excitation = "rest and slow ramps"
     in_noise = True
