@@ -9,7 +9,8 @@ else 1.
 import argparse
 import json
 import math
-from collections.abc import Mapping
+import sys
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -115,6 +116,37 @@ def print_results(
             limits = " to ".join(map(_text, limit if isinstance(limit, tuple) else (limit,)))
             print(f"{'met' if met else 'MISSED':6} {name}: {_text(value)}, limit {limits}")
     return 0 if all(target.met for target in targets.values()) else 1
+
+
+def tunings_by_seed(
+    about: str | None,
+    measure: Callable[[int], dict[str, Any]],
+    targets_of: Callable[[Sequence[dict[str, Any]]], Mapping[str, Target]],
+    *,
+    count: int,
+    quick: int,
+) -> int:
+    """Runs an experiment of one tuning for each seed.
+
+    Args:
+        about: Docstring of the experiment.
+        measure: The row of a seed.
+        targets_of: The targets, from all rows.
+        count: Number of tunings.
+        quick: That of the short form.
+
+    Returns:
+        The exit code: 1 if a target is missed.
+    """
+    parser = command_line(about, quick=f"{quick} tunings")
+    parser.add_argument("--seed0", type=int, default=0, help="first seed: see seeds.md")
+    parser.add_argument("--count", type=int, default=count, help="tunings")
+    options = parser.parse_args()
+    rows = list[dict[str, Any]]()
+    for seed in range(options.seed0, options.seed0 + (quick if options.quick else options.count)):
+        rows.append(measure(seed))
+        print(rows[-1], file=sys.stderr, flush=True)
+    return print_results({"rows": rows}, targets_of(rows), as_json=options.json, tables=True)
 
 
 def _by_number(value: Any) -> Any:

@@ -8,10 +8,10 @@ from scipy.signal import lfilter
 from estune.core.gains import Gains
 from estune.core.pidf import ControllerSettings
 from estune.core.quantities import FloatArray
-from estune.trial import Outcome, RigDescription, RigLimits, TrialRecord, TrialRequest
+from estune.trial import RigLimits, TrialRequest
 from estune.trial.profiles import LoadStepProfile, StepProfile
-from estune.trial.records import record_of
 from experiments.batch.loop import FILTER_SAMPLES, ProcessLoop, convolved, impulse
+from experiments.written_rig import WrittenRig
 
 REACH, LOAD_MAX, LONGEST = 50.0, 100.0, 10.0
 """Largest measurement and load, in steps, and longest trial, in trials of the tuning."""
@@ -35,7 +35,7 @@ class Disturbance(NamedTuple):
     drift: float = 0.0
 
 
-class BatchRig:
+class BatchRig(WrittenRig):
     """The rig of a process; it tells nothing of its model.
 
     Args:
@@ -48,35 +48,24 @@ class BatchRig:
     def __init__(
         self, loop: ProcessLoop, start: Gains, seed: int, disturbance: Disturbance | None = None
     ) -> None:
-        self._loop, self._seed, self.trials = loop, seed, 0
+        self._loop, self._seed = loop, seed
         self._disturbance = disturbance or Disturbance()
         self._load_scale, self._step_scale = self._scales(start)
         h, count = loop.h, loop.before + loop.after
-        self._description = RigDescription(
+        super().__init__(
             name="batch",
-            gains=start,
+            start=start,
             controller=ControllerSettings(1.0 / h, FILTER_SAMPLES * h, -np.inf, np.inf),
-            newtons_per_ampere=1.0,
             limits=RigLimits(-REACH, REACH, LONGEST * count * h, LOAD_MAX),
             step=StepProfile(0.0, 1.0, loop.before * h, count * h),
             settling_time_s=loop.process.settling_time_s,
-            simulated=True,
-            measurement="measurement",
-            command="control effort",
         )
 
-    def describe(self) -> RigDescription:
-        """Its description."""
-        return self._description
-
-    def run(self, request: TrialRequest) -> TrialRecord:
-        """One trial; ends as diverged where the measurement leaves `REACH`."""
-        rate = self._description.controller.sampling_Hz
-        setpoint = request.profile.setpoint(rate)
+    def answer(self, request: TrialRequest, setpoint: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Measurement and effort of a trial; with those of the load before it in the state."""
         load, before = np.zeros(setpoint.size), np.zeros(0)
         if isinstance(request.profile, LoadStepProfile):
-            load = request.profile.shape(rate).loads(setpoint.size)
-        self.trials += 1
+            load = request.profile.shape(1.0 / self._loop.h).loads(setpoint.size)
         rng = np.random.default_rng([self._seed, request.number])
         noise = self._loop.noise * rng.standard_normal(setpoint.size)
         if any(self._disturbance):
@@ -91,26 +80,14 @@ class BatchRig:
         for value in before:  # the loop has met the load before the trial
             z = m.M @ z + m.load * value
         output, effort = np.zeros(setpoint.size), np.zeros(setpoint.size)
-        count = setpoint.size
         for k in range(setpoint.size):
             output[k] = m.output @ z + noise[k]
             effort[k] = m.effort @ z + m.effort_of_setpoint * setpoint[k]
             effort[k] += m.effort_of_noise * noise[k]
             if not abs(output[k]) <= REACH:
-                count = k + 1
-                break
+                return output[: k + 1], effort[: k + 1]
             z = m.M @ z + driving @ inputs[:, k]
-        ended = count < setpoint.size
-        return record_of(
-            *(request, self._description, Outcome.DIVERGED if ended else Outcome.DONE),
-            *("the measurement left its range" if ended else "", "2006-01-01T00:00:00+00:00"),
-            time_s=np.arange(count) / rate,
-            setpoint_N=setpoint[:count],
-            tension_N=output[:count],
-            current_A=effort[:count],
-            angle_rad=np.zeros(count),
-            flags=np.zeros(count, np.uint8),
-        )
+        return output, effort
 
     @property
     def _pole(self) -> float:
@@ -135,9 +112,3 @@ class BatchRig:
             at, sign = int(rng.uniform(0.15, 0.9) * count), rng.choice([-1.0, 1.0])
             load[at:] += sign * self._disturbance.steps * self._step_scale
         return before, load
-
-    def apply(self, gains: Gains) -> None:
-        """Nothing: no tuning calls it."""
-
-    def close(self) -> None:
-        """Nothing is open."""

@@ -12,7 +12,7 @@ The truth is that of `truth`, by simulation of the plant, which the tuner does n
 
 import math
 import sys
-from collections.abc import Iterable
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -31,7 +31,7 @@ from experiments.loop_claims.cases import OUTSIDE, LoopCase, mode_case
 from experiments.loop_claims.search import tuned_run
 from experiments.loop_claims.truth import TrueLoop, with_noise
 from experiments.loop_prior.loops import random_plant
-from experiments.results import Target, at_least, at_most, command_line, print_results
+from experiments.results import Target, at_least, at_most, tunings_by_seed
 from experiments.sample_efficiency.problems import PROBLEMS, WEAK_ON_A_REEL
 from plants.simulation.simulated_rig import SimulatedRig
 
@@ -127,9 +127,8 @@ def is_beyond(row: dict[str, Any]) -> bool:
     return any(at > (1.0 + BEYOND) * limit for at, limit in most if limit is not None)
 
 
-def targets_of(rows: Iterable[dict[str, Any]]) -> dict[str, Target]:
+def targets_of(rows: Sequence[dict[str, Any]]) -> dict[str, Target]:
     """The targets that the rows allow to be judged."""
-    rows = list(rows)
     known = [row for row in rows if row["kind"] != "nonlinear" and row["ending"] != "refused"]
     plain = [row["ending"] == RunEnding.TUNED for row in known]
     return {
@@ -138,20 +137,6 @@ def targets_of(rows: Iterable[dict[str, Any]]) -> dict[str, Target]:
     }
 
 
-def main() -> int:
-    """Prints the rows and targets; returns 1 where a target is missed."""
-    parser = command_line(__doc__, quick="four tunings")
-    parser.add_argument("--seed0", type=int, default=0, help="first seed: see seeds.md")
-    parser.add_argument("--count", type=int, default=200, help="tunings")
-    options = parser.parse_args()
-    count = 4 if options.quick else options.count
-    rows = []
-    for seed in range(options.seed0, options.seed0 + count):
-        rows.append(measure(seed))
-        print(rows[-1], file=sys.stderr, flush=True)
-    return print_results({"rows": rows}, targets_of(rows), as_json=options.json, tables=True)
-
-
 if __name__ == "__main__":
     with one_blas_thread():  # as runs of the product do
-        sys.exit(main())
+        sys.exit(tunings_by_seed(__doc__, measure, targets_of, count=200, quick=4))

@@ -10,7 +10,7 @@ part at the end of the step, and whose true overshoot is that of a step without 
 
 import sys
 import time
-from collections.abc import Iterable
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -22,7 +22,7 @@ from estune.run.limit_verdict import measured_overshoot
 from estune.support.blas import one_blas_thread
 from experiments.loop_claims.kept_limits import is_beyond
 from experiments.loop_claims.mild_loops import MildRig, drawn
-from experiments.results import Target, at_least, at_most, command_line, print_results
+from experiments.results import Target, at_least, at_most, tunings_by_seed
 
 
 def measure(seed: int) -> dict[str, Any]:
@@ -54,9 +54,8 @@ def is_inside(row: dict[str, Any]) -> bool:
     return all(at is None or at[1] <= true <= at[2] for true, at in pairs)
 
 
-def targets_of(rows: Iterable[dict[str, Any]]) -> dict[str, Target]:
+def targets_of(rows: Sequence[dict[str, Any]]) -> dict[str, Target]:
     """The targets, each of all rows."""
-    rows = list(rows)
     tuned = [row["ending"] == RunEnding.TUNED for row in rows]
     claimed = [row for row in rows if row.get("claimed_Ms")]
     inside = float(np.mean([is_inside(row) for row in claimed])) if claimed else None
@@ -67,19 +66,6 @@ def targets_of(rows: Iterable[dict[str, Any]]) -> dict[str, Target]:
     }
 
 
-def main() -> int:
-    """Prints the rows and targets; returns 1 where a target is missed."""
-    parser = command_line(__doc__, quick="two tunings")
-    parser.add_argument("--seed0", type=int, default=0, help="first seed: see seeds.md")
-    parser.add_argument("--count", type=int, default=18, help="tunings")
-    options = parser.parse_args()
-    rows = []
-    for seed in range(options.seed0, options.seed0 + (2 if options.quick else options.count)):
-        rows.append(measure(seed))
-        print(rows[-1], file=sys.stderr, flush=True)
-    return print_results({"rows": rows}, targets_of(rows), as_json=options.json, tables=True)
-
-
 if __name__ == "__main__":
     with one_blas_thread():  # as runs of the product do
-        sys.exit(main())
+        sys.exit(tunings_by_seed(__doc__, measure, targets_of, count=18, quick=2))

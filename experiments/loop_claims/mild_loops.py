@@ -18,9 +18,9 @@ import numpy as np
 from estune.core.gains import Gains
 from estune.core.pidf import ControllerSettings, PidfState, coefficients, step
 from estune.core.quantities import FloatArray
-from estune.trial import Outcome, RigDescription, RigLimits, TrialRecord, TrialRequest
+from estune.trial import RigLimits, TrialRequest
 from estune.trial.profiles import StepProfile
-from estune.trial.records import record_of
+from experiments.written_rig import WrittenRig
 
 SAMPLING_HZ, SUBSTEPS = 632.0, 4
 FILTER_S = 1.0 / (2.0 * math.pi * 80.0)
@@ -208,7 +208,7 @@ def drawn(seed: int) -> Mild:
     )
 
 
-class MildRig:
+class MildRig(WrittenRig):
     """A rig of such a loop.
 
     Args:
@@ -217,48 +217,21 @@ class MildRig:
     """
 
     def __init__(self, loop: Mild, seed: int) -> None:
-        self._loop, self._seed, self.trials = loop, seed, 0
-        self._description = RigDescription(
+        self._loop, self._seed = loop, seed
+        super().__init__(
             name="mild",
-            gains=loop.start,
+            start=loop.start,
             controller=loop.settings,
-            newtons_per_ampere=1.0,
             limits=RigLimits(-REACH, REACH, 100.0),
             step=loop.profile,
             settling_time_s=1.0 / loop.frequency_Hz,
-            simulated=True,
-            measurement="measurement",
-            command="control effort",
         )
 
-    def describe(self) -> RigDescription:
-        """Its description."""
-        return self._description
-
-    def run(self, request: TrialRequest) -> TrialRecord:
-        """One trial; diverged where the measurement leaves its range."""
-        loop, setpoint = self._loop, request.profile.setpoint(SAMPLING_HZ)
-        rng = np.random.default_rng([29, self._seed, request.number])
+    def answer(self, request: TrialRequest, setpoint: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Measurement and effort of a trial."""
+        loop, rng = self._loop, np.random.default_rng([29, self._seed, request.number])
         noise, load = loop.noise * rng.standard_normal(setpoint.size), np.zeros(setpoint.size)
         gain = loop.gain_in(request.number, float(rng.standard_normal()))
         if rng.random() < LOADED:
             load[int(rng.uniform(0.2, 0.9) * load.size) :] = loop.load * rng.choice([-1.0, 1.0])
-        y, u = loop.simulated(request.gains, setpoint, noise, load, gain)
-        self.trials, count = self.trials + 1, y.size
-        ended = count < setpoint.size
-        return record_of(
-            *(request, self._description, Outcome.DIVERGED if ended else Outcome.DONE),
-            *("the measurement left its range" if ended else "", "2006-01-01T00:00:00+00:00"),
-            time_s=np.arange(count) / SAMPLING_HZ,
-            setpoint_N=setpoint[:count],
-            tension_N=y,
-            current_A=u,
-            angle_rad=np.zeros(count),
-            flags=np.zeros(count, np.uint8),
-        )
-
-    def apply(self, gains: Gains) -> None:
-        """Nothing: no tuning calls it."""
-
-    def close(self) -> None:
-        """Nothing is open."""
+        return loop.simulated(request.gains, setpoint, noise, load, gain)
