@@ -20,6 +20,7 @@ from estune.loop_model.intervals import predict_with_intervals
 from estune.loop_model.least_squares import Solution, signals_of
 from estune.loop_model.margins import robustness
 from estune.loop_model.model import LoopModel, close_loop, exchanged
+from estune.loop_model.noise_model import WHITE, NoiseModel
 from estune.loop_model.optimum import DERIVATIVE, RegionSearch, RobustnessLimits
 from estune.loop_model.poles import pair_coordinates, polynomial
 from estune.loop_model.prediction import StepTrial, predict, predictions
@@ -355,18 +356,21 @@ def test_prediction_errors_without_a_compiler_are_the_same(monkeypatch):
     records = [record_of(linear(), g, n) for n, g in enumerate(around(GAINS, 3))]
     in_motion = [records[0]._replace(at_rest=False)]
     poles = [(-1.0,), (-2.0, -0.5), (-2.0, -0.5, 97.0), (97.0, 98.0, -2.0, -0.5), (97.0, 0.0)]
+    noises = (WHITE, NoiseModel(10.0, 0.0), NoiseModel(0.0, 1e-3, (0.5, 0.2)))
     asked = [
-        (signals_of(some, 80.0, 80)._replace(hum=hum), np.array(x), dead)
+        (signals_of(some, 80.0, 80)._replace(hum=hum), np.array(x), dead, noise)
         for some in (records, [*records[1:], *in_motion])
         for hum in (0.0, 0.3)
         for x in poles
         for dead in (0, 9)
+        for noise in noises
     ]
 
     def found():
-        for signals, x, dead in asked:
-            at = Solution.at(signals, x, dead)
-            yield at.residual, at.numerator, at.search_slopes(signals)
+        for signals, x, dead, noise in asked:
+            at = Solution.at(signals, x, dead, noise)
+            least = Solution.least(signals, x, (2, 7), noise)
+            yield at.residual, at.numerator, at.search_slopes(signals), np.array(least)
 
     compiled = list(found())
     monkeypatch.setattr(least_squares, "compiled", lambda _: None)

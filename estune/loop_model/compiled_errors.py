@@ -2,7 +2,7 @@
 
 import ctypes
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from itertools import accumulate
 from typing import Any, NamedTuple
 
@@ -16,14 +16,15 @@ MOST_COLUMNS = 24
 """Columns that the C code has room for in each group."""
 
 _COUNTS = ("order", "terms", "dead", "groups", "residuals", "longest", "given")
-_ARRAYS = ("coordinates", "sizes", "signals", "numerator", "ranks", "nuisance")
+_FILTERS = ("zeros", "over", "colours")
+_ARRAYS = ("coordinates", "filters", "sizes", "signals", "numerator", "ranks", "nuisance")
 
 
 class _Task(ctypes.Structure):
     """Argument of the C functions."""
 
     _fields_ = (
-        *((name, ctypes.c_long) for name in _COUNTS),
+        *((name, ctypes.c_long) for name in (*_COUNTS, *_FILTERS)),
         ("hum", ctypes.c_double),
         *((n, ctypes.c_void_p) for n in (*_ARRAYS, "regressors", "basis", "residual", "slopes")),
     )
@@ -31,6 +32,20 @@ class _Task(ctypes.Structure):
 
 Group = tuple[FloatArray, FloatArray, int]
 """Effort and measurement, shape (records, samples), and the history."""
+
+
+class NoiseFilters(NamedTuple):
+    """Filters of a noise that is not white.
+
+    Attributes:
+        zeros: Number of sections of C.
+        over: Number of sections of A.
+        taps: Those of both, three each, and of P N behind them.
+    """
+
+    zeros: int
+    over: int
+    taps: FloatArray
 
 
 class CompiledErrors(NamedTuple):
@@ -57,9 +72,22 @@ class CompiledErrors(NamedTuple):
     def slopes(self) -> FloatArray:
         """Slopes of the residual along the coordinates, shape (residuals, coordinates)."""
         task = self.memory[0]
-        found = np.empty((task.order, task.residuals))
+        return self._slopes(task.order, self.library.estune_error_slopes)
+
+    def noise_slopes(self, moved: Sequence[NoiseFilters], step: float) -> FloatArray:
+        """Slopes to filters that are moved by a step each, shape (residuals, moves)."""
+        taps = np.concatenate([one.taps for one in moved])
+        move = self.library.estune_noise_slopes
+        address, by = ctypes.c_void_p(taps.ctypes.data), ctypes.c_double(step)
+        return self._slopes(
+            len(moved), lambda task: move(task, ctypes.c_long(len(moved)), address, by)
+        )
+
+    def _slopes(self, count: int, found_by: Callable[[Any], int]) -> FloatArray:
+        task = self.memory[0]
+        found = np.empty((count, task.residuals))
         task.slopes = found.ctypes.data
-        if self.library.estune_error_slopes(ctypes.byref(task)):
+        if found_by(ctypes.byref(task)):
             raise MemoryError("no memory for the slopes of a fit")
         return found.T
 
@@ -72,13 +100,16 @@ def compiled_errors(
     *,
     dead: int,
     numerator: FloatArray | None,
+    filters: NoiseFilters | None = None,
 ) -> CompiledErrors:
-    """The prediction errors with white noise.
+    """The prediction errors; without filters those with white noise.
 
     Raises:
         MemoryError: there is not enough memory.
     """
-    task, numbers, ranks, memory = _task(groups, hum, coordinates, dead, numerator=numerator)
+    task, numbers, ranks, memory = _task(
+        groups, hum, coordinates, dead, numerator=numerator, filters=filters
+    )
     if library.estune_prediction_errors(ctypes.byref(task)):
         raise MemoryError("no memory for the errors of a fit")
     _, b, residual, regressors, basis, nuisance = numbers
@@ -90,6 +121,29 @@ def compiled_errors(
         (task, memory),
         library,
     )
+
+
+def delayed_errors(
+    library: ctypes.CDLL,
+    groups: Sequence[Group],
+    hum: float,
+    coordinates: FloatArray,
+    *,
+    delays: Sequence[int],
+    filters: NoiseFilters | None,
+) -> FloatArray:
+    """Sums of squared errors at some dead times, shape (delays,), for which all is filtered once.
+
+    Raises:
+        MemoryError: there is not enough memory.
+    """
+    task, *_, memory = _task(groups, hum, coordinates, 0, filters=filters)
+    squares, dead = np.empty(len(delays)), np.array(delays, np.int64)
+    arrays = (ctypes.c_void_p(one.ctypes.data) for one in (dead, squares))
+    if library.estune_delayed_errors(ctypes.byref(task), ctypes.c_long(len(delays)), *arrays):
+        raise MemoryError("no memory for the errors of a fit")
+    del memory  # the task reads it until here
+    return squares
 
 
 def filtered_errors(
@@ -126,6 +180,7 @@ def _task(
     *,
     numerator: FloatArray | None = None,
     terms: int | None = None,
+    filters: NoiseFilters | None = None,
 ) -> tuple[_Task, list[FloatArray], NDArray[np.int64], list[NDArray[Any]]]:
     """The argument of the C functions, its arrays of numbers, its ranks, and all its memory."""
     lengths = [effort.shape[1] - history for effort, _, history in groups]
@@ -141,20 +196,23 @@ def _task(
         np.int64,
     )
     rows = (m, residuals)
-    shapes = (x.shape, (m,), (residuals,), rows, rows, (count, MOST_COLUMNS, longest))
+    zeros, over, taps = filters or NoiseFilters(0, 0, np.empty(0))
+    given = x if filters is None else np.concatenate([x, taps])
+    shapes = (given.shape, (m,), (residuals,), rows, rows, (count, MOST_COLUMNS, longest))
     sizes = [math.prod(shape) for shape in shapes]
     block = np.empty(sum(sizes))
     ends = [*accumulate(sizes)]
     parts = zip((0, *ends), ends, shapes, strict=False)
     numbers = [block[begin:end].reshape(shape) for begin, end, shape in parts]
-    numbers[0][:] = x
+    numbers[0][:] = given
     if numerator is not None:
         numbers[1][:] = numerator
     of_x, b, residual, regressors, basis, nuisance = places(block, sizes)
     sized, addresses, ranks = places(whole, (3 * count, 2 * count, count))
-    given = numerator is not None
+    of_filters = of_x + x.nbytes
     task = _Task(
-        *(x.size, m, dead, count, residuals, longest, given, hum),
-        *(of_x, sized, addresses, b, ranks, nuisance, regressors, basis, residual),
+        *(x.size, m, dead, count, residuals, longest, numerator is not None),
+        *(zeros, over, taps.size - 3 * (zeros + over), hum),
+        *(of_x, of_filters, sized, addresses, b, ranks, nuisance, regressors, basis, residual),
     )
     return task, numbers, whole[-count:], [block, whole, *signals]

@@ -7,6 +7,7 @@ import numpy as np
 
 from estune.core.filtering import lfilter
 from estune.core.quantities import FloatArray
+from estune.loop_model.compiled_errors import NoiseFilters
 from estune.loop_model.noise_model import NoiseModel, shaping
 from estune.loop_model.poles import sections_of
 
@@ -42,6 +43,21 @@ def filters_of(
         )
     H = shaping(coordinates, noise, settling)
     return Filters(H.effort, H.zeros, H.zeros, H.poles)
+
+
+def noise_filters(
+    coordinates: Sequence[float] | FloatArray, noise: NoiseModel, settling: float
+) -> NoiseFilters:
+    """The filters of a noise that is not white, as compiled code takes them."""
+    H = shaping(coordinates, noise, settling)
+    zeros, over = len(coordinates) // 2 + 1, len(H.poles) - 1
+    taps = np.zeros((zeros + over, 3))
+    taps[:, 0] = 1.0
+    for row, section in zip(
+        (*range(len(H.zeros)), *range(zeros, zeros + over)), (*H.zeros, *H.poles[:-1]), strict=True
+    ):
+        taps[row, : section.size] = section
+    return NoiseFilters(zeros, over, np.concatenate([taps.ravel(), H.effort]))
 
 
 def regressors_of(signals: FloatArray, filters: Filters, poles: int) -> FloatArray:

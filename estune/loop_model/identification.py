@@ -6,6 +6,7 @@ several starts, the dead time, a whole number of samples, beside the best one fo
 
 import math
 from collections.abc import Callable, Iterable, Sequence
+from itertools import product
 from operator import attrgetter
 from typing import NamedTuple, TypeVar
 
@@ -60,12 +61,10 @@ def cold_starts(signals: FitSignals, noises: Iterable[NoiseModel] = (WHITE,)) ->
     scale = 2.0 * math.pi / signals.settling_samples  # rad/sample
     delays = dead_times(signals.settling_samples)
     poles = [np.log([scale * f, z]) for f in START_FREQUENCIES for z in START_DAMPINGS]
-    coarse = [
-        PoleFit(best.cost, x, best.dead, noise)
-        for x in poles
-        for noise in noises
-        for best in [min(Solution.over(signals, x, delays, noise), key=by_cost)]
-    ]
+    coarse = []
+    for x, noise in product(poles, noises):
+        cost, dead = Solution.least(signals, x, delays, noise)
+        coarse.append(PoleFit(cost, x, dead, noise))
     ranked = sorted(coarse, key=by_cost)
     starts = [*ranked[:STARTS], ranked[0]._replace(dead=0)]
     found = list[PoleFit]()

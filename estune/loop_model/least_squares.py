@@ -19,20 +19,21 @@ controller.
 """
 
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Sequence
 from functools import lru_cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from estune.core.filtering import lfilter
 from estune.core.quantities import FloatArray
 from estune.loop_model.compiled import compiled
-from estune.loop_model.compiled_errors import CompiledErrors, compiled_errors
+from estune.loop_model.compiled_errors import CompiledErrors, compiled_errors, delayed_errors
 from estune.loop_model.error_filters import (
     delayed,
     differenced,
     filters_of,
+    noise_filters,
     regressors_of,
     whiten,
     without,
@@ -177,49 +178,39 @@ class Solution(NamedTuple):
         numerator: FloatArray | None = None,
     ) -> "Solution":
         """The solution at these poles, this noise and dead time; or with a given numerator."""
-        return next(cls.over(signals, coordinates, (dead,), noise, numerator))
-
-    @classmethod
-    def over(
-        cls,
-        signals: FitSignals,
-        coordinates: FloatArray,
-        delays: Iterable[int],
-        noise: NoiseModel = WHITE,
-        numerator: FloatArray | None = None,
-    ) -> "Iterator[Solution]":
-        """The solutions at several dead times, for which all is filtered once."""
-        library = compiled("prediction_errors") if noise.is_white else None
+        library = compiled("prediction_errors")
         if library is not None:
-            for dead in delays:
-                groups, hum = [group[:3] for group in signals.groups], signals.hum
-                found = compiled_errors(
-                    library, groups, hum, coordinates, dead=dead, numerator=numerator
-                )
-                yield cls(coordinates, noise, dead, *found[:-2], found)
-            return
+            asked = _asked(signals, coordinates, noise)
+            found = compiled_errors(library, **asked, dead=dead, numerator=numerator)
+            return cls(coordinates, noise, dead, *found[:-2], found)
         filters = filters_of(coordinates, noise, signals.settling_samples)
-        nuisance = tuple(
-            nuisance_of(group, coordinates, noise, signals) for group in signals.groups
-        )
-        targets, undelayed = [], []
-        for group, Q in zip(signals.groups, nuisance, strict=True):
+        nuisance, targets, rows = [], [], []
+        for group in signals.groups:
+            Q = nuisance_of(group, coordinates, noise, signals)
             target = whiten(group.measurement, filters.zeros, filters.poles)
+            terms = delayed(regressors_of(group.effort, filters, coordinates.size), dead + 1)
+            nuisance.append(Q)
             targets.append(without(target[:, group.history :], Q).ravel())
-            undelayed.append(
-                (regressors_of(group.effort, filters, coordinates.size), group.history, Q)
-            )
-        y = targets[0] if len(targets) == 1 else np.concatenate(targets)
-        for dead in delays:
-            late = [(delayed(terms, dead + 1)[..., h:], Q) for terms, h, Q in undelayed]
-            rows = [without(terms, Q).reshape(len(terms), -1) for terms, Q in late]
-            X = (rows[0] if len(rows) == 1 else np.concatenate(rows, axis=1)).T
-            size = np.maximum(np.linalg.norm(X, axis=0), 1e-300)
-            basis, triangle = np.linalg.qr(X / size)  # almost collinear: not by X'X
-            b = numerator
-            if b is None:
-                b = np.linalg.lstsq(triangle, basis.T @ y, rcond=1e-10)[0] / size
-            yield cls(coordinates, noise, dead, nuisance, X, basis, b, y - X @ b)
+            rows.append(without(terms[..., group.history :], Q).reshape(len(terms), -1))
+        y, X = np.concatenate(targets), np.concatenate(rows, axis=1).T
+        size = np.maximum(np.linalg.norm(X, axis=0), 1e-300)
+        basis, triangle = np.linalg.qr(X / size)  # almost collinear: not by X'X
+        b = numerator
+        if b is None:
+            b = np.linalg.lstsq(triangle, basis.T @ y, rcond=1e-10)[0] / size
+        return cls(coordinates, noise, dead, tuple(nuisance), X, basis, b, y - X @ b)
+
+    @staticmethod
+    def least(
+        signals: FitSignals, coordinates: FloatArray, delays: Sequence[int], noise: NoiseModel
+    ) -> tuple[float, int]:
+        """The least cost at some dead times, and the dead time that has it."""
+        library, n = compiled("prediction_errors"), signals.samples
+        if library is None:
+            found = (Solution.at(signals, coordinates, dead, noise).cost for dead in delays)
+            return min(zip(found, delays, strict=True))
+        squares = delayed_errors(library, **_asked(signals, coordinates, noise), delays=delays)
+        return min((_cost(s, d, n), d) for s, d in zip(squares.tolist(), delays, strict=True))
 
     @property
     def squares(self) -> float:
@@ -229,7 +220,7 @@ class Solution(NamedTuple):
     @property
     def cost(self) -> float:
         """Half the sum of squared residuals, with the price of dead time."""
-        return 0.5 * self.squares * math.exp(LONGER * self.dead / self.residual.size)
+        return _cost(self.squares, self.dead, self.residual.size)
 
     def search_slopes(self, signals: FitSignals) -> FloatArray:
         """Slopes of the residual along coordinates and logarithms of the noise.
@@ -237,10 +228,9 @@ class Solution(NamedTuple):
         Shape (residuals of all, coordinates and noises). The numerator is held. For white noise
         the slopes along a tap a_i of a section are q^-i/A of the fitted output.
         """
-        if self.compiled is not None:
-            return self.compiled.slopes()
         if self.noise.is_white:
-            return self._output_slopes(signals)
+            found = self.compiled
+            return self._output_slopes(signals) if found is None else found.slopes()
         return self._numerical_slopes(signals)
 
     def _output_slopes(self, signals: FitSignals) -> FloatArray:
@@ -269,12 +259,13 @@ class Solution(NamedTuple):
 
     def _numerical_slopes(self, signals: FitSignals) -> FloatArray:
         """Slopes along coordinates and the logarithms of the noise, with the numerator held."""
-        columns = []
         start = search_vector(self.coordinates, self.noise)
-        for axis in np.eye(start.size):
-            moved = self._residual_at(signals, *split_vector(start + NOISE_STEP * axis, self))
-            columns.append((moved - self.residual) / NOISE_STEP)
-        return np.stack(columns, axis=1)
+        moved = [split_vector(start + NOISE_STEP * axis, self) for axis in np.eye(start.size)]
+        if self.compiled is not None:
+            filters = [noise_filters(*at, signals.settling_samples) for at in moved]
+            return self.compiled.noise_slopes(filters, NOISE_STEP)
+        left = [self._residual_at(signals, *at) - self.residual for at in moved]
+        return np.stack(left, axis=1) / NOISE_STEP
 
     def _residual_at(
         self, signals: FitSignals, coordinates: FloatArray, noise: NoiseModel
@@ -297,6 +288,21 @@ class Solution(NamedTuple):
         """Slopes of the residual along coordinates, numerator and noise, (residuals, all)."""
         searched, n = self.search_slopes(signals), self.coordinates.size
         return np.concatenate([searched[:, :n], -self.regressors, searched[:, n:]], axis=1)
+
+
+def _asked(signals: FitSignals, coordinates: FloatArray, noise: NoiseModel) -> dict[str, Any]:
+    """What compiled code is asked for the errors at some poles and noise."""
+    settling = signals.settling_samples
+    return {
+        "groups": [group[:3] for group in signals.groups],
+        "hum": signals.hum,
+        "coordinates": coordinates,
+        "filters": None if noise.is_white else noise_filters(coordinates, noise, settling),
+    }
+
+
+def _cost(squares: float, dead: int, samples: int) -> float:
+    return 0.5 * squares * math.exp(LONGER * dead / samples)
 
 
 def search_vector(coordinates: FloatArray, noise: NoiseModel) -> FloatArray:

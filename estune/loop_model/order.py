@@ -231,12 +231,12 @@ def without_spare_pole(signals: FitSignals, fit: PoleFit) -> PoleFit:
     singles = rates + np.where(pair.log_poles.real > 0.0, OUTSIDE, 0.0)
     # A fast spare pole stands for dead time.
     delays = sorted({two.dead, *dead_times(signals.settling_samples)})
-    coarse = (
-        PoleFit(at.cost, at.coordinates, at.dead, two.noise)
-        for single in singles
-        for at in Solution.over(signals, np.array([single]), delays, two.noise)
-    )
-    one = searched_dead_time(signals, [min(coarse, key=by_cost)])
+    coarse = [
+        (*Solution.least(signals, np.array([single]), delays, two.noise), single)
+        for single in singles.tolist()
+    ]
+    cost, dead, single = min(coarse)
+    one = searched_dead_time(signals, [PoleFit(cost, np.array([single]), dead, two.noise)])
     return min(_judged(signals, two), _judged(signals, one), key=lambda it: it.criterion).fit
 
 

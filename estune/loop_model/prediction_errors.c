@@ -1,7 +1,7 @@
-/* Prediction errors of records for given poles and dead time, with white noise.
+/* Prediction errors of records for given poles, noise and dead time.
 
 The same as `least_squares.Solution`, which says why: the numerator, start states and offsets of
-least squares. Rows of signals are behind one another: group by group, record by record, without
+least squares. With white noise the filters follow from the poles, else they are given. Rows of signals are behind one another: group by group, record by record, without
 the samples of the history. */
 
 #define MOST_COLUMNS 24
@@ -11,8 +11,10 @@ the samples of the history. */
 
 typedef struct {
     long order, terms, dead, groups, residuals, longest, given;
+    long zeros, over, colours;    /* sections of C and of A, taps of P N; none with white noise */
     double hum;                   /* rad/sample; zero without one */
     const double *coordinates;    /* (order,) */
+    const double *filters;        /* (zeros + over, 3) and (colours,) */
     const long *sizes;            /* (groups, 3): records, samples, history */
     const long *signals;          /* (groups, 2): addresses of effort and measurement */
     double *numerator;            /* (terms,); input where it is given */
@@ -188,19 +190,62 @@ static void all_pass(long n, long count, const Section *s, long but, double *x)
             filter(n, s[i].taps, s[i].mirrored, x, x);
 }
 
+/* A signal through P N, in place. */
+static void colour(const FitTask *t, long n, double *x)
+{
+    const double *taps = t->filters + 3 * (t->zeros + t->over);
+    for (; n > 0; n--) {
+        double sum = 0.0;
+        long k;
+        for (k = 0; k < t->colours && k < n; k++)
+            sum += taps[k] * x[n - 1 - k];
+        x[n - 1] = sum;
+    }
+}
+
+/* A signal through 1/H, in place. */
+static void whiten(const FitTask *t, long n, long count, const Section *s, double *x)
+{
+    long i;
+    if (!t->zeros) {
+        all_pass(n, count, s, -1, x);
+        return;
+    }
+    for (i = 0; i < t->zeros; i++)
+        filter(n, i < t->over ? t->filters + 3 * (t->zeros + i) : ONE, t->filters + 3 * i, x, x);
+    colour(t, n, x);
+}
+
+/* The effort through its filter but for B, in place. */
+static void drive(const FitTask *t, long n, long count, const Section *s, double *x)
+{
+    long i;
+    if (t->zeros)
+        colour(t, n, x);
+    for (i = 0; i < (t->zeros ? t->zeros : count); i++)
+        filter(n, ONE, t->zeros ? t->filters + 3 * i : s[i].mirrored, x, x);
+}
+
+/* Poles whose start states are free, with such a history. */
+static long swinging(const FitTask *t, long history)
+{
+    return t->zeros || history || t->order < 2 ? t->order : 2;
+}
+
 /* Orthonormal rows of start states and offsets in n samples; their number. */
-static long nuisance_at(const FitTask *t, long poles, long n, double *Q)
+static long nuisance_at(const FitTask *t, long history, long n, double *Q)
 {
     Section s[MOST_SECTIONS];
-    long i, j, k, rows = 0, rank = 0, count = sections_at(poles, t->coordinates, s);
-    long stride = t->longest, levels = t->hum ? 5 : 1;
+    long i, j, k, rows = 0, rank = 0, count = sections_at(swinging(t, history), t->coordinates, s);
+    long stride = t->longest, levels = t->hum ? 5 : 1, free_ones = t->zeros ? t->zeros : count;
     double W[MOST_COLUMNS * MOST_COLUMNS], sizes[MOST_COLUMNS], largest = 0.0, *last = Q;
-    for (i = 0; i < count; i++) {
+    for (i = 0; i < free_ones; i++) {
         double *free = Q + rows * stride;
         memset(free, 0, n * sizeof *free), free[0] = 1.0;
-        filter(n, ONE, s[i].mirrored, i ? last : free, free);
+        filter(n, ONE, t->zeros ? t->filters + 3 * i : s[i].mirrored, i ? last : free, free);
         last = free, rows++;
-        if (s[i].size == 3) {
+        /* C has a zero more than A has poles. */
+        if (t->zeros ? 2 * i < t->order : s[i].size == 3) {
             double *later = Q + rows++ * stride;
             later[0] = 0.0, memcpy(later + 1, free, (n - 1) * sizeof *free);
         }
@@ -211,9 +256,9 @@ static long nuisance_at(const FitTask *t, long poles, long n, double *Q)
             double place = k > 2 ? 2.0 * i / (t->longest - 1.0) - 1.0 : 1.0;
             level[i] = !k ? 1.0 : place * (k % 2 ? cos(t->hum * i) : sin(t->hum * i));
         }
-        all_pass(n, count, s, -1, level);
+        whiten(t, n, count, s, level);
     }
-    {
+    if (!t->zeros) { /* else an offset of the effort dies out */
         double *sum = Q + rows++ * stride, total = 0.0;
         for (i = 0; i < n; i++)
             sum[i] = total += last[i];
@@ -285,53 +330,159 @@ static void differences(long n, double *x)
         x[n - 1] -= x[n - 2];
 }
 
-/* Returns zero, or one where there is no memory. */
-__attribute__((visibility("default"))) int estune_prediction_errors(const FitTask *t)
+/* Samples of the longest record, with its history. */
+static long most_samples(const FitTask *t)
 {
-    Section s[MOST_SECTIONS];
-    long count = sections_at(t->order, t->coordinates, s), g, i, j, k, r, at = 0;
-    long N = t->residuals, m = t->terms, late = t->dead + 1, most = 1;
-    double triangle[MOST_COLUMNS * MOST_COLUMNS], *work;
+    long g, most = 1;
     for (g = 0; g < t->groups; g++)
         most = t->sizes[3 * g + 1] > most ? t->sizes[3 * g + 1] : most;
-    if (!(work = malloc(2 * most * sizeof *work)))
-        return 1;
+    return most;
+}
+
+/* Start states and offsets, the measurement without them, as the residual, and the undelayed terms
+ * of the effort: (terms, samples of all); NULL where there is no memory. */
+static double *filtered(const FitTask *t)
+{
+    Section s[MOST_SECTIONS];
+    long count = sections_at(t->order, t->coordinates, s), g, k, r, at = 0, whole = 0;
+    double *driven, *x, *y;
+    for (g = 0; g < t->groups; g++)
+        whole += t->sizes[3 * g] * t->sizes[3 * g + 1];
+    if (!(driven = malloc((t->terms * whole + most_samples(t)) * sizeof *driven)))
+        return NULL;
+    x = driven, y = driven + t->terms * whole;
     for (g = 0; g < t->groups; g++) {
         long records = t->sizes[3 * g], samples = t->sizes[3 * g + 1], h = t->sizes[3 * g + 2];
-        long n = samples - h, poles = h || t->order < 2 ? t->order : 2;
-        double *Q = t->nuisance + g * MOST_COLUMNS * t->longest, *x = work, *y = work + most;
+        long n = samples - h;
+        double *Q = t->nuisance + g * MOST_COLUMNS * t->longest;
         const double *effort = (const double *)t->signals[2 * g];
         const double *measurement = (const double *)t->signals[2 * g + 1];
-        t->ranks[g] = nuisance_at(t, poles, n, Q);
-        for (r = 0; r < records; r++, at += n) {
+        t->ranks[g] = nuisance_at(t, h, n, Q);
+        for (r = 0; r < records; r++, at += n, x += samples) {
             memcpy(y, measurement + r * samples, samples * sizeof *y);
-            all_pass(samples, count, s, -1, y);
+            whiten(t, samples, count, s, y);
             memcpy(t->residual + at, y + h, n * sizeof *y);
             without(n, t->ranks[g], t->longest, Q, t->residual + at);
             memcpy(x, effort + r * samples, samples * sizeof *x);
-            for (i = 0; i < count; i++)
-                filter(samples, ONE, s[i].mirrored, x, x);
-            for (k = 0; k < m; k++) {
-                late_row(t, g, h, n, late, x, t->regressors + k * N + at);
-                differences(samples, x);
+            drive(t, samples, count, s, x);
+            for (k = 1; k < t->terms; k++) {
+                memcpy(x + k * whole, x + (k - 1) * whole, samples * sizeof *x);
+                differences(samples, x + k * whole);
             }
         }
     }
-    free(work);
+    return driven;
+}
+
+/* The regressors at some dead time, of the terms of the effort. */
+static void regress(const FitTask *t, long dead, const double *driven)
+{
+    long g, k, r, at;
+    for (k = 0; k < t->terms; k++)
+        for (g = at = 0; g < t->groups; g++) {
+            long samples = t->sizes[3 * g + 1], h = t->sizes[3 * g + 2], n = samples - h;
+            for (r = 0; r < t->sizes[3 * g]; r++, at += n, driven += samples)
+                late_row(t, g, h, n, dead + 1, driven, t->regressors + k * t->residuals + at);
+        }
+}
+
+/* Returns zero, or one where there is no memory. */
+__attribute__((visibility("default"))) int estune_prediction_errors(const FitTask *t)
+{
+    double triangle[MOST_COLUMNS * MOST_COLUMNS], *driven = filtered(t);
+    long j;
+    if (!driven)
+        return 1;
+    regress(t, t->dead, driven);
+    free(driven);
     solve_rows(t, 0, triangle, t->residual, t->given ? NULL : t->numerator);
-    for (j = 0; j < m; j++)
-        less(N, t->numerator[j], t->regressors + j * N, t->residual);
+    for (j = 0; j < t->terms; j++)
+        less(t->residuals, t->numerator[j], t->regressors + j * t->residuals, t->residual);
     return 0;
 }
 
-/* Slopes of the residual along the coordinates, the numerator held. */
+/* Sums of squares at some dead times. Returns zero, or one where there is no memory. */
+__attribute__((visibility("default"))) int estune_delayed_errors(
+    const FitTask *t, long delays, const long *dead, double *squares)
+{
+    double triangle[MOST_COLUMNS * MOST_COLUMNS], *driven = filtered(t);
+    double *left = driven ? malloc(t->residuals * sizeof *left) : NULL;
+    long d, j;
+    for (d = 0; left && d < delays; d++) {
+        regress(t, dead[d], driven);
+        solve_rows(t, 0, triangle, t->residual, t->numerator);
+        memcpy(left, t->residual, t->residuals * sizeof *left);
+        for (j = 0; j < t->terms; j++)
+            less(t->residuals, t->numerator[j], t->regressors + j * t->residuals, left);
+        squares[d] = dot(t->residuals, left, left);
+    }
+    d = !left;
+    free(left), free(driven);
+    return d;
+}
+
+/* Slopes of the residual with a noise, the numerator held: differences to some moved filters, each
+ * as `filters` of the task. A and C alone move, so that the signals pass P N once. */
+__attribute__((visibility("default"))) int estune_noise_slopes(
+    const FitTask *t, long moves, const double *filters, double step)
+{
+    long N = t->residuals, most = most_samples(t), g, i, k, r, v, begun = 0;
+    double *Q = malloc((MOST_COLUMNS * t->longest + most) * sizeof *Q), *x, *signals = NULL;
+    if (!Q)
+        return 1;
+    x = Q + MOST_COLUMNS * t->longest;
+    for (g = 0; g < t->groups; g++) {
+        long records = t->sizes[3 * g], samples = t->sizes[3 * g + 1], h = t->sizes[3 * g + 2];
+        long n = samples - h, late = t->dead + 1, whole = records * samples;
+        double *measured, *driven, *other = realloc(signals, 2 * whole * sizeof *other);
+        if (!other) {
+            free(signals), free(Q);
+            return 1;
+        }
+        signals = measured = other, driven = measured + whole;
+        memcpy(measured, (const double *)t->signals[2 * g + 1], whole * sizeof *measured);
+        for (r = 0; r < records; r++) {
+            const double *effort = (const double *)t->signals[2 * g] + r * samples;
+            double *own = driven + r * samples;
+            memset(own, 0, samples * sizeof *own);
+            for (k = t->terms - 1; k >= 0; k--) {
+                differences(samples, own);
+                for (i = late; i < samples; i++)
+                    own[i] += t->numerator[k] * effort[i - late];
+            }
+            colour(t, samples, own), colour(t, samples, measured + r * samples);
+        }
+        for (v = 0; v < moves; v++) {
+            FitTask moved = *t;
+            long at = begun, rank;
+            moved.filters = filters + v * (3 * (t->zeros + t->over) + t->colours);
+            rank = nuisance_at(&moved, h, n, Q);
+            for (r = 0; r < records; r++, at += n) {
+                double *slope = t->slopes + v * N + at;
+                memcpy(x, measured + r * samples, samples * sizeof *x);
+                for (i = 0; i < t->over; i++)
+                    filter(samples, moved.filters + 3 * (t->zeros + i), ONE, x, x);
+                less(samples, 1.0, driven + r * samples, x);
+                for (i = 0; i < t->zeros; i++)
+                    filter(samples, ONE, moved.filters + 3 * i, x, x);
+                memcpy(slope, x + h, n * sizeof *slope);
+                without(n, rank, t->longest, Q, slope);
+                for (i = 0; i < n; i++)
+                    slope[i] = (slope[i] - t->residual[at + i]) / step;
+            }
+        }
+        begun += records * n;
+    }
+    free(signals), free(Q);
+    return 0;
+}
+
+/* Slopes of the residual along the coordinates, the numerator held, with white noise. */
 __attribute__((visibility("default"))) int estune_error_slopes(const FitTask *t)
 {
     Section s[MOST_SECTIONS], high[MOST_SECTIONS], low[MOST_SECTIONS];
     double moved[2 * MOST_SECTIONS], *work;
-    long count = sections_at(t->order, t->coordinates, s), c, g, i, k, r, most = 1;
-    for (g = 0; g < t->groups; g++)
-        most = t->sizes[3 * g + 1] > most ? t->sizes[3 * g + 1] : most;
+    long count = sections_at(t->order, t->coordinates, s), c, g, i, k, r, most = most_samples(t);
     if (!(work = malloc(4 * most * sizeof *work)))
         return 1;
     for (c = 0; c < t->order; c++) {
@@ -382,9 +533,7 @@ __attribute__((visibility("default"))) int estune_filtered_errors(
     Section s[MOST_SECTIONS];
     double triangle[MOST_COLUMNS * MOST_COLUMNS], *work;
     long n_poles = t->order, count = sections_at(n_poles, t->coordinates, s), N = t->residuals;
-    long d, g, i, k, r, most = 1;
-    for (g = 0; g < t->groups; g++)
-        most = t->sizes[3 * g + 1] > most ? t->sizes[3 * g + 1] : most;
+    long d, g, i, k, r, most = most_samples(t);
     if (!(work = malloc((most + N) * sizeof *work)))
         return 1;
     for (d = 0; d < delays; d++) {
@@ -392,9 +541,9 @@ __attribute__((visibility("default"))) int estune_filtered_errors(
         double *x = work, *left = work + most, *found = numbers + d * t->terms;
         for (g = 0; g < t->groups; g++) {
             long records = t->sizes[3 * g], samples = t->sizes[3 * g + 1];
-            long h = t->sizes[3 * g + 2], n = samples - h, poles = h || n_poles < 2 ? n_poles : 2;
+            long h = t->sizes[3 * g + 2], n = samples - h;
             if (!d)
-                t->ranks[g] = nuisance_at(t, poles, n, t->nuisance + g * MOST_COLUMNS * t->longest);
+                t->ranks[g] = nuisance_at(t, h, n, t->nuisance + g * MOST_COLUMNS * t->longest);
             for (r = 0; r < records; r++, at += n)
                 for (k = from ? 1 : 0; k < 2; k++) { /* the past of the measurement; the effort */
                     const double *signal = (const double *)t->signals[2 * g + 1 - k] + r * samples;
