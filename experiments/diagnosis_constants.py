@@ -15,7 +15,7 @@ import math
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from statistics import median
-from typing import NamedTuple
+from typing import Any, NamedTuple
 from unittest import mock
 
 import plants
@@ -154,11 +154,16 @@ def in_noise(cases: int, c: Constants) -> tuple[float, float]:
     return found / (2.0 * cases), blamed / cases
 
 
+def with_value(name: str, value: Any) -> Constants:
+    """The table with another value of one number."""
+    return CONSTANTS._replace(**{name: value})
+
+
 def curve(
     name: str, values: Sequence[float], rates: Callable[[Constants], tuple[float, float]]
 ) -> list[Point]:
     """Rates over the values of one number."""
-    return [Point(v, *rates(CONSTANTS._replace(**{name: v}))) for v in values]
+    return [Point(v, *rates(with_value(name, v))) for v in values]
 
 
 def main() -> int:

@@ -18,6 +18,18 @@ def test_no_number_outside_the_table_decides():
     assert not outside()
 
 
+def test_number_with_a_name_is_found_alone_or_among_others(tmp_path):
+    lines = [
+        "FOLDS, STRETCHES = 4, 32",
+        "FINER = (0.7, 0.2)",
+        "SIZES: list[float] = [3.0]",
+        "GRID = linspace(0.02, 0.9, LEVELS)",
+    ]
+    units = 'UNITS = {"degrees": 57.3}'
+    (tmp_path / "one.py").write_text("\n".join([*lines, units, "NAMES = ('a', 'b')"]))
+    assert {found.partition("  ")[2] for found in outside(tmp_path)} == set(lines)
+
+
 def test_number_of_the_table_is_replaced_while_the_context_lasts():
     (number,) = (n for n in numbers() if n.name == "nothing")
     assert decide(BASE, []).verdict == "unknown"

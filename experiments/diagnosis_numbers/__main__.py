@@ -29,7 +29,14 @@ import numpy as np
 import plants
 from estune.support.blas import one_blas_thread
 from experiments.diagnosis_numbers.cases import CASES, DiagnosisCase, case_of
-from experiments.diagnosis_numbers.numbers import FOLDER, Number, numbers, outside, replaced
+from experiments.diagnosis_numbers.numbers import (
+    FOLDER,
+    Number,
+    numbers,
+    outside,
+    replaced,
+    scaled,
+)
 from experiments.results import command_line, print_results
 from plants.diagnosis.models.diagnosed_model import diagnosed
 from plants.diagnosis.pipeline.check import check
@@ -155,7 +162,7 @@ def answer_with(
 
     anew = any(part in path for path, _ in uses for part in FITTED_WITH)
     anew |= any(n.name in ("effective", "range") for n in numbers)
-    others = {n: factor * n.value for n in numbers}
+    others = {n: scaled(n, factor) for n in numbers}
     try:
         with replaced(others), fits_made_once({} if anew else made):
             said = diagnose(case, known, stop)
@@ -254,7 +261,7 @@ def table(rows: list[dict[str, Any]], known: list[Number]) -> dict[str, Any]:
             what = f"{row['case']} x{row['factor']:g}: {row['before']} -> {row['after']}"
             changed[row["number"]].append(what)
     return {
-        f"{n.name} = {n.value:g}": {"cases": len(used[n.name]), "changed": changed[n.name]}
+        f"{n.name} = {n.value}": {"cases": len(used[n.name]), "changed": changed[n.name]}
         for n in known
     }
 
@@ -272,7 +279,7 @@ def main() -> int:
     only = tuple(filter(None, options.only.split(",")))
     known = [n for n in numbers() if not only or n.name.startswith(only)]
     if options.functions or options.list:
-        listed = [*(f"{n.name} = {n.value:g}" for n in known), *outside()]
+        listed = [*(f"{n.name} = {n.value}" for n in known), *outside()]
         calls = (functions_of(name) for name in ENTERED) if options.functions else ()
         lines = max(calls, key=len, default=listed)
         print("\n".join(lines), f"{len(lines)} in all", sep="\n")

@@ -1,27 +1,31 @@
 """The numbers that decide in `plants.diagnosis`, found in its source, and what replaces them.
 
 All stand in the table `constants.py`. A number outside it decides, and is listed, if it has a name
-of its own at the top of a module, or is compared. Left out are 0, 1, 2 and 0.5, guards of a
-division (1e-6 and less), and what is only shown or planned: `report` and `experiments`.
+of its own at the top of a module, alone or among others, or is compared. Left out are the tables
+of units, 0, 1, 2 and 0.5 in a comparison, guards of a division (1e-6 and less), and what is only
+shown, planned or told: `report`, `experiments`, and the exit codes of `result.py`.
 """
 
 import ast
+import itertools
 import sys
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import plants.diagnosis
 from estune.support.garbage import collection_paused
 from plants.diagnosis.constants import CONSTANTS
 
 FOLDER = Path(plants.diagnosis.__file__).parent
-SHOWN = ("report", "experiments")
-"""Folders that decide no verdict."""
+SHOWN = ("report", "experiments", "result.py")
+"""What decides no verdict."""
 PLAIN = (0.0, 0.5, 1.0, 2.0)
 GUARD = 1e-6
+Value = float | tuple[float, ...]
+"""Of a number of the table, or of several that are tried in turn."""
 Functions = ast.FunctionDef | ast.AsyncFunctionDef
 
 
@@ -35,7 +39,7 @@ class Number(NamedTuple):
     """
 
     name: str
-    value: float
+    value: Value
     uses: frozenset[tuple[str, int]]
 
 
@@ -67,9 +71,9 @@ class _Source(NamedTuple):
 
 @cache
 @collection_paused()
-def _sources() -> list[_Source]:
-    paths = sorted(FOLDER.rglob("*.py"))
-    return [_Source.of(p) for p in paths if p.relative_to(FOLDER).parts[0] not in SHOWN]
+def _sources(folder: Path = FOLDER) -> list[_Source]:
+    paths = sorted(folder.rglob("*.py"))
+    return [_Source.of(p) for p in paths if p.relative_to(folder).parts[0] not in SHOWN]
 
 
 def numbers() -> list[Number]:
@@ -82,16 +86,16 @@ def numbers() -> list[Number]:
     return [Number(n, getattr(CONSTANTS, n), frozenset(uses[n])) for n in CONSTANTS._fields]
 
 
-def outside() -> list[str]:
+def outside(folder: Path = FOLDER) -> list[str]:
     """Numbers that decide and do not stand in the table: file, line, and the line itself."""
     found = []
-    for source in _sources():
+    for source in _sources(folder):
         lines = source.path.read_text(encoding="utf-8").splitlines()
         for node in ast.walk(source.tree):
             if not isinstance(node, ast.Constant):
                 continue
             if _is_compared(source, node) or _is_named(source, node):
-                place = f"{source.path.relative_to(FOLDER)}:{node.lineno}"
+                place = f"{source.path.relative_to(folder)}:{node.lineno}"
                 found.append(f"{place}  {lines[node.lineno - 1].strip()}")
     return found
 
@@ -101,10 +105,16 @@ def _of_table(node: ast.Attribute) -> bool:
 
 
 def _is_named(source: _Source, node: ast.Constant) -> bool:
-    """Whether a node is a number with a name at the top of a module."""
-    parent = source.parents[node]
-    at_top = isinstance(parent, ast.Assign) and source.parents[parent] is source.tree
-    return at_top and type(node.value) in (int, float)
+    """Whether a node is a number in the value of a name at the top of a module.
+
+    Not in a dictionary: tables of units are.
+    """
+    if type(node.value) not in (int, float):
+        return False
+    around = itertools.takewhile(lambda n: not isinstance(n, ast.Dict), source.above(node))
+    assigned = next((n for n in around if isinstance(n, ast.stmt)), None)
+    is_assigned = isinstance(assigned, ast.Assign | ast.AnnAssign)
+    return is_assigned and assigned in source.tree.body
 
 
 def _is_compared(source: _Source, node: ast.Constant) -> bool:
@@ -130,11 +140,23 @@ def _asks_a_ratio(node: ast.AST) -> bool:
     return is_named and node.func.id == "within_factor"  # type: ignore[attr-defined]
 
 
+def scaled(number: Number, factor: float) -> Value:
+    """A value of the table times a factor; of a count the nearest one from one up."""
+    match number.value:
+        case int(count):
+            return max(round(factor * count), 1)
+        case tuple(several):
+            return tuple(factor * one for one in several)
+        case float(value):
+            return factor * value
+
+
 @contextmanager
-def replaced(values: Mapping[Number, float]) -> Iterator[None]:
+def replaced(values: Mapping[Number, Value]) -> Iterator[None]:
     """The diagnosis with other values of some numbers, as long as the context lasts."""
     before = CONSTANTS
-    changed = before._replace(**{number.name: value for number, value in values.items()})
+    others: dict[str, Any] = {number.name: value for number, value in values.items()}
+    changed = before._replace(**others)
     holders = [m for m in sys.modules.values() if getattr(m, "CONSTANTS", None) is before]
     for module in holders:
         module.CONSTANTS = changed  # type: ignore[attr-defined]

@@ -31,12 +31,6 @@ SIMPLER: Mapping[str, tuple[str, ...]] = {
     ),
 }
 """Simpler variables beside those that contain them."""
-FOLDS, STRETCHES, LEVELS = 4, 32, 3
-"""Parts that are left out in turn, stretches of each record that are dealt out to them, and levels
-of a tension or load that a direction of motion is crossed with."""
-SEGMENTS, LEAST_SEGMENTS = 16, 8
-"""Segments of a response over frequency: a mode of 6 Hz that rings for 2.6 s, swept through in 20
-s, is seen with 16 (0.42), not with 32 (0.11). Of fewer than 8 none is known on those left out."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -95,7 +89,7 @@ class Fit:
     @cached_property
     def _alone(self) -> float:
         """Power on data left out with the base-model parameters alone."""
-        return self._left_out([self.basis] * FOLDS)
+        return self._left_out([self.basis] * CONSTANTS.folds)
 
     def _left_out(self, columns: Sequence[FloatArray]) -> float:
         """Sum of squares on each part, with columns fitted to the others; those of each part."""
@@ -116,7 +110,7 @@ class Fit:
         Args:
             by: The columns, or those that are chosen without each part.
         """
-        each = by * FOLDS if len(by) == 1 else by
+        each = by * CONSTANTS.folds if len(by) == 1 else by
         left = self._left_out([np.hstack([self.basis, one]) for one in each])
         return max(0.0, 1.0 - left / max(self._alone, 1e-300))
 
@@ -149,8 +143,8 @@ class Fit:
         """Share explained by a straight line over the load in each direction."""
         label = np.zeros(variable.of.size, np.int64) if variable.label is None else variable.label
         known = np.flatnonzero(label >= 0)
-        member = np.zeros((label.size, int(label.max()) // LEVELS + 1))
-        member[known, label[known] // LEVELS] = 1.0
+        member = np.zeros((label.size, int(label.max()) // CONSTANTS.levels + 1))
+        member[known, label[known] // CONSTANTS.levels] = 1.0
         load = np.nan_to_num(variable.of)[:, None]
         lines = self.spread(np.hstack([member, member * load]))[self.chosen]
         return replace(self.binned(variable), share=self.share(lines))
@@ -173,7 +167,7 @@ class Fit:
             phase = np.nan_to_num(2.0 * np.pi * from_start / length)
             return self.spread(np.column_stack([np.cos(phase), np.sin(phase)]))[self.chosen]
 
-        lengths = [period(self.fold != n) for n in range(FOLDS)]
+        lengths = [period(self.fold != n) for n in range(CONSTANTS.folds)]
         waves = {length: wave(length) for length in lengths}
         best = period(self.fold >= 0)
         sine = self.binned(Variable("position period", angle.unit, from_start % best), 16)
@@ -220,15 +214,15 @@ def over_frequency(
     """
     triples = [np.array(one) for one in zip(residual, carried, noise, strict=True)]
     known = [one[:, np.isfinite(one).all(0)] for one in triples]
-    size = 2 ** int(math.log2(max(sum(one.shape[1] for one in known) / SEGMENTS, 1.0)))
-    if size < STRETCHES:
+    size = 2 ** int(math.log2(max(sum(one.shape[1] for one in known) / CONSTANTS.segments, 1.0)))
+    if size < CONSTANTS.stretches:
         return None
     bell, folds, spectra = np.hanning(size), list[int](), []
     for one in known:
         begins = range(0, one.shape[1] - size + 1, size)
-        folds += [n % FOLDS for n in range(len(begins))]
+        folds += [n % CONSTANTS.folds for n in range(len(begins))]
         spectra += [np.fft.rfft(bell * one[:, n : n + size])[:, 1:] for n in begins]
-    if len(folds) < LEAST_SEGMENTS:
+    if len(folds) < CONSTANTS.least_segments:
         return None
     fold, (r_f, u_f, n_f) = np.array(folds), np.moveaxis(np.array(spectra), 1, 0)
     of_motion, of_noise = (np.mean(np.abs(one) ** 2, axis=0) for one in (u_f, n_f))
@@ -241,11 +235,13 @@ def over_frequency(
 
     left = sum(
         float(np.sum(np.abs(r_f[fold == n] - response(fold != n) * u_f[fold == n]) ** 2))
-        for n in range(FOLDS)
+        for n in range(CONSTANTS.folds)
     )
     share = max(0.0, 1.0 - left / max(float(np.sum(np.abs(r_f) ** 2)), 1e-300))
     frequency = np.arange(1, size // 2 + 1) * sampling_Hz / size
-    label = np.searchsorted(np.geomspace(1.0, size / 2.0, 4 * FOLDS), np.arange(1, size // 2 + 1))
+    label = np.searchsorted(
+        np.geomspace(1.0, size / 2.0, 4 * CONSTANTS.folds), np.arange(1, size // 2 + 1)
+    )
     label = np.unique(label, return_inverse=True)[1]
     follows = np.mean(np.abs(response(fold >= 0) * u_f) ** 2, axis=0)
     # Of a Hann window 3/8 of the power are left; each line stands for one of negative frequency.
@@ -283,6 +279,13 @@ def strongest(listed: Sequence[ResidualDependence]) -> ResidualDependence:
         if name in by_name and by_name[name].share >= (1.0 - CONSTANTS.small) * best.share
     ]
     return max(nearly, key=lambda view: view.share, default=best)
+
+
+def crossed(way: NDArray[np.int64], load: FloatArray) -> NDArray[np.int64]:
+    """Numbers of the directions crossed with levels of a load; -1 where either is unknown."""
+    levels = CONSTANTS.levels
+    cells = way * levels + quantiles(load, levels)
+    return np.where((way < 0) | ~np.isfinite(load), -1, cells)
 
 
 def quantiles(of: FloatArray, bins: int) -> NDArray[np.int64]:

@@ -25,14 +25,11 @@ from plants.diagnosis.residual.balance import (
     smoother_for,
 )
 from plants.diagnosis.residual.dependence import (
-    FOLDS,
-    LEVELS,
-    STRETCHES,
     Fit,
     ResidualDependence,
     Variable,
+    crossed,
     over_frequency,
-    quantiles,
     strongest,
     views,
 )
@@ -235,7 +232,7 @@ def _dependence(
     chosen = np.flatnonzero(inside)[::stride]
     sizes = np.diff([0, *ends, fitted.residual.size])
     # Dealt out in turn, so that every part has some of each record, and of all its time.
-    stretch = [n + np.arange(size) * STRETCHES // size for n, size in enumerate(sizes)]
+    stretch = [n + np.arange(size) * CONSTANTS.stretches // size for n, size in enumerate(sizes)]
 
     def spread(columns: FloatArray) -> FloatArray:
         split = np.split(columns, ends)
@@ -245,7 +242,7 @@ def _dependence(
         residual=fitted.residual[chosen],
         basis=np.linalg.qr(fitted.columns[chosen])[0],
         chosen=chosen,
-        fold=np.concatenate(stretch)[chosen] % FOLDS,
+        fold=np.concatenate(stretch)[chosen] % CONSTANTS.folds,
         spread=spread if equation.smooth else np.asarray,
     )
 
@@ -256,10 +253,10 @@ def _loads(carried: FloatArray, motion: Sequence[Variable]) -> list[Variable]:
         return []
     load = np.abs(carried)
     way = next(v.label for v in motion if v.label is not None and v.name == "velocity sign")
-    crossed = np.where((way < 0) | ~np.isfinite(load), -1, way * LEVELS + quantiles(load, LEVELS))
+    cells = crossed(way, load)
     return [
         Variable("load", "N m", load),
-        Variable("velocity sign and load", "N m", load, crossed),
+        Variable("velocity sign and load", "N m", load, cells),
     ]
 
 

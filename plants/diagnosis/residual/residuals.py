@@ -13,7 +13,7 @@ from plants.diagnosis.data.noise_floor import NoiseFloor
 from plants.diagnosis.data.smoothing import Smoother, least_width
 from plants.diagnosis.models.base import BaseNumbers
 from plants.diagnosis.residual.balance import ACTUATOR, Equation, Record, Signals, Terms
-from plants.diagnosis.residual.dependence import LEVELS, Variable, quantiles
+from plants.diagnosis.residual.dependence import Variable, crossed
 
 
 def of_usual_rate(measurements: Sequence[MeasuredRecord]) -> list[int]:
@@ -158,9 +158,9 @@ def variables(records: Sequence[Record]) -> list[Variable]:
     ]
     if has_tension:
         T = np.concatenate([smoother.sampled(r.signals["tension_N"], 1.0) for r in records])
-        crossed = np.where((way < 0) | ~np.isfinite(T), -1, way * LEVELS + quantiles(T, LEVELS))
+        cells = crossed(way, T)
         listed.append(Variable("tension", "N", T))
-        listed.append(Variable("velocity sign and tension", "N", T, crossed))
+        listed.append(Variable("velocity sign and tension", "N", T, cells))
     if has_angle and (first.numbers.linear is None or not has_tension):
         angles = [_angle_from_slack(r, smoother) for r in records]
         listed.append(Variable("angle", "rad", np.concatenate(angles)))

@@ -12,9 +12,6 @@ from plants.diagnosis.data.measured_record import MeasuredRecord
 from plants.diagnosis.interval import Interval
 from plants.diagnosis.search.model_fitter import CandidateFit, ModelFitter
 
-BESIDE = (0.87, 0.9, 0.93, 1.07, 1.1, 1.13)
-"""Neighbouring frequencies, relative to the line's."""
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MainsLine:
@@ -65,7 +62,7 @@ class _Line:
 
     def stands_out(self, frequency_Hz: float) -> bool:
         """Whether the line is far above what is beside it in this record."""
-        beside = [math.hypot(*self.wave(frequency_Hz * share)) for share in BESIDE]
+        beside = [math.hypot(*self.wave(frequency_Hz * share)) for share in CONSTANTS.beside]
         least = 0.25 * CONSTANTS.clear**2 * float(np.median(beside)) ** 2
         return math.hypot(*self.wave(frequency_Hz)) ** 2 > least
 
@@ -85,7 +82,7 @@ def _peak(lines: Sequence[_Line], about_Hz: float, longest_s: float) -> tuple[fl
     """Highest line within 1 % of a frequency, and its power, or None if it is no line."""
     step, lowest = 0.25 / longest_s, 0.99 * about_Hz
     power = _powers(lines, lowest, step, math.ceil(0.02 * about_Hz / step))
-    beside = [_powers(lines, about_Hz * share, 0.0, 1)[0] for share in BESIDE]
+    beside = [_powers(lines, about_Hz * share, 0.0, 1)[0] for share in CONSTANTS.beside]
     top = int(power.argmax())
     if power[top] < CONSTANTS.clear**2 * float(np.median(beside)):
         return None

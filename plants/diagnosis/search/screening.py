@@ -20,10 +20,6 @@ from plants.diagnosis.prediction.prediction import Predictor
 from plants.diagnosis.search.score_context import ScoreContext
 from plants.effects import Effect, RecordScale, Role
 
-DECADES = np.arange(-3.0, 4.0)
-"""Sizes tried, in powers of ten of the usual one; the size at which the residual changes by about
-its rms is interpolated. Below the smallest the residual changes in proportion to the size."""
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ScreeningResult:
@@ -98,7 +94,7 @@ class Directions:
         limited = bool(self.effect.named(Role.LIMIT))
         directions, usual_change = self._limits() if limited else self._amplitudes()
         directions.sort(key=lambda direction: -direction.share)
-        most = int(CONSTANTS.starts) + len(self.phases)  # a period has many local minima
+        most = CONSTANTS.starts + len(self.phases)  # a period has many local minima
         starts = np.array([direction.start for direction in self._apart(directions)[:most]])
         grids = self._grids()
         return ScreeningResult(
@@ -125,7 +121,7 @@ class Directions:
         """Levels of a limit from where it begins to act."""
         name = self.sizes[0]
         f = self.free[name]
-        levels = np.geomspace(f.low, f.high, 2 * int(CONSTANTS.shapes))
+        levels = np.geomspace(f.low, f.high, 2 * CONSTANTS.shapes)
         change = self.context.products(self._changes(self._rows(name, levels))).rms
         # In noise floors; less is rounding.
         acting = np.flatnonzero(change > CONSTANTS.numerics)
@@ -191,9 +187,10 @@ class Directions:
 
     def _sizes(self) -> tuple[list[dict[str, float]], float]:
         """Sizes that change the residual by its rms and more; the change at the usual size."""
-        values = {name: self._scaled(name, DECADES) for name in self.sizes}
+        decades = np.arange(-CONSTANTS.decades, CONSTANTS.decades + 1.0)
+        values = {name: self._scaled(name, decades) for name in self.sizes}
         rows = np.concatenate([self._rows(name, tried) for name, tried in values.items()])
-        moved = self.context.products(self._changes(rows)).rms.reshape(-1, DECADES.size)
+        moved = self.context.products(self._changes(rows)).rms.reshape(-1, decades.size)
         # At still greater sizes friction holds the drum, and the change is smaller.
         rising = [np.log(np.maximum.accumulate(m[: m.argmax() + 1]) + 1e-12) for m in moved]
         # The direction of a nonlinear law depends on its size.
@@ -201,14 +198,14 @@ class Directions:
         sizes: list[dict[str, float]] = []
         for share in levels:
             wanted = math.log(max(CONSTANTS.shown, share * self.context.size))
-            powers = [np.interp(wanted, change, DECADES[: change.size]) for change in rising]
+            powers = [np.interp(wanted, change, decades[: change.size]) for change in rising]
             tried = {
                 name: float(self._scaled(name, power))
                 for name, power in zip(self.sizes, powers, strict=True)
             }
             if tried not in sizes:
                 sizes.append(tried)
-        return sizes, float(moved[:, DECADES == 0.0].max())
+        return sizes, float(moved[:, decades == 0.0].max())
 
     def _scaled(self, name: str, power: FloatArray) -> FloatArray:
         """Values of a size at powers of ten of the usual one, within its bounds."""
@@ -264,10 +261,10 @@ class Directions:
     def _grid(self, name: str) -> list[float]:
         p, f = self.declared[name], self.free[name]
         suggested = list(self.effect.guesses(name, self.context.records))
-        usual, most = f.start, int(CONSTANTS.shapes)
+        usual, most = f.start, CONSTANTS.shapes
         if p.role is Role.FREQUENCY:
             low, high = max(f.low, self.context.lowest_Hz), min(f.high, self.context.highest_Hz)
-            tried = np.geomspace(low, max(high, low), int(CONSTANTS.frequencies))
+            tried = np.geomspace(low, max(high, low), CONSTANTS.frequencies)
             return [*suggested, *tried.tolist()]
         if suggested:
             return suggested

@@ -18,11 +18,6 @@ from plants.diagnosis.search.model_fitter import CandidateFit, ModelFitter
 from plants.diagnosis.search.screening import ScreeningResult
 from plants.effects import Effect, Role
 
-FINER, NEAR = (0.7, 0.2, 0.05), 31
-"""Spreads about a fit within which shapes of a law with leaps are tried again, and values of each.
-No derivative shows a leap that comes a sample later: a band 7 % off leaves 5.6 noise floors where
-the true one leaves 0.8, and fits stayed at 2 to 4."""
-
 SHAPES = (Role.SHAPE, Role.FREQUENCY, Role.PERIODS)
 
 
@@ -62,7 +57,7 @@ def fit_added(
     if screened.effect.smooth or not shapes:
         return found
     usual = {f"{screened.effect.name}.{n}": getattr(screened.effect(), n) for n in sizes}
-    for spread in FINER:
+    for spread in CONSTANTS.finer:
         rows = _about(found, shapes, usual, spread)
         near = fitter.best_starts(predictor, rows, 2 * most)
         found = min(found, halved(fitter, effects, near, shapes, least), key=lambda fit: fit.J)
@@ -75,7 +70,7 @@ def _about(
     """Rows about a fit: shapes up to a share of them or their range away, sizes as usual."""
     rows, free = [], found.fitted.predictor.free
     places = [n for n, one in enumerate(free) if one.name in shapes]
-    steps = np.linspace(-spread, spread, NEAR).tolist()
+    steps = np.linspace(-spread, spread, CONSTANTS.near).tolist()
     for by in itertools.product(steps, repeat=len(places)):
         row = found.fitted.values.copy()
         for n, one in enumerate(free):

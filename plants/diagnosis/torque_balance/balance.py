@@ -27,8 +27,6 @@ from plants.diagnosis.models.base import BaseNumbers
 INERTIA, VISCOUS, OFFSET = "inertia", "viscous", "offset"
 COULOMB, DRAG, SPEED, SINE, COSINE = "coulomb", "drag", "speed", "sine", "cosine"
 BASE = (INERTIA, VISCOUS, OFFSET)
-VELOCITY_KNOTS, ANGLE_KNOTS, TIME_KNOTS, FADINGS = 6, 8, 4, 7
-PARTS, FEWEST_PARTS, LEAST_SAMPLES = 4, 8, 16
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -136,12 +134,12 @@ def torque_balance(
     scale = Scale(
         least,
         usual,
-        np.linspace(float(np.nanmin(angle)), float(np.nanmax(angle)), ANGLE_KNOTS),
-        np.geomspace(max(0.03 * usual, least), usual, FADINGS),
+        np.linspace(float(np.nanmin(angle)), float(np.nanmax(angle)), CONSTANTS.angle_knots),
+        np.geomspace(max(0.03 * usual, least), usual, CONSTANTS.fadings),
         max(m.duration_s for m, _ in pairs),
     )
     scale = scale if like is None else like.scale
-    parts = max(PARTS, math.ceil(FEWEST_PARTS / len(listed)))
+    parts = max(CONSTANTS.parts, math.ceil(CONSTANTS.fewest_parts / len(listed)))
     torque, columns, loaded, blocks = [], [], [], []
     number = 0
     for s in listed:
@@ -149,14 +147,14 @@ def torque_balance(
         stride = _stride(width_s, s.smoother.sampling_Hz)
         for part in np.array_split(np.arange(inside.size), parts):
             chosen = part[inside[part]][::stride]
-            if chosen.size >= LEAST_SAMPLES:
+            if chosen.size >= CONSTANTS.part_samples:
                 torque.append(s.torque_Nm[chosen])
                 columns.append({name: column[chosen] for name, column in terms.items()})
                 loaded.append(against[chosen])
                 blocks.append(np.full(chosen.size, number))
                 number += 1
     # Of fewer stretches no two can be left out and the law still be known.
-    if number < PARTS:
+    if number < CONSTANTS.parts:
         return None
     joined = {name: np.concatenate([c[name] for c in columns]) for name in columns[0]}
     kept = float(np.square(joined[VISCOUS]).mean()) * len(joined[VISCOUS])
@@ -275,14 +273,14 @@ def _terms(
     for n, fading in enumerate(scale.fadings_rad_s):
         terms[f"fading {n}"] = s.spread(way * np.exp(-np.square(v / fading)))
     place = v / (np.abs(v) + scale.usual_rad_s)
-    knots = np.linspace(-1.0, 1.0, VELOCITY_KNOTS)
-    for n, one in enumerate(np.eye(VELOCITY_KNOTS)):
+    knots = np.linspace(-1.0, 1.0, CONSTANTS.velocity_knots)
+    for n, one in enumerate(np.eye(CONSTANTS.velocity_knots)):
         terms[f"velocity {n}"] = s.spread(np.interp(place, knots, one))
-    for n, one in enumerate(np.eye(ANGLE_KNOTS)):
+    for n, one in enumerate(np.eye(CONSTANTS.angle_knots)):
         terms[f"over angle {n}"] = s.spread(np.interp(s.angle_rad, scale.angles_rad, one))
     time_s = np.arange(v.size) / s.smoother.sampling_Hz
-    times = np.linspace(0.0, scale.lasts_s, TIME_KNOTS)
-    for n, one in enumerate(np.eye(TIME_KNOTS)):
+    times = np.linspace(0.0, scale.lasts_s, CONSTANTS.time_knots)
+    for n, one in enumerate(np.eye(CONSTANTS.time_knots)):
         terms[f"time {n}"] = s.spread(way * np.interp(time_s, times, one))
     turning = s.spread((np.abs(v) > scale.least_rad_s).astype(np.float64))
     jumps = s.spread((np.abs(v) > fastest_rad_s).astype(np.float64))

@@ -113,7 +113,7 @@ def judge(
     base = kept = fits.left_out(own)
     sets = _possible_sets(fits, own, listed)
     floor = balance.torque_Nm.size * balance.noise_Nm**2
-    for n in range(1, int(CONSTANTS.laws_most) + 1):
+    for n in range(1, CONSTANTS.laws_most + 1):
         best = min((f for f in sets if _added(f, own) == n), key=_total, default=None)
         more = n - _added(kept, own)
         if (
@@ -171,7 +171,7 @@ def _possible_sets(
 ) -> list[LeftOut]:
     """Fits of all sets of a few laws of different families, of sizes that a drive can have."""
     sets = []
-    for n in range(1, int(CONSTANTS.laws_most) + 1):
+    for n in range(1, CONSTANTS.laws_most + 1):
         for chosen in itertools.combinations(listed, n):
             if len({law.family for law in chosen}) == n:
                 fit = fits.left_out((*own, *chosen))

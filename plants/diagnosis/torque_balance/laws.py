@@ -7,14 +7,11 @@ import numpy as np
 
 from plants.diagnosis.constants import CONSTANTS
 from plants.diagnosis.torque_balance.balance import (
-    ANGLE_KNOTS,
     COSINE,
     COULOMB,
     DRAG,
     SINE,
     SPEED,
-    TIME_KNOTS,
-    VELOCITY_KNOTS,
     TorqueBalance,
 )
 from plants.effects import (
@@ -29,9 +26,6 @@ from plants.effects import (
 
 Sizes = Mapping[str, float]
 Values = dict[str, float]
-LOADS = tuple(np.linspace(0.02, 0.9, 23).tolist())
-"""Shares of the load tried. Torque and motion of one sign at nearly all times make no load
-friction known: then any share explains the same, and none is found."""
 
 
 class TorqueLaw(NamedTuple):
@@ -129,15 +123,15 @@ CHANGING = TorqueLaw(
     "a dry friction that changes with time",
     CoulombFriction.family,
     VELOCITY,
-    tuple(f"time {n}" for n in range(TIME_KNOTS)),
+    tuple(f"time {n}" for n in range(CONSTANTS.time_knots)),
 )
 """Dry friction by the time since a record's start, which warms or wears in."""
 
 
 def curves() -> tuple[TorqueLaw, ...]:
     """Curves without a name: any function of the velocity, and any of the angle."""
-    of_velocity = tuple(f"velocity {n}" for n in range(VELOCITY_KNOTS))
-    of_angle = tuple(f"over angle {n}" for n in range(ANGLE_KNOTS))
+    of_velocity = tuple(f"velocity {n}" for n in range(CONSTANTS.velocity_knots))
+    of_angle = tuple(f"over angle {n}" for n in range(CONSTANTS.angle_knots))
     return (
         TorqueLaw(None, "a smooth function of the velocity", "", VELOCITY, of_velocity),
         TorqueLaw(None, "a smooth function of the angle", "", ANGLE, of_angle),

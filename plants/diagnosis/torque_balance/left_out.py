@@ -15,7 +15,7 @@ import numpy as np
 from estune.core.quantities import FloatArray
 from plants.diagnosis.constants import CONSTANTS
 from plants.diagnosis.torque_balance.balance import BASE, TorqueBalance
-from plants.diagnosis.torque_balance.laws import LOAD, LOADS, TorqueLaw
+from plants.diagnosis.torque_balance.laws import LOAD, TorqueLaw
 
 
 class LeftOut(NamedTuple):
@@ -120,7 +120,7 @@ class BalanceFits:
         power = np.concatenate([of_all - self._power, of_all[None]])
         explained = np.einsum("kil,kim->klm", sizes, right)
         rest = power - 0.5 * (explained + explained.transpose(0, 2, 1))
-        tried = np.array(LOADS)
+        tried = np.linspace(CONSTANTS.load_least, CONSTANTS.load_most, CONSTANTS.loads)
         by = np.column_stack([np.ones(tried.size), -tried])
         inside = np.einsum("cl,klm,cm->kc", by, rest, by) / np.square(
             1.0 - tried * self._loaded(sizes)
