@@ -1,7 +1,7 @@
 """The controller that explains a logged effort with the fewest changes from the one stated."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import Literal
@@ -43,10 +43,9 @@ def least_changed(
         longest_s: Length of the longest stretch, which bounds the filters, s.
         moves: Whether the setpoint does.
     """
-    at = best(settings, tau)
-    tried = [(*at, settings, tau)]
-    if at[0] <= SURE:
-        return tried[0]
+    tried = [(*best(settings, tau), settings, tau)]
+    if _is_sure(tried):
+        return tried[-1]
     own = settings.form or ControllerForm()
     on: Literal["measurement", "error"] = (
         "error" if own.derivative_on == "measurement" else "measurement"
@@ -63,9 +62,16 @@ def least_changed(
             if moves:
                 slow = _best_filter(partial(best, controller), rate, longest_s)
                 tried.append((*best(controller, slow), controller, slow))
+            if _is_sure(tried):
+                return tried[-1]
     least = min(error for error, *_ in tried)
     within = least if least > FITS else min(max(AS_WELL * least, SURE), FITS)
     return next(one for one in tried if one[0] <= within)
+
+
+def _is_sure(tried: Sequence[tuple[float, FloatArray, ControllerSettings, float]]) -> bool:
+    """Whether the last one is that which is chosen, whatever is tried further."""
+    return tried[-1][0] <= SURE and all(one[0] > AS_WELL * SURE for one in tried[:-1])
 
 
 def _with_derivative(

@@ -10,7 +10,7 @@ from estune.core.gains import Gains
 from estune.core.pidf import ControllerSettings
 from estune.recordings.loop_log import LoopLog
 from estune.service_records.controller_search import AS_WELL, FITS
-from estune.service_records.replay import Replay, apart, plain_error, replay
+from estune.service_records.replay import Replay, apart, error_of, plain_error, replay
 from estune.service_records.stretches import Stretch, find_stretches
 
 FEWEST = 8
@@ -67,8 +67,11 @@ def gain_sets(
 
 def _is_other(stretch: Stretch, known: Replay, settings: ControllerSettings) -> bool:
     """Whether the known gains leave more of a stretch than any may that ran in it."""
-    here = replay([stretch], known.controller or settings, known.ran)
-    return here.stated_error * here.range > OTHERS_LEAVE * FITS * known.range and here.explained
+    own, most = known.controller or settings, OTHERS_LEAVE * FITS * known.range
+    if known.ran is None or error_of([stretch], own, known.ran) <= most:
+        return False
+    here = replay([stretch], own, known.ran)
+    return here.stated_error * here.range > most and here.explained
 
 
 def _in_turn(

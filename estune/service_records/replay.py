@@ -14,16 +14,24 @@ the rules apart.
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import lru_cache
 from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
-from estune.core.controller_equation import controller_polynomials, unlimited_effort
-from estune.core.controller_form import ControllerForm
+from estune.core.controller_equation import (
+    controller_polynomials,
+    setpoint_filter,
+    unlimited_effort,
+)
+from estune.core.controller_form import OWN_FORM, ControllerForm
+from estune.core.filtering import lfilter
 from estune.core.gains import Gains
 from estune.core.pidf import ControllerSettings
 from estune.core.quantities import FloatArray
+from estune.loop_model.error_filters import delayed
 from estune.service_records.controller_search import AS_WELL, FITS, least_changed
 from estune.service_records.stretches import Stretch
 
@@ -166,10 +174,14 @@ class Replay(NamedTuple):
 
 def plain_error(stretches: Sequence[Stretch], settings: ControllerSettings) -> float:
     """Root mean square that the best P, I and D of one controller leave, in the effort's unit."""
-    units = [_unit_efforts(s, settings, 0.0) for s in stretches]
-    values = _least_squares(units)
-    left = np.concatenate([unit[:, 3] - unit[:, :3] @ values for unit in units])
-    return float(np.sqrt(np.mean(left**2)))
+    samples = sum(s.samples for s in stretches)
+    return _least_squares(stretches, settings, 0.0)[1] / math.sqrt(samples)
+
+
+def error_of(stretches: Sequence[Stretch], settings: ControllerSettings, gains: Gains) -> float:
+    """Root mean square that some gains leave of the effort, in its unit."""
+    left = [_freed(_left(s, settings, gains), s, settings, gains) for s in stretches]
+    return float(np.sqrt(np.mean(np.concatenate(left) ** 2)))
 
 
 def apart(one: Gains, other: Gains, by: float = APART) -> bool:
@@ -236,19 +248,14 @@ def _compared(
     """The comparison by what is left row by row."""
     logged = np.concatenate([_effort(s) for s in stretches])
     span = float(np.ptp(logged)) or 1.0
-    scale = 1.0 / (span * math.sqrt(logged.size))
-
-    def error_of(gains: Gains, own: ControllerSettings) -> float:
-        left = [_freed(_left(s, own, gains), s, own, gains) for s in stretches]
-        return float(np.linalg.norm(np.concatenate(left))) * scale
 
     def best(own: ControllerSettings, tau: float) -> tuple[float, FloatArray]:
-        units = [_unit_efforts(s, own, tau) for s in stretches]
-        values = _least_squares(units)
-        left = [unit[:, 3] - unit[:, :3] @ values for unit in units]
-        return float(np.linalg.norm(np.concatenate(left))) * scale, values
+        values, left = _least_squares(stretches, own, tau)
+        return left / (span * math.sqrt(logged.size)), values
 
-    stated_error = error_of(stated, settings) if stated is not None else math.inf
+    stated_error = math.inf
+    if stated is not None:
+        stated_error = error_of(stretches, settings, stated) / span
     tau = stated.setpoint_filter_s if stated is not None else 0.0
     longest_s = max(s.samples for s in stretches) / settings.sampling_Hz
     moves = any(np.ptp(s.setpoint) for s in stretches)
@@ -264,46 +271,73 @@ def _compared(
         # Another rule of integration acts as another P does: the stated gains come first.
         forms = FORMS if stated.D else INTEGRALS  # without D all derivatives are one
         others = [replace(one, form=form) for one in {settings, own} for form in forms]
-        error, other = min(((error_of(stated, o), o) for o in others), key=lambda one: one[0])
+        errors = [error_of(stretches, one, stated) / span for one in others]
+        error, other = min(zip(errors, others, strict=True), key=lambda one: one[0])
         if error <= min(FITS, AS_WELL * ran_error):
             return Replay(stated, stated_error, stated, error, other, span)
     return found
 
 
-def _unit_efforts(stretch: Stretch, settings: ControllerSettings, tau: float) -> FloatArray:
-    """Efforts of P, I and D of one and the logged effort, freed of the start, (samples, 4)."""
+@lru_cache(maxsize=64)
+def _unit_taps(settings: ControllerSettings) -> tuple[FloatArray, float]:
+    """Taps of setpoint and measurement for P, I and D of one, shape (3, 2, 4), and the pole p."""
+    forms = [
+        controller_polynomials(settings, Gains(1.0, *gains, 0.0))
+        for gains in ((0.0, 0.0), (1.0, 0.0), (0.0, 1.0))
+    ]
+    taps = np.zeros((3, 2, 4))
+    for unit, c in zip(taps, forms, strict=True):
+        unit[0, : c.setpoint.size], unit[1, : c.measurement.size] = c.setpoint, -c.measurement
+    taps[1:] -= taps[0]
+    return taps, forms[0].derivative_pole
 
-    def effort(P: float, I: float, D: float) -> FloatArray:
-        return _unlimited(stretch, settings, Gains(P, I, D, tau))
 
-    P = effort(1.0, 0.0, 0.0)
-    terms = [P, effort(1.0, 1.0, 0.0) - P, effort(1.0, 0.0, 1.0) - P, _effort(stretch)]
-    return _freed(np.array(terms), stretch, settings, Gains(1.0, 1.0, 1.0, tau)).T
+def _triangle(stretch: Stretch, settings: ControllerSettings, tau: float) -> FloatArray:
+    """R of the efforts of P, I and D of one and the logged one, freed of the start, (4, 4)."""
+    taps, pole = _unit_taps(settings)
+    form, h = settings.form or OWN_FORM, 1.0 / settings.sampling_Hz
+    above, below = setpoint_filter(form, h, Gains(1.0, 0.0, 0.0, tau))
+    r, y = stretch.setpoint - stretch.setpoint[0], stretch.measurement - stretch.measurement[0]
+    seen = lfilter([1.0], [1.0, -pole], np.array([lfilter(above, below, r), y]))
+    k = np.arange(stretch.samples)
+    late = np.stack([delayed(seen, lag) for lag in range(taps.shape[2])], axis=1)
+    efforts = np.cumsum(taps.reshape(3, -1) @ late.reshape(-1, k.size), axis=1)
+    # The error of the first sample is integrated from then on, as if it had always been there.
+    efforts[1] += (stretch.setpoint[0] - stretch.measurement[0]) * h * k
+    starts = _starts(k, {pole, -float(below[1])})
+    columns = np.array([*starts, *efforts, _effort(stretch)]).T
+    return np.asarray(np.linalg.qr(columns, mode="r"))[len(starts) :, len(starts) :]
 
 
-def _least_squares(units: Sequence[FloatArray]) -> FloatArray:
-    """P, I and D of least squares, each zero or above, shape (3,).
+def _least_squares(
+    stretches: Sequence[Stretch], settings: ControllerSettings, tau: float
+) -> tuple[FloatArray, float]:
+    """P, I and D of least squares, each zero or above, shape (3,), and the norm of what is left.
 
     I and D are zero where the effort is explained as well without them: rounded signals give any
     term some gain.
     """
     from scipy.optimize import nnls  # noqa: PLC0415  slow to import
 
-    columns = np.vstack(units)
-    size = np.linalg.norm(columns, axis=0)
+    factor = np.vstack([_triangle(s, settings, tau) for s in stretches])
+    if len(stretches) > 1:
+        factor = np.asarray(np.linalg.qr(factor, mode="r"))
+    size = np.linalg.norm(factor, axis=0)
     # A term that never moves keeps a gain of zero.
     size[size == 0.0] = 1.0
-    _, factor = np.linalg.qr(columns / size)
+    factor /= size
 
     def of(terms: list[int]) -> tuple[FloatArray, float]:
         values, (found, norm) = np.zeros(3), nnls(factor[:, terms], factor[:, 3])
         values[terms] = found
         return values, norm
 
-    fits = [of(terms) for terms in TERMS]
-    least = max(fits[-1][1], np.finfo(float).eps * math.sqrt(len(columns)))
-    values, _ = next(fit for fit in fits if fit[1] <= AS_WELL * least)
-    return np.asarray(values * size[3] / size[:3])
+    whole = of(TERMS[-1])
+    samples = sum(s.samples for s in stretches)
+    enough = AS_WELL * max(whole[1], np.finfo(float).eps * math.sqrt(samples))
+    fits = (of(terms) for terms in TERMS[:-1])
+    values, norm = next((fit for fit in fits if fit[1] <= enough), whole)
+    return np.asarray(values * size[3] / size[:3]), norm * float(size[3])
 
 
 def _left(stretch: Stretch, settings: ControllerSettings, gains: Gains) -> FloatArray:
@@ -319,13 +353,19 @@ def _freed(
     signals: FloatArray, stretch: Stretch, settings: ControllerSettings, gains: Gains
 ) -> FloatArray:
     """Signals without what unknown states before the stretch may add, shape (..., samples)."""
-    c, k = controller_polynomials(settings, gains), np.arange(stretch.samples)
-    # Without a filter the derivative knows one sample before: 0^k is one at the first alone.
+    c = controller_polynomials(settings, gains)
     poles = {c.derivative_pole, -float(c.filter_denominator[1])}
-    with np.errstate(under="ignore"):
-        columns = [np.ones(k.size), *(pole**k for pole in sorted(poles))]
-    basis, _ = np.linalg.qr(np.array(columns).T)
+    basis, _ = np.linalg.qr(np.array(_starts(np.arange(stretch.samples), poles)).T)
     return np.asarray(signals - (signals @ basis) @ basis.T)
+
+
+def _starts(k: NDArray[np.int64], poles: set[float]) -> list[FloatArray]:
+    """What unknown states before the first of samples k may add, shape (samples,) each.
+
+    Without a filter the derivative knows one sample before: 0^k is one at the first alone.
+    """
+    with np.errstate(under="ignore"):
+        return [np.ones(k.size), *(np.asarray(pole**k) for pole in sorted(poles))]
 
 
 def _effort(stretch: Stretch) -> FloatArray:
