@@ -16,6 +16,7 @@ from estune.core.response import LoadStep
 from estune.loop_model import closed_loops, friction_motion, least_squares
 from estune.loop_model.claim import claim
 from estune.loop_model.fitting import fit_loop, fit_with_excitations
+from estune.loop_model.identification import PoleFit, improve
 from estune.loop_model.intervals import predict_with_intervals
 from estune.loop_model.least_squares import Solution, signals_of
 from estune.loop_model.margins import robustness
@@ -371,6 +372,8 @@ def test_prediction_errors_without_a_compiler_are_the_same(monkeypatch):
             at = Solution.at(signals, x, dead, noise)
             least = Solution.least(signals, x, (2, 7), noise)
             yield at.residual, at.numerator, at.search_slopes(signals), np.array(least)
+        for start in (-1.0,), (-2.0, -0.5), (-2.0, -0.5, -1.0, 0.0):
+            yield (np.array(improve(asked[0][0], PoleFit(0.0, np.array(start), 5)).cost),)
 
     compiled = list(found())
     monkeypatch.setattr(least_squares, "compiled", lambda _: None)

@@ -123,6 +123,32 @@ def compiled_errors(
     )
 
 
+def improved(
+    library: ctypes.CDLL,
+    groups: Sequence[Group],
+    hum: float,
+    coordinates: FloatArray,
+    *,
+    dead: int,
+    tolerances: tuple[float, float, float],
+    most: int,
+) -> tuple[FloatArray, float]:
+    """Coordinates of least squares from some on, with white noise, and their sum of squares.
+
+    The tolerances are of the sum of squares, of the coordinates and of the gradient.
+
+    Raises:
+        MemoryError: there is not enough memory.
+    """
+    task, numbers, _, memory = _task(groups, hum, coordinates, dead)
+    squares, limits = ctypes.c_double(), map(ctypes.c_double, tolerances)
+    by = ctypes.byref(squares)
+    if library.estune_improve(ctypes.byref(task), *limits, ctypes.c_long(most), by):
+        raise MemoryError("no memory for the errors of a fit")
+    del memory  # the task reads it until here
+    return numbers[0][: coordinates.size].copy(), squares.value
+
+
 def delayed_errors(
     library: ctypes.CDLL,
     groups: Sequence[Group],

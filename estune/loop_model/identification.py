@@ -13,7 +13,13 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 
 from estune.core.quantities import FloatArray
-from estune.loop_model.least_squares import FitSignals, Solution, search_vector, split_vector
+from estune.loop_model.least_squares import (
+    EVALUATIONS,
+    FitSignals,
+    Solution,
+    search_vector,
+    split_vector,
+)
 from estune.loop_model.noise_model import WHITE, NoiseModel
 
 T = TypeVar("T")
@@ -130,6 +136,11 @@ def improve(signals: FitSignals, start: PoleFit, tolerance: float = FINE) -> Pol
     """
     from scipy.optimize import leastsq  # noqa: PLC0415  slow to import
 
+    tolerances = (tolerance, 100.0 * tolerance, FINE)
+    if start.noise.is_white:
+        found = Solution.improved(signals, start.coordinates, start.dead, tolerances)
+        if found is not None:
+            return PoleFit(*found, start.dead, start.noise)
     first = Solution.at(signals, start.coordinates, start.dead, start.noise)
 
     @remembered
@@ -150,10 +161,8 @@ def improve(signals: FitSignals, start: PoleFit, tolerance: float = FINE) -> Pol
             search_vector(first.coordinates, first.noise),
             Dfun=jacobian,
             full_output=True,
-            xtol=100.0 * tolerance,
-            ftol=tolerance,
-            gtol=FINE,
-            maxfev=40 if first.noise.is_white else 15,
+            **dict(zip(("ftol", "xtol", "gtol"), tolerances, strict=True)),
+            maxfev=EVALUATIONS if first.noise.is_white else 15,
         )
     best = at(x)
     return PoleFit(best.cost, best.coordinates, start.dead, best.noise)

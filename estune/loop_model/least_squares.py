@@ -28,7 +28,12 @@ import numpy as np
 from estune.core.filtering import lfilter
 from estune.core.quantities import FloatArray
 from estune.loop_model.compiled import compiled
-from estune.loop_model.compiled_errors import CompiledErrors, compiled_errors, delayed_errors
+from estune.loop_model.compiled_errors import (
+    CompiledErrors,
+    compiled_errors,
+    delayed_errors,
+    improved,
+)
 from estune.loop_model.error_filters import (
     delayed,
     differenced,
@@ -54,6 +59,9 @@ NUISANCE_APART = 1e-7
 COORDINATE_STEP = 1e-6
 NOISE_STEP = 1e-4
 """Steps of numerical slopes, in coordinates of the poles and in those with a noise model."""
+
+EVALUATIONS = 40
+"""Most evaluations of a search for poles with white noise."""
 
 NOISE_RANGE = 25.0
 """Largest size of the logarithm of k1 and k2, at which the one noise is all or nothing."""
@@ -211,6 +219,26 @@ class Solution(NamedTuple):
             return min(zip(found, delays, strict=True))
         squares = delayed_errors(library, **_asked(signals, coordinates, noise), delays=delays)
         return min((_cost(s, d, n), d) for s, d in zip(squares.tolist(), delays, strict=True))
+
+    @staticmethod
+    def improved(
+        signals: FitSignals,
+        coordinates: FloatArray,
+        dead: int,
+        tolerances: tuple[float, float, float],
+    ) -> tuple[float, FloatArray] | None:
+        """The least cost and its poles by compiled code, with white noise; None without any."""
+        library = compiled("prediction_errors")
+        if library is None:
+            return None
+        groups = [group[:3] for group in signals.groups]
+        x, squares = improved(
+            *(library, groups, signals.hum, coordinates),
+            dead=dead,
+            tolerances=tolerances,
+            most=EVALUATIONS,
+        )
+        return _cost(squares, dead, signals.samples), x
 
     @property
     def squares(self) -> float:

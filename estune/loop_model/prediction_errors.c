@@ -525,6 +525,154 @@ __attribute__((visibility("default"))) int estune_error_slopes(const FitTask *t)
     return 0;
 }
 
+static double norm(long n, const double *x)
+{
+    return sqrt(dot(n, x, x));
+}
+
+/* R d = y behind (0) or R' d = y (1) of a triangle; along a row of zeros d is none. */
+static void substitute(long n, const double *R, int transposed, const double *y, double *d)
+{
+    long i, j, k;
+    for (k = 0; k < n; k++) {
+        double sum = y[i = transposed ? k : n - 1 - k];
+        for (j = transposed ? 0 : i + 1; j < (transposed ? i : n); j++)
+            sum -= R[transposed ? j * n + i : i * n + j] * d[j];
+        d[i] = R[i * n + i] ? sum / R[i * n + i] : 0.0;
+    }
+}
+
+/* The step of least squares |R d - y|^2 + par |D d|^2, its size |D d|, and the size of its slope
+ * along par, as `lmpar` of MINPACK needs them. */
+static double damped(long n, const double *R, const double *y, const double *D, double par,
+                     double *d, double *slope)
+{
+    double S[4 * MOST_SECTIONS * MOST_SECTIONS], rows[8 * MOST_SECTIONS * MOST_SECTIONS];
+    double z[2 * MOST_SECTIONS], size = 0.0;
+    long i, j;
+    for (j = 0; j < n; j++)
+        for (i = 0; i < n; i++) {
+            rows[j * 2 * n + i] = i <= j ? R[i * n + j] : 0.0;
+            rows[j * 2 * n + n + i] = i == j ? sqrt(par) * D[j] : 0.0;
+        }
+    orthonormal(2 * n, 0, n, 2 * n, rows, S);
+    for (j = 0; j < n; j++)
+        z[j] = dot(n, rows + j * 2 * n, y);
+    substitute(n, S, 0, z, d);
+    for (j = 0; j < n; j++)
+        size += D[j] * d[j] * D[j] * d[j];
+    size = sqrt(size);
+    for (j = 0; j < n; j++)
+        z[j] = size > 0.0 ? D[j] * D[j] * d[j] / size : 0.0;
+    substitute(n, S, 1, z, z);
+    *slope = norm(n, z);
+    return size;
+}
+
+/* The step within a region |D d| <= delta, by More's method (`lmpar` of MINPACK); its par. */
+static double bounded(long n, const double *R, const double *y, const double *D, double delta,
+                      double par, double *d)
+{
+    double slope, low = 0.0, high = 0.0, last, over, size = damped(n, R, y, D, 0.0, d, &slope);
+    long i, j, k, whole = 1;
+    if (!((over = size - delta) > 0.1 * delta))
+        return 0.0;
+    for (j = 0; j < n; j++) {
+        double sum = 0.0;
+        for (i = 0; i <= j; i++)
+            sum += R[i * n + j] * y[i];
+        high += sum / D[j] * sum / D[j], whole = whole && R[j * n + j];
+    }
+    low = whole ? over / delta / slope / slope : 0.0;
+    par = fmin(fmax(par, low), sqrt(high) / delta);
+    par = par ? par : sqrt(high) / size;
+    high = sqrt(high) / delta;
+    for (k = 1;; k++) {
+        par = par ? par : fmax(1e-300, 0.001 * high);
+        last = over, size = damped(n, R, y, D, par, d, &slope), over = size - delta;
+        if (fabs(over) <= 0.1 * delta || (!low && over <= last && last < 0.0) || k == 10)
+            return par;
+        if (over > 0.0)
+            low = fmax(low, par);
+        else
+            high = fmin(high, par);
+        par = fmax(low, par + over / delta / slope / slope);
+    }
+}
+
+/* The poles of least squares from those of the task on, with white noise, by Levenberg and
+ * Marquardt as `lmder` of MINPACK has it. Returns one where there is no memory. */
+__attribute__((visibility("default"))) int estune_improve(
+    FitTask *t, double tolerance, double nearness, double flat, long most, double *squares)
+{
+    enum { MOST = 2 * MOST_SECTIONS };
+    double *x = (double *)t->coordinates, kept[MOST], D[MOST], d[MOST], y[MOST], sizes[MOST];
+    double R[MOST * MOST], par = 0.0, delta = 0.0, size, last, length = 0.0;
+    long n = t->order, N = t->residuals, i, j, asked = 1, first = 1, failed, done = 0;
+    double *slopes = t->slopes = malloc(n * N * sizeof *slopes);
+    failed = !slopes || estune_prediction_errors(t);
+    size = failed ? 0.0 : norm(N, t->residual);
+    while (!done && !failed && !(failed = estune_error_slopes(t))) {
+        double gradient = 0.0, ratio = 0.0;
+        for (j = 0; j < n; j++) { /* the numerator follows the poles (Kaufman) */
+            without(N, t->terms, N, t->basis, slopes + j * N);
+            sizes[j] = norm(N, slopes + j * N);
+        }
+        orthonormal(N, 0, n, N, slopes, R);
+        for (j = 0; j < n; j++)
+            y[j] = dot(N, slopes + j * N, t->residual);
+        for (j = 0; j < n; j++) {
+            double sum = 0.0;
+            for (i = 0; i <= j; i++)
+                sum += R[i * n + j] * y[i] / size;
+            gradient = sizes[j] ? fmax(gradient, fabs(sum / sizes[j])) : gradient;
+            D[j] = first ? (sizes[j] ? sizes[j] : 1.0) : fmax(D[j], sizes[j]);
+            kept[j] = D[j] * x[j];
+        }
+        if (first)
+            length = norm(n, kept), delta = length ? 100.0 * length : 100.0;
+        if (gradient <= flat)
+            break;
+        while (!done && !failed && !(ratio >= 1e-4)) {
+            double step = 0.0, linear = 0.0, actual = -1.0, slope, foreseen;
+            memcpy(kept, x, n * sizeof *x);
+            par = bounded(n, R, y, D, delta, par, d);
+            for (i = 0; i < n; i++) {
+                double sum = 0.0;
+                for (j = i; j < n; j++)
+                    sum += R[i * n + j] * d[j];
+                linear += sum / size * sum / size, step += D[i] * d[i] * D[i] * d[i];
+                x[i] -= d[i];
+            }
+            step = sqrt(step), delta = first ? fmin(delta, step) : delta;
+            failed = estune_prediction_errors(t), asked++;
+            last = norm(N, t->residual);
+            if (0.1 * last < size)
+                actual = 1.0 - last / size * last / size;
+            slope = par * step / size * step / size;
+            foreseen = linear + 2.0 * slope, slope = -(linear + slope);
+            ratio = foreseen ? actual / foreseen : 0.0;
+            if (ratio <= 0.25) {
+                double by = actual >= 0.0 ? 0.5 : 0.5 * slope / (slope + 0.5 * actual);
+                by = 0.1 * last >= size || by < 0.1 ? 0.1 : by;
+                delta = by * fmin(delta, 10.0 * step), par /= by;
+            } else if (!par || ratio >= 0.75)
+                delta = 2.0 * step, par *= 0.5;
+            if (ratio >= 1e-4) {
+                for (j = 0; j < n; j++)
+                    y[j] = D[j] * x[j];
+                length = norm(n, y), size = last, first = 0;
+            } else
+                memcpy(x, kept, n * sizeof *x);
+            done = (fabs(actual) <= tolerance && foreseen <= tolerance && ratio <= 2.0)
+                || delta <= nearness * length || asked >= most;
+        }
+    }
+    *squares = size * size;
+    free(slopes);
+    return failed;
+}
+
 /* Numbers of A and B together at some dead times, as of `growing_poles`: terms are 2 order + 1.
  * Returns zero, or one where there is no memory. */
 __attribute__((visibility("default"))) int estune_filtered_errors(
