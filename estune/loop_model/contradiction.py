@@ -7,6 +7,7 @@ from functools import partial
 import numpy as np
 
 from estune.core.quantities import FloatArray
+from estune.loop_model.bend import unbent
 from estune.loop_model.friction_motion import friction_of, less_friction
 from estune.loop_model.least_squares import Solution, signals_of
 from estune.loop_model.loop_fit import LoopFit
@@ -76,7 +77,7 @@ def power_of(errors: FloatArray) -> float:
 
 def prediction_error(fit: LoopFit, record: LoopRecord) -> FloatArray:
     """Prediction error of a fit on a record that was not fitted, shape (samples,)."""
-    model = fit.model
+    model, record = fit.model, unbent(record, fit.model.bend)
     signals = signals_of([record], fit.settling_samples, model.dead_samples)
     forces = friction_of(model, signals, record)
     at = Solution.at(

@@ -6,6 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from estune.loop_model.bend import unbent
+from estune.loop_model.bend_fit import Fits, with_bend
 from estune.loop_model.contradiction import (
     APART,
     foretold_by_others,
@@ -62,8 +64,8 @@ FRICTION_DONE = 0.002
 reel with 0.05 N m is white with four poles, which foretell an unstable loop."""
 
 TRIED_WITH = (1, 2, 4, 8)
-"""Numbers of records with which friction is tried again where it was not found with fewer: it
-takes half a second."""
+"""Numbers of records with which friction is tried again where it was not found with fewer, and
+another bend where one leaves errors that are not white: it takes half a second."""
 
 
 class Beginning(NamedTuple):
@@ -90,6 +92,7 @@ def fit_loop(
     """The loop model that fits records best.
 
     A record that the others contradict is left out: a trial that was disturbed spoils the fit.
+    Where no linear model explains trials from rest, one with a bend may (`bend_fit`).
 
     Args:
         records: At least one, of any setpoints, lengths and gains.
@@ -99,10 +102,28 @@ def fit_loop(
         starts: Where the search begins, as `best_scale` found it.
     """
     settling = settling_time_s * sampling_Hz
+
+    def by_two_poles(straight: Sequence[LoopRecord]) -> LoopFit:
+        signals = signals_of(straight, settling, round(settling))
+        two = searched_dead_time(signals, _cold_starts(straight, settling)[1])
+        return _summarised(straight, signals, two)
+
+    def again(straight: Sequence[LoopRecord], before: LoopFit | None = None) -> LoopFit:
+        begin = [_start_of(before)] if before else _cold_starts(straight, settling)[1]
+        return _fit_of_those_that_agree(straight, settling, begin, before)
+
+    fits = Fits(by_two_poles, again, again)
+    if last is not None and not last.model.bend.is_straight:
+        bend = last.model.bend
+        fit = again([unbent(record, bend) for record in records], last)
+        bent = with_bend(fit, records, fits, bend)
+        if bent is not None and (bent.is_white or len(records) not in TRIED_WITH):
+            return bent
     if last is not None:
         starts = [_start_of(last)]
     starts = starts or _cold_starts(records, settling)[1]
-    return _fit_of_those_that_agree(records, settling, starts, last)
+    fit = _fit_of_those_that_agree(records, settling, starts, last)
+    return fit if fit.is_white else with_bend(fit, records, fits) or fit
 
 
 def best_scale(

@@ -26,23 +26,26 @@ from estune.core.filtering import lfilter
 from estune.core.gains import Gains
 from estune.core.pidf import ControllerSettings
 from estune.core.quantities import FloatArray
+from estune.loop_model.bend import STRAIGHT, Bend
 from estune.loop_model.poles import PoleSection, polynomial, sections_of
 
 
 class LoopModel(NamedTuple):
-    """Poles, a numerator, a dead time and dry friction.
+    """Poles, a numerator, a dead time, dry friction and the bend of the plant.
 
     Attributes:
         numerator: B in powers of 1 - q^-1, N of measurement per N of effort.
         dead_samples: Whole samples d of dead time beyond the one of sampling.
         friction: Size of the dry friction that the effort works against; zero is none. It
             acts on the first pair of poles. Margins are those of the linear part.
+        bend: Of spring and sensor. Margins are those at the end of the step.
     """
 
     coordinates: tuple[float, ...]
     numerator: tuple[float, ...]
     dead_samples: int
     friction: float = 0.0
+    bend: Bend = STRAIGHT
 
     @property
     def order(self) -> int:

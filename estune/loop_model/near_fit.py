@@ -88,7 +88,9 @@ def lacks_excitation(
 
 def is_explained(fit: LoopFit) -> bool:
     """Whether a fit explains its records: no linear model is needed that explains fewer."""
-    return fit.is_white or (fit.model.friction > 0.0 and fit.misfit < FRICTION_DONE)
+    if fit.is_white or not fit.model.bend.is_straight:
+        return True
+    return fit.model.friction > 0.0 and fit.misfit < FRICTION_DONE
 
 
 def is_near(record: LoopRecord, gains: Gains) -> bool:

@@ -141,7 +141,7 @@ def _compiled_responses(
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Outputs and efforts of stable loops, shape (loops, samples), and what noise adds to them.
 
-    By samples those with friction, or where limits act.
+    By samples those with friction or a bend, or where limits act.
     """
     settings, rest = trial.controller, trial.rest_effort
     output, effort, noise = loops[-3:]
@@ -150,7 +150,7 @@ def _compiled_responses(
     least, most = effort.min(axis=1) + rest, effort.max(axis=1) + rest
     free = (settings.output_min_N <= least) & (most <= settings.output_max_N)
     for i, (model, gains) in enumerate(pairs):
-        if model.friction or not free[i]:
+        if model.friction or not free[i] or not model.bend.is_straight:
             loop = close_loop(model, gains, settings)
             output[i], effort[i] = _response(model, loop, trial, gains)
     return output, effort, noise
@@ -164,9 +164,9 @@ def expected_response(model: LoopModel, trial: StepTrial, gains: Gains) -> Float
 def _response(
     model: LoopModel, loop: ClosedLoop, trial: StepTrial, gains: Gains
 ) -> tuple[FloatArray, FloatArray]:
-    """Output and effort as deviations; by samples only with friction, or where limits act."""
+    """Output and effort as deviations; by samples with friction, a bend, or where limits act."""
     settings = trial.controller
-    if not model.friction:
+    if not model.friction and model.bend.is_straight:
         output, effort = loop.setpoint_response(trial.setpoint)
         if trial.step.load:
             loaded = loop.load_response(trial.loads)

@@ -1,4 +1,4 @@
-"""Response of the loop sample by sample: with the controller's limits, and with dry friction."""
+"""Response of the loop sample by sample: with the controller's limits, dry friction and a bend."""
 
 from functools import lru_cache
 from typing import Any
@@ -9,7 +9,13 @@ from estune.core import pidf
 from estune.core.gains import Gains
 from estune.core.pidf import ControllerSettings
 from estune.core.quantities import FloatArray
+from estune.loop_model.bend import LEAST, MOST, POWERS, Bend
 from estune.loop_model.model import LoopModel, exchanged
+
+NEWTON = 4
+"""Steps to the measurement of a bent plant: each squares the error."""
+
+BENDS = 1 + 2 * len(POWERS)
 
 
 def sampled_response(
@@ -24,7 +30,7 @@ def sampled_response(
     """Output and effort as deviations, by the controller's own steps, shape (samples,) each.
 
     Args:
-        model: The loop; friction holds nothing at rest.
+        model: The loop; friction holds nothing at rest, and the step is that of its bend.
         settings: The fixed part of the controller.
         gains: The gains.
         setpoint: As a deviation, shape (samples,).
@@ -39,9 +45,13 @@ def sampled_response(
             taps,
             exchanged(np.array(model.numerator)),
             [rest_effort, model.friction],
+            _bend_at(model.bend),
         ]
     )
-    run = _loop(len(sections), len(model.numerator), model.dead_samples, setpoint.size)
+    run = _loop(
+        *(len(sections), len(model.numerator), model.dead_samples, setpoint.size),
+        bent=not model.bend.is_straight,
+    )
     first = np.zeros(run.size1_in(0))
     first[0] = rest_effort
     columns = np.vstack([setpoint, load, np.tile(fixed[:, np.newaxis], setpoint.size)])
@@ -50,8 +60,38 @@ def sampled_response(
     return output, effort - rest_effort
 
 
+def _bend_at(bend: Bend) -> FloatArray:
+    """The size and the terms of a bend, of which a step trial begins at x = -1."""
+    return np.array([bend.size, *bend.terms])
+
+
+def _bent(straight: Any, bend: Any) -> tuple[Any, Any]:
+    """The measurement of a bent plant by what its linear part gives, and the effort that it adds.
+
+    As deviations from rest. By Newton's method: the terms are small against the measurement.
+    """
+    import casadi as ca  # noqa: PLC0415  slow to import
+
+    size, terms = bend[0], [bend[1 + i] for i in range(2 * len(POWERS))]
+    of_effort, of_measurement = terms[: len(POWERS)], terms[len(POWERS) :]
+
+    def place(y: Any) -> Any:
+        return ca.fmin(ca.fmax(y / size - 1.0, LEAST), MOST)
+
+    def total(each: list[Any], x: Any) -> Any:
+        pairs = zip(each, POWERS, strict=True)
+        return size * sum(term * (x**power - (-1.0) ** power) for term, power in pairs)
+
+    y = straight
+    for _ in range(NEWTON):
+        x, pairs = place(y), zip(of_measurement, POWERS, strict=True)
+        slope = 1.0 + sum(term * power * x ** (power - 1) for term, power in pairs)
+        y = y - (y + total(of_measurement, x) - straight) / slope
+    return y, total(of_effort, place(y))
+
+
 @lru_cache(maxsize=8)
-def _loop(sections: int, terms: int, dead: int, samples: int) -> Any:
+def _loop(sections: int, terms: int, dead: int, samples: int, *, bent: bool) -> Any:
     """The loop as a function of first state and columns.
 
     States: of the controller; the position x/a of the first pair and that before; the last two
@@ -63,16 +103,20 @@ def _loop(sections: int, terms: int, dead: int, samples: int) -> Any:
     ca.GlobalOptions.setNumpyMode(1)  # or it prints a notice
     further = sections - 1
     state = ca.SX.sym("state", 3 + 2 + 2 * further + dead + terms)
-    column = ca.SX.sym("column", 2 + 9 + 2 * sections + terms + 2)
+    column = ca.SX.sym("column", 2 + 9 + 2 * sections + terms + 2 + BENDS)
     setpoint, load = column[0], column[1]
     c = pidf.Coefficients(*(column[2 + i] for i in range(9)))
-    taps, zeros = column[11 : 11 + 2 * sections], column[11 + 2 * sections : -2]
-    rest, friction = column[-2], column[-1]
+    taps, zeros = column[11 : 11 + 2 * sections], column[11 + 2 * sections : -2 - BENDS]
+    rest, friction, bend = column[-2 - BENDS], column[-1 - BENDS], column[-BENDS:]
     controller = pidf.PidfState(state[0], state[1], state[2])
     x, between, last = state[3:5], state[5 : 5 + 2 * further], state[5 + 2 * further :]
     output = ca.dot(zeros, last[dead : dead + terms])
+    if bent:
+        _, pulled = _bent(ca.dot(zeros, last[:terms]), bend)
+        output, _ = _bent(output, bend)
     following, effort, _ = pidf.step(c, controller, setpoint, output)
-    step = -(1.0 + taps[0]) * x[0] - taps[1] * x[1] + effort - rest + load
+    driven = effort - rest + load + (pulled if bent else 0.0)
+    step = -(1.0 + taps[0]) * x[0] - taps[1] * x[1] + driven
     moved = x[0] + step - ca.fmin(ca.fmax(step, -friction), friction)
     signal, kept = moved, []
     for i in range(further):
