@@ -9,6 +9,7 @@ without the dead time of the effort.
 All terms are level at the end of the step, so that G is the plant there.
 """
 
+import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -63,6 +64,21 @@ class Bend(NamedTuple):
         x = np.clip((measurement - self.level) / self.size, LEAST, MOST)
         early = np.concatenate([x[self.ahead :], np.repeat(x[-1:], self.ahead)])[: x.size]
         return np.array([self.size * at**power for at in (early, x) for power in POWERS])
+
+    def steepness(self, gain: float) -> float:
+        """The larger slope over the smaller one, of spring or sensor, at both ends of the step.
+
+        Infinite where one is negative.
+
+        Args:
+            gain: Static gain of the plant at the end of the step.
+        """
+        powers = np.array(POWERS)
+        at_rest = powers * (-1.0) ** (powers - 1)
+        spring = 1.0 - gain * float(at_rest @ self.effort)
+        slopes = spring, 1.0 + float(at_rest @ self.measurement)
+        least, most = min(slopes), max(slopes)
+        return max(most, 1.0 / least) if least > 0.0 else math.inf
 
 
 STRAIGHT = Bend()

@@ -17,9 +17,14 @@ from estune.loop_model.loop_fit import LoopFit
 from estune.loop_model.records import LoopRecord
 
 SPRING, SENSOR = (0, 1), (2, 3)
-BOTH = SPRING + SENSOR
-"""Terms that are free. Slow trials hardly tell a spring from a sensor: both only where neither
-alone leaves white errors."""
+"""Terms that are free: of one of the two. With both free the steps of slow trials, which hardly
+tell them apart, led to terms ten thousand times the slope."""
+
+POLES_MOST = 4
+"""Most poles beside a bend that does not leave white errors: more of them explain anything."""
+
+STEEPEST = 4.0
+"""Largest ratio of the slopes at the beginning and the end of the step, either way."""
 
 ROUNDS, GAIN, SHARES = 6, 0.01, (1.0, 0.5, 0.25)
 """Most rounds, the share of the squared errors below which a further one is not worth it, and the
@@ -95,41 +100,37 @@ def with_bend(
     # By two poles: further ones take up the bend, and the first step from them leads astray.
     two = fits.by_two_poles(records)
     level = level._replace(ahead=two.model.dead_samples)
-    first = _correction(two, records, level, BOTH)
+    first = _correction(two, records, level, SPRING + SENSOR)
     if first is None or first.left > LEFT_FIRST:
         return None
-    found = list[LoopFit]()
-    for kind in (SPRING, SENSOR, BOTH):
-        bent = _of_kind(two, records, fits, level, kind)
-        if bent is not None and _beyond(bent) < LEFT_MOST * _beyond(fit):
-            found.append(bent)
-            if bent.is_white:
-                break
-    return min(found, key=_criterion, default=None)
+    singly = [
+        (
+            kind,
+            _settled(two, records, level, kind, lambda straight, _: fits.by_two_poles(straight)),
+        )
+        for kind in (SPRING, SENSOR)
+    ]
+    # The likelier one first: slow trials hardly tell a spring from a sensor.
+    known = [(kind, bent) for kind, bent in singly if bent is not None]
+    for kind, bent in sorted(known, key=lambda pair: _squares(pair[1])):
+        whole = fits.anew([unbent(record, bent.model.bend) for record in records])
+        found = _explained(_settled(whole, records, bent.model.bend, kind, fits.again))
+        if found is not None and _beyond(found) < LEFT_MOST * _beyond(fit):
+            return found
+    return None
 
 
-def _of_kind(
-    two: LoopFit, records: Sequence[LoopRecord], fits: Fits, level: Bend, kind: Sequence[int]
-) -> LoopFit | None:
-    """The fit with the terms of a kind, first by two poles; None where it explains nothing."""
-    bent = _settled(two, records, level, kind, lambda straight, _: fits.by_two_poles(straight))
-    if bent is None:
-        return None
-    bend = bent.model.bend
-    whole = fits.anew([unbent(record, bend) for record in records])
-    return _explained(_settled(whole, records, bend, kind, fits.again))
-
-
-def _criterion(fit: LoopFit) -> float:
-    """The Bayesian criterion of a fit."""
-    errors = np.concatenate(fit.errors)
-    free = fit.model.parameters.size + np.count_nonzero(fit.model.bend.terms)
-    return errors.size * math.log(float(errors @ errors)) + free * math.log(errors.size)
+def _squares(fit: LoopFit) -> float:
+    """Sum of the squared errors."""
+    return sum(float(errors @ errors) for errors in fit.errors)
 
 
 def _explained(fit: LoopFit | None) -> LoopFit | None:
-    """A fit that explains its records, or None."""
-    return fit if fit and (fit.is_white or fit.misfit < EXPLAINED) else None
+    """A fit that explains its records by a bend that can be, or None."""
+    if fit is None or not fit.model.bend.steepness(fit.model.static_gain) < STEEPEST:
+        return None
+    few = fit.misfit < EXPLAINED and fit.order <= POLES_MOST
+    return fit if fit.is_white or few else None
 
 
 def _beyond(fit: LoopFit) -> float:
