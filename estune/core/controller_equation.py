@@ -152,15 +152,20 @@ def _derivative(form: ControllerForm, h: float, lag: float) -> tuple[float, floa
 
 def setpoint_filter(form: ControllerForm, h: float, gains: Gains) -> tuple[FloatArray, FloatArray]:
     """Numerator and denominator of F."""
-    lag = gains.setpoint_filter_s
+    one, other, pole = filter_terms(form, h, gains.setpoint_filter_s)
+    return np.array([one, other] if other else [one]), np.array([1.0, -pole])
+
+
+def filter_terms(form: ControllerForm, h: float, lag: float) -> tuple[float, float, float]:
+    """Both terms of the numerator of F with some time constant, and its pole."""
     if form.setpoint_filter == "exact" or lag == 0.0:
         a = math.exp(-h / max(lag, 1e-12))
     elif form.setpoint_filter == "backward":
         a = lag / (lag + h)
     else:
         a = (2.0 * lag - h) / (2.0 * lag + h)
-        return np.array([0.5, 0.5]) * (1.0 - a), np.array([1.0, -a])
-    return np.array([1.0 - a]), np.array([1.0, -a])
+        return 0.5 * (1.0 - a), 0.5 * (1.0 - a), a
+    return 1.0 - a, 0.0, a
 
 
 def _filtered(numerator: FloatArray, samples: FloatArray) -> FloatArray:

@@ -368,6 +368,14 @@ static void respond(const Task *t, const Plant *p, long law, long loop, double *
     }
 }
 
+/* The filter of the setpoint moves no margin, and slopes along it are asked for. */
+static int is_first_but_for_its_filter(const Task *t, long law)
+{
+    long k = t->law_terms;
+    size_t size = k * sizeof(double);
+    return !memcmp(t->R + law * k, t->R, size) && !memcmp(t->S + law * k, t->S, size);
+}
+
 /* Returns zero, or one where there is no memory. */
 __attribute__((visibility("default"))) int estune_closed_loops(const Task *t)
 {
@@ -384,13 +392,18 @@ __attribute__((visibility("default"))) int estune_closed_loops(const Task *t)
             plant_at(&p, t->terms, n, g);
         }
         law = t->laws > 1 ? i : 0;
-        law_at(t, law, n, g);
-        t->stable[i] = is_stable(t, &p, law, n, g);
-        if (!t->stable[i])
-            continue;
-        t->margin[i] = phase_margin(n, g);
-        peaks_of(t, &p, law, n, g, t->peaks + i * BANDS);
-        if (t->output)
+        if (i && t->models == 1 && is_first_but_for_its_filter(t, law)) {
+            t->stable[i] = t->stable[0], t->margin[i] = t->margin[0];
+            memcpy(t->peaks + i * BANDS, t->peaks, BANDS * sizeof *t->peaks);
+        } else {
+            law_at(t, law, n, g);
+            t->stable[i] = is_stable(t, &p, law, n, g);
+            if (t->stable[i]) {
+                t->margin[i] = phase_margin(n, g);
+                peaks_of(t, &p, law, n, g, t->peaks + i * BANDS);
+            }
+        }
+        if (t->stable[i] && t->output)
             respond(t, &p, law, i, work);
     }
     i = !(g && work);

@@ -19,7 +19,7 @@ import numpy as np
 from estune.core.controller_equation import (
     ControllerPolynomials,
     controller_polynomials,
-    setpoint_filter,
+    filter_terms,
 )
 from estune.core.controller_form import OWN_FORM
 from estune.core.filtering import lfilter
@@ -137,25 +137,22 @@ class Laws(NamedTuple):
     def of(cls, gains: Sequence[Gains], settings: ControllerSettings) -> "Laws":
         """The equations as `controller_law` has them: T and S are sums over P, I, D and I D/P."""
         shares = np.array([(g.P, g.I, g.D, g.I * g.D / g.P) for g in gains])
-        *basis, R = law_basis(settings)
+        basis, pole = law_basis(settings)
         # Row by row, so that a loop is the same whatever others it comes with.
-        T, S = ((shares[:, :, np.newaxis] * of_each).sum(axis=1) for of_each in basis)
-        R = np.tile(R, (len(gains), 1))
+        T, S = np.einsum("gk,skt->sgt", shares, basis)
+        R = np.repeat(pole[np.newaxis], len(gains), axis=0)
         still = np.flatnonzero(shares[:, 1] == 0.0)
         if still.size:
             for each in (T, S, R):
                 each[still] = np.cumsum(each[still], axis=1)
         form, h = settings.form or OWN_FORM, 1.0 / settings.sampling_Hz
-        filters = np.zeros((len(gains), 3))
-        for row, one in zip(filters, gains, strict=True):
-            numerator, denominator = setpoint_filter(form, h, one)
-            row[: numerator.size], row[2] = numerator, -denominator[1]
+        filters = np.array([filter_terms(form, h, one.setpoint_filter_s) for one in gains])
         return cls(T, S, R, filters)
 
 
 @lru_cache(maxsize=16)
-def law_basis(settings: ControllerSettings) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """T and S of P, I, D and I D/P, shape (4, terms), and R, of as many terms."""
+def law_basis(settings: ControllerSettings) -> tuple[FloatArray, FloatArray]:
+    """T and S of P, I, D and I D/P, shape (2, 4, terms), and R, of as many terms."""
     at = [Gains(1.0, i, d, 0.0) for i, d in ((0.0, 0.0), (1.0, 0.0), (0.0, 1.0), (1.0, 1.0))]
     forms = [controller_polynomials(settings, gains) for gains in at]
     terms = max(one.size for form in forms for one in form[:3])
@@ -168,7 +165,7 @@ def law_basis(settings: ControllerSettings) -> tuple[FloatArray, FloatArray, Flo
         return np.array([of_p, p_i - of_p, p_d - of_p, p_i_d - p_i - p_d + of_p])
 
     T, S = parts([form.setpoint for form in forms]), parts([form.measurement for form in forms])
-    return T, S, padded(forms[0].denominator)
+    return np.array([T, S]), padded(forms[0].denominator)
 
 
 class ClosedLoop(NamedTuple):

@@ -67,7 +67,7 @@ def _model(model: LoopModel) -> dict[str, Any]:
 
 def _controller(settings: ControllerSettings) -> dict[str, Any]:
     """S and T as sums over P, I, D and I D / P, which is what every form of controller is."""
-    T, S, R = law_basis(settings)
+    (T, S), R = law_basis(settings)
     form = settings.form or OWN_FORM
     return {
         "sampling_Hz": settings.sampling_Hz,

@@ -9,11 +9,13 @@ stay within half a step of their mean, and the effort within half of its room.
 import math
 from collections.abc import Iterator
 from dataclasses import replace
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
 
 from estune.core.gains import Gains
+from estune.core.quantities import FloatArray
 from estune.loop_model.excitation import UnknownLoop, deviations, wanted_setpoint
 from estune.loop_model.plant_error import ErrorMargin
 from estune.loop_model.records import LoopRecord
@@ -75,7 +77,7 @@ def best_excitation(
         wanted = wanted_setpoint(unknown, samples, highest) / math.sqrt(power)
         if not math.isfinite(wanted):
             return None
-        wave = unit.setpoint(rate) - unit.preload_N
+        wave = _wave(unit, rate)
         output, effort = deviations(unknown, wave)
         moved = float(max(np.abs(output).max(), np.abs(wave).max()))
         allowed = _allowed(unknown, plan, rig, moved, float(np.abs(effort).max()))
@@ -90,6 +92,14 @@ def best_excitation(
         answer = LoopRecord(*moves, unknown.excited_at, at_rest=True)
         found.append(ForeseenExcitation(trial, answer, margin))
     return max(found, key=lambda one: one.margin.distance, default=None)
+
+
+@lru_cache(maxsize=16)
+def _wave(unit: MultisineProfile, rate: float) -> FloatArray:
+    """The multisine about its mean; that of a run is asked for after each of its trials."""
+    wave = unit.setpoint(rate) - unit.preload_N
+    wave.flags.writeable = False
+    return wave
 
 
 def _units(plan: Plan, rig: RigDescription) -> Iterator[MultisineProfile]:
