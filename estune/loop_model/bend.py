@@ -62,7 +62,9 @@ class Bend(NamedTuple):
     def shapes(self, measurement: FloatArray) -> FloatArray:
         """The shapes of all terms, s x^2 and s x^3 of spring and sensor, shape (4, samples)."""
         x = np.clip((measurement - self.level) / self.size, LEAST, MOST)
-        early = np.concatenate([x[self.ahead :], np.repeat(x[-1:], self.ahead)])[: x.size]
+        later = np.concatenate([x[self.ahead :], np.repeat(x[-1:], self.ahead + 1)])
+        # Over a sample the effort stands and the measurement moves: a spring takes its mean.
+        early = 0.5 * (later[: x.size] + later[1 : x.size + 1])
         return np.array([self.size * at**power for at in (early, x) for power in POWERS])
 
     def steepness(self, gain: float) -> float:

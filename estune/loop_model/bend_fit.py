@@ -20,6 +20,9 @@ SPRING, SENSOR = (0, 1), (2, 3)
 """Terms that are free: of one of the two. With both free the steps of slow trials, which hardly
 tell them apart, led to terms ten thousand times the slope."""
 
+FEWEST = 2
+"""Trials from which a bend is sought: to one alone many are the same."""
+
 POLES_MOST = 4
 """Most poles beside a bend that does not leave white errors: more of them explain anything."""
 
@@ -95,7 +98,7 @@ def with_bend(
         own = np.flatnonzero(bend.terms).tolist()
         return _explained(_settled(fit, records, bend, own, fits.again))
     level = level_of(records)
-    if level is None:
+    if level is None or len(records) < FEWEST:
         return None
     # By two poles: further ones take up the bend, and the first step from them leads astray.
     two = fits.by_two_poles(records)

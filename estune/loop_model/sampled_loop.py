@@ -112,17 +112,27 @@ def _loop(sections: int, terms: int, dead: int, samples: int, *, bent: bool) -> 
     x, between, last = state[3:5], state[5 : 5 + 2 * further], state[5 + 2 * further :]
     output = ca.dot(zeros, last[dead : dead + terms])
     if bent:
-        _, pulled = _bent(ca.dot(zeros, last[:terms]), bend)
-        output, _ = _bent(output, bend)
+        output = _bent(output, bend)[0]
     following, effort, _ = pidf.step(c, controller, setpoint, output)
-    driven = effort - rest + load + (pulled if bent else 0.0)
-    step = -(1.0 + taps[0]) * x[0] - taps[1] * x[1] + driven
-    moved = x[0] + step - ca.fmin(ca.fmax(step, -friction), friction)
-    signal, kept = moved, []
-    for i in range(further):
-        own = between[2 * i : 2 * i + 2]
-        signal = signal - taps[2 + 2 * i] * own[0] - taps[3 + 2 * i] * own[1]
-        kept += [signal, own[0]]
+
+    def moved_by(pulled: Any) -> tuple[Any, Any, list[Any]]:
+        """The position of the first pair, what leaves the last one, and states of the others."""
+        driven = effort - rest + load + pulled
+        step = -(1.0 + taps[0]) * x[0] - taps[1] * x[1] + driven
+        signal = moved = x[0] + step - ca.fmin(ca.fmax(step, -friction), friction)
+        kept = []
+        for i in range(further):
+            own = between[2 * i : 2 * i + 2]
+            signal = signal - taps[2 + 2 * i] * own[0] - taps[3 + 2 * i] * own[1]
+            kept += [signal, own[0]]
+        return moved, signal, kept
+
+    moved, signal, kept = moved_by(0.0)
+    if bent:  # a spring takes the mean of the measurement before and after the sample
+        now = _bent(ca.dot(zeros, last[:terms]), bend)[1]
+        foreseen = ca.vertcat(moved_by(now)[1], last[: terms - 1])
+        after = _bent(ca.dot(zeros, foreseen), bend)[1]
+        moved, signal, kept = moved_by(0.5 * (now + after))
     after = ca.vertcat(*following, moved, x[0], *kept, signal, last[:-1])
     one = ca.Function("one", [state, column], [after, ca.vertcat(output, effort)])
     return one.mapaccum("loop", samples)
