@@ -11,6 +11,7 @@ from estune.core.gains import Gains
 from estune.core.quantities import FloatArray
 from estune.core.setting import Setting, check_settings, documented
 from estune.loop_model.half_widths import HalfWidths
+from estune.loop_model.identification import remembered
 from estune.loop_model.intervals import Interval, PredictedMargins
 from estune.loop_model.model import LoopModel
 from estune.loop_model.prediction import Prediction, StepTrial, predictions
@@ -271,16 +272,17 @@ class RegionSearch:
     def _descend(self, start: FloatArray, iterations: int) -> Optimum:
         from scipy.optimize import minimize  # noqa: PLC0415  slow to import
 
+        linear = remembered(self._linearised)  # copied, for SLSQP writes into the slopes
         found = minimize(
-            self._objective_with_slopes,
+            lambda x: (float(linear(x)[0][0]), linear(x)[1][0].copy()),
             start,
             method="SLSQP",
             jac=True,
             bounds=list(zip(self.low, self.high, strict=True)),
             constraints={
                 "type": "ineq",
-                "fun": lambda x: -self._excesses([self.predicted(x)])[0],
-                "jac": lambda x: -self._slopes(x, self._excesses),
+                "fun": lambda x: -linear(x)[0][1:],
+                "jac": lambda x: -linear(x)[1][1:],
             },
             options={"maxiter": iterations, "ftol": DESCENDED},
         )
@@ -288,18 +290,15 @@ class RegionSearch:
         kept = bool(self._excesses([self.predicted(x)]).max() < TOLERANCE)
         return Optimum(x, self.predicted(x), feasible=kept)
 
-    def _objective_with_slopes(self, x: FloatArray) -> tuple[float, FloatArray]:
-        # Nearly every point whose value is asked for has its slopes asked for next.
-        slopes = self._slopes(x, _log_costs)
-        return self._objective(x), slopes
+    def _linearised(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Log cost and excesses, (values,), and slopes of each along the coordinates, (values, n).
 
-    def _slopes(
-        self, x: FloatArray, values: Callable[[Sequence[Prediction]], FloatArray]
-    ) -> FloatArray:
-        """Slopes of values along each coordinate, shape (..., n), all points predicted at once."""
+        Nearly every point whose values are asked for has its slopes asked for next.
+        """
         steps = np.where(x + SLOPE_STEP <= self.high, SLOPE_STEP, -SLOPE_STEP)
-        at = values(self.all_predicted([x, *(x + np.diag(steps))]))
-        return np.asarray((at[1:] - at[0]).T / steps)
+        found = self.all_predicted([x, *(x + np.diag(steps))])
+        values = np.column_stack([_log_costs(found), self._excesses(found)])
+        return values[0], (values[1:] - values[0]).T / steps
 
     def _objective(self, x: FloatArray) -> float:
         return float(_log_costs([self.predicted(x)])[0])
