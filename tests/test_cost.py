@@ -1,6 +1,7 @@
 """The cost (35): normalisation, closed forms, and refused input."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,11 +12,11 @@ from scipy.integrate import quad
 from estune.core.cost import StepCost
 from estune.core.gains import Gains
 from estune.core.metrics import NO_METRICS, step_metrics
-from estune.core.response import StepShape
+from estune.core.response import LoadStep, StepShape
 from estune.errors import InvalidInput, RigError
 from estune.trial import Outcome, TrialRecord
-from estune.trial.profiles import StepProfile
-from estune.trial.scoring import cost_of, metrics_of
+from estune.trial.profiles import LoadStepProfile, StepProfile
+from estune.trial.scoring import cost_of, load_metrics_of, metrics_of
 
 SAMPLING_Hz, SAMPLES, STEP_INDEX = 632.0, 632, 100
 SHAPE = StepShape(STEP_INDEX, 5.0)
@@ -144,24 +145,109 @@ def test_printed_weight_exceeds_rising_weight_in_the_transient():
     assert ratios[0] > ratios[1]
 
 
-def test_move_penalty_adds_the_squared_moves_from_the_step_on():
-    setpoint, measurement, _ = columns(ringing)
-    effort = np.random.default_rng(3).normal(size=SAMPLES)
-    moves = [(effort[k] - effort[k - 1]) / 5.0 for k in range(STEP_INDEX, SAMPLES)]
-    plain, priced = (
-        StepCost(0.3, move_weight=w).evaluate(SAMPLING_Hz, SHAPE, setpoint, measurement, effort)
-        for w in (0.0, 0.2)
+def cost_by_definition(cost, rate_Hz, shape, error, effort):
+    """The cost as the text of its module words it, by the trapezoidal rule."""
+    h, t_s = 1.0 / rate_Hz, cost.settling_time_s
+    end = shape.load.sample if shape.load else error.size
+
+    def N(eps):
+        t = np.arange(eps.size) * h
+        if cost.criterion != "paper":
+            return np.trapezoid(t * np.abs(eps) if cost.criterion == "itae" else eps**2, t)
+        unit, sign = (
+            (1.0 if cost.time_unit == "second" else t_s),
+            1.0 if cost.weight == "printed" else -1.0,
+        )
+        early = t <= t_s * (1.0 + 1e-9)
+        sigmoid = 1.0 / (1.0 + np.exp(sign * np.pi * (t - t_s) / (2.0 * t_s)))
+        return (
+            np.trapezoid(t / unit**2 * eps**2, t)
+            + np.trapezoid((sigmoid * eps**2)[early], t[early]) / t_s
+        )
+
+    def eta(eps, ramp):
+        parts = [np.where(k < ramp, 1.0 / ramp, 0.0) for k in range(eps.size)]
+        t = np.arange(eps.size) * h
+        late = [
+            part * np.where(t >= k * h, np.exp(-4.0 * (t - k * h) / t_s), 0.0)
+            for k, part in enumerate(parts)
+        ]
+        return N(eps) / N(np.sum(late, axis=0))
+
+    tracking, used = (
+        error[shape.sample : end] / shape.size,
+        effort[shape.sample : end] / shape.size,
     )
-    assert priced - plain == pytest.approx(0.2 * sum(move**2 for move in moves))
+    value = eta(tracking, shape.ramp)
+    if cost.rejection:
+        rejected = eta(error[end:] / shape.load.size, 1)
+        value = (1.0 - cost.rejection) * value + cost.rejection * rejected
+    away = used - np.mean(used[-max(1, used.size // 10) :])
+    moves = [(effort[k] - effort[k - 1]) / shape.size for k in range(shape.sample, effort.size)]
+    price = cost.effort_weight / t_s * np.sum(away**2) * h
+    return value + price + cost.move_weight * sum(move**2 for move in moves)
 
 
-@pytest.mark.parametrize("move_weight", [0.0, 0.4])
-def test_cost_of_a_batch_is_that_of_its_members(move_weight):
+@pytest.mark.parametrize("seed", range(24))
+def test_cost_with_any_settings_is_that_of_its_definition(seed):
+    rng = np.random.default_rng(seed)
+    rate_Hz, step = 20.0, int(rng.integers(1, 5))
+    after = int(rng.choice([7, 40, 95]))
+    load = LoadStep(step + after, float(rng.uniform(-3.0, 3.0))) if seed % 2 else None
+    shape = StepShape(step, float(rng.uniform(-3.0, 3.0)), load, int(rng.choice([1, 1, 5])))
+    cost = StepCost(
+        settling_time_s=int(rng.integers(2, 6)) / rate_Hz,
+        weight=str(rng.choice(["printed", "rising"])),
+        time_unit=str(rng.choice(["second", "settling_time"])),
+        criterion=("paper", "itae", "ise")[seed % 3],
+        move_weight=float(rng.uniform(0.0, 2.0)),
+        effort_weight=float(rng.choice([0.0, 0.7])),
+        rejection=float(rng.choice([0.0, 0.3, 1.0])) if load else 0.0,
+    )
+    measurement, effort = rng.standard_normal((2, step + after + (60 if load else 0)))
+    setpoint = shape.setpoint(effort.size)
+    expected = cost_by_definition(cost, rate_Hz, shape, setpoint - measurement, effort)
+    assert cost.evaluate(rate_Hz, shape, setpoint, measurement, effort) == pytest.approx(expected)
+
+
+@pytest.mark.parametrize("criterion", ["paper", "itae", "ise"])
+def test_weights_are_all_of_the_cost_where_it_is_quadratic(criterion):
+    setpoint, measurement, effort = columns(ringing)
+    error = (setpoint - measurement)[STEP_INDEX:] / 5.0
+    for effort_weight in (0.0, 0.1):
+        cost = StepCost(0.3, criterion=criterion, effort_weight=effort_weight)
+        weighted = cost.weights(SAMPLING_Hz, SHAPE, SAMPLES) @ error**2
+        eta = cost.evaluate(SAMPLING_Hz, SHAPE, setpoint, measurement, effort)
+        assert cost.is_quadratic == (weighted == pytest.approx(eta))
+    assert not replace(cost, effort_weight=0.0, function="math:fsum").is_quadratic
+
+
+def test_cost_scaled_by_the_gain_takes_the_effort_in_units_of_the_measurement():
+    setpoint, measurement, effort = columns(ringing)
+    cost = StepCost(0.3, move_weight=0.4, effort_weight=0.3)
+    unscaled = cost.scaled(None)
+    assert (cost.unscaled, unscaled.unscaled, unscaled.scaled(7.0).unscaled) == (
+        False,
+        True,
+        False,
+    )
+    assert unscaled.scaled(7.0).evaluate(
+        SAMPLING_Hz, SHAPE, setpoint, measurement, effort
+    ) == pytest.approx(cost.evaluate(SAMPLING_Hz, SHAPE, setpoint, measurement, 7.0 * effort))
+
+
+def test_settling_time_far_below_the_record_has_a_cost():
+    """A thousand settling times after the step the sigmoid of (35) is beyond the largest float."""
+    assert np.isfinite(StepCost(0.0005).weights(SAMPLING_Hz, SHAPE, SAMPLES)).all()
+
+
+@pytest.mark.parametrize("weight", [0.0, 0.4])
+def test_cost_of_a_batch_is_that_of_its_members(weight):
     rng = np.random.default_rng(5)
     setpoint, measurement, _ = columns(ringing)
     measurements = measurement + rng.normal(size=(2, 7, SAMPLES))
     efforts = rng.normal(size=(2, 7, SAMPLES))
-    cost = StepCost(0.3, move_weight=move_weight)
+    cost = StepCost(0.3, move_weight=weight, effort_weight=weight)
     batch = cost.evaluate(SAMPLING_Hz, SHAPE, setpoint, measurements, efforts)
     one_by_one = [
         [cost.evaluate(SAMPLING_Hz, SHAPE, setpoint, y, u) for y, u in zip(ys, us, strict=True)]
@@ -278,6 +364,29 @@ def test_record_is_scored_by_tension_and_effort():
         final=15.0,
     )
     assert all(map(math.isfinite, metrics))
+
+
+def test_metrics_of_a_trial_with_a_load_are_those_before_it_and_after_it():
+    plain = record()
+    loaded = LoadStepProfile(10.0, 5.0, STEP.step_at_s, 2.0, load_N=3.0, load_at_s=1.0)
+    lag = np.exp(-np.arange(SAMPLES) / 50.0)
+    both = {
+        name: np.concatenate([getattr(plain, name), getattr(plain, name)[-1] + change])
+        for name, change in (
+            ("time_s", np.arange(1, SAMPLES + 1) / SAMPLING_Hz),
+            ("setpoint_N", 0.0 * lag),
+            ("tension_N", 2.0 * lag),
+            ("current_A", 0.0 * lag),
+        )
+    }
+    trial = replace(plain, **both)
+    assert metrics_of(trial, loaded) == metrics_of(plain, STEP)
+    assert load_metrics_of(plain, STEP) is None
+    assert load_metrics_of(replace(trial, outcome=Outcome.GUARD), loaded) is None
+    found = load_metrics_of(trial, loaded)
+    assert found.peak == pytest.approx(2.0, abs=5e-3)
+    within = np.log(2.0 / (0.02 * 5.0)) * 50.0 / SAMPLING_Hz
+    assert found.recovery_time_s == pytest.approx(within, abs=1.0 / SAMPLING_Hz)
 
 
 def with_sample(value, index):

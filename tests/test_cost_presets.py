@@ -52,35 +52,48 @@ def test_criterion_is_one_for_the_first_order_reference(criterion, step_N):
     assert eta == pytest.approx(1.0, rel=1e-9)
 
 
-def test_itae_and_ise_agree_with_their_integrals():
-    rng, t = np.random.default_rng(1), np.arange(400) / 200.0
-    error, effort = rng.standard_normal(400), rng.standard_normal(400)
-    reference = np.exp(-4.0 * t / 0.5)
-    expected = {
-        "itae": np.trapezoid(t * abs(error), t) / np.trapezoid(t * reference, t),
-        "ise": np.trapezoid(error**2, t) / np.trapezoid(reference**2, t),
-    }
-    for criterion, value in expected.items():
-        cost = StepCost(0.5, criterion=criterion)
-        got = cost.evaluate(200.0, StepShape(0, 1.0), error, np.zeros(400), effort)
-        assert got == pytest.approx(value, rel=1e-3)
-    priced = replace(cost, effort_weight=0.3).evaluate(
-        200.0, StepShape(0, 1.0), error, 0.0 * t, effort
-    )
-    away = effort - effort[-40:].mean()
-    assert priced - got == pytest.approx(0.3 / 0.5 * np.sum(away**2) / 200.0)
+@pytest.mark.parametrize(
+    ("preset", "parts"),
+    [
+        ("itae", {"criterion": "itae"}),
+        ("ise", {"criterion": "ise", "effort_weight": 0.1}),
+        ("rejection", {"criterion": "itae", "rejection": 1.0}),
+        ("tracking_and_rejection", {"criterion": "itae", "rejection": 0.5}),  # both alike
+    ],
+)
+def test_preset_is_its_criterion_with_the_usual_move_penalty(preset, parts):
+    assert cost_from(preset, 0.2) == StepCost(0.2, move_weight=0.2, **parts)
 
 
-def test_rejection_is_the_cost_of_the_error_over_the_load_and_is_weighed_by_its_share():
-    """The error is the step's first-order reference, and then half of that of the load."""
-    t = np.arange(1000) / 1000.0
-    reference = np.exp(-4.0 * t / 0.3)
-    step = StepShape(0, 2.0, LoadStep(1000, -0.4))
-    error = np.concatenate([2.0 * reference, -0.2 * reference])
-    for share in (0.25, 1.0):
-        cost = StepCost(0.3, criterion="ise", rejection=share)
-        eta = cost.evaluate(1000.0, step, error, np.zeros(2000), np.zeros(2000))
-        assert eta == pytest.approx(1.0 - share + 0.25 * share)
+def told(response: StepResponse) -> float:
+    """A cost that keeps what it was given."""
+    told.response = response
+    return 1.0
+
+
+def test_function_cost_is_given_deviations_from_the_rest_before_the_step():
+    rng, load = np.random.default_rng(4), LoadStep(12, -0.4)
+    setpoint = np.array([2.0] * 3 + [5.0] * 17)
+    y, u = rng.standard_normal((2, 20))
+    cost = cost_from(told, 0.2)
+    assert cost.evaluate(10.0, StepShape(3, 3.0, load), setpoint, y, u) == 1.0
+    got = told.response
+    assert got.time_s == pytest.approx((np.arange(20) - 3) / 10.0)
+    assert got.setpoint == pytest.approx(setpoint - 2.0)
+    assert got.measurement == pytest.approx(y - 2.0)  # the error stays as it is
+    assert got.effort == pytest.approx(u - u[:3].mean())
+    assert got[4:] == (3.0, 3, 0.2, load)
+    cost.evaluate(10.0, StepShape(0, 5.0), setpoint, y, u)  # of one sample, the first
+    assert told.response.effort == pytest.approx(u - u[0])
+
+
+@pytest.mark.parametrize(
+    ("choice", "why"), [("best", "there is no cost 'best'"), ("os:none", "os")]
+)
+def test_cost_that_does_not_exist_is_refused(choice, why):
+    with pytest.raises(InvalidInput, match=why):
+        cost_from(choice, 0.2)
+    assert cost_from("math:fsum", 0.2) == StepCost(0.2, function="math:fsum")
 
 
 def test_load_moves_the_plant_but_not_the_recorded_effort_of_an_open_loop():

@@ -150,13 +150,45 @@ def test_noise_changes_metrics_by_at_most_four_deviations():
     assert metrics.steady_state_error == pytest.approx(0.0, abs=share)
 
 
-def test_noise_raises_an_overshoot_by_less_than_its_deviation():
+@pytest.mark.parametrize(
+    "response",
+    [
+        second_order(0.4),
+        1.3 * AFTER_s / AFTER_s[-1],  # highest at its end
+        np.where(TIME_s < STEP_s, 0.0, 1.0 + 0.4 * np.exp(-AFTER_s / 0.2)),  # and at the step
+    ],
+    ids=["peak", "at the end", "at the step"],
+)
+def test_noise_raises_an_overshoot_by_less_than_its_deviation(response):
     """The largest sample is higher by about three of them."""
-    share, response = 0.004, second_order(0.4)
+    share = 0.004
     true = measure(response).overshoot
     found = [measure(noisy(response, share, seed)).overshoot for seed in range(20)]
     assert np.mean(found) == pytest.approx(true, abs=0.5 * share)
     assert np.abs(np.subtract(found, true)).max() < 2.0 * share
+
+
+def test_noise_makes_an_overshoot_of_at_most_twice_its_deviation_where_there_is_none():
+    share, response = 0.004, 1.0 - np.exp(-AFTER_s / 0.1)
+    found = [measure(noisy(response, share, seed)).overshoot for seed in range(20)]
+    assert np.mean(found) < 2.0 * share
+
+
+def test_noise_before_the_step_allows_few_samples_after_it():
+    few = slice(0, int(STEP_s * SAMPLING_Hz) + 3)
+    response = noisy(1.0 - np.exp(-AFTER_s / 1e-4), 0.002)[few]
+    metrics = step_metrics(TIME_s[few], response, step_time_s=STEP_s, initial=0.0, final=1.0)
+    assert metrics.overshoot == pytest.approx(0.0, abs=0.01)
+
+
+def test_deviation_at_rest_before_the_step_is_no_noise():
+    response = 1.0 - np.exp(-AFTER_s / 0.1)
+    assert measure(response + np.where(TIME_s < STEP_s, 0.05, 0.0)) == measure(response)
+
+
+def test_response_that_is_half_way_at_once_rises_from_the_step_on():
+    metrics = measure(np.where(TIME_s < STEP_s, 0.0, 1.0 - 0.5 * np.exp(-AFTER_s / 0.1)))
+    assert metrics.rise_time_s == pytest.approx(0.1 * math.log(5.0), rel=1e-4)
 
 
 @pytest.mark.parametrize(("down", "name"), [(False, "overshoot"), (True, "undershoot")])
@@ -178,6 +210,14 @@ def test_oscillation_before_the_step_is_not_noise():
     oscillating = 0.1 * np.sin(300.0 * TIME_s)
     metrics = measure(1.0 - np.exp(-AFTER_s / 0.02) + oscillating)
     assert math.isnan(metrics.settling_time_s)
+
+
+def test_oscillation_before_the_step_does_not_end_a_recovery():
+    swinging = 0.1 * np.sin(300.0 * TIME_s)
+    step, load = int(STEP_s * SAMPLING_Hz), int(1.0 * SAMPLING_Hz)
+    response = np.where(TIME_s < STEP_s, 0.0, 1.0) + swinging
+    metrics = load_metrics(TIME_s, response, step=step, load=load, initial=0.0, final=1.0)
+    assert math.isnan(metrics.recovery_time_s)
 
 
 def test_steady_state_error_is_the_mean_over_the_last_tenth():
@@ -223,6 +263,12 @@ def with_value(value, index=700):
 )
 def test_bad_data_give_nan_metrics(time, values, initial, final):
     metrics = step_metrics(time, values, step_time_s=STEP_s, initial=initial, final=final)
+    assert list(map(math.isnan, metrics)) == [True] * len(NO_METRICS)
+
+
+@pytest.mark.parametrize("when_s", [-math.inf, math.inf, math.nan])
+def test_step_at_no_time_gives_nan_metrics(when_s):
+    metrics = step_metrics(TIME_s, second_order(0.4), step_time_s=when_s, initial=0.0, final=1.0)
     assert list(map(math.isnan, metrics)) == [True] * len(NO_METRICS)
 
 

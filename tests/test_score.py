@@ -57,6 +57,36 @@ def test_constraint_margin_of_an_effort_in_another_unit_is_relative_to_its_holdi
     )
 
 
+def test_effort_that_holds_the_plant_is_that_of_the_last_tenth_at_either_end():
+    """Samples of other efforts before those tenths, and a third setpoint between, do not count."""
+    free = replace(RIG.controller, output_min_N=-8.0, output_max_N=12.0)
+    oven = replace(RIG, controller=free, measurement="temperature, K", command="voltage, V")
+    setpoint = np.repeat([10.0, 15.0, 20.0], 40)
+    effort_V = np.concatenate([np.full(36, 2.5), [1.0, 3.0] * 2, np.full(76, 2.5), [3.0, 5.0] * 2])
+    flat = record()
+    of = {"time_s": np.arange(120) / 100.0, "setpoint_N": setpoint, "tension_N": setpoint}
+    at_rest = replace(flat, **of, current_A=effort_V / 20.0)
+    assert constraint_margin(at_rest, oven) == pytest.approx((12.0 - 5.0) / (12.0 - 4.0))
+    effort_V[50] = -3.0
+    low = replace(at_rest, current_A=effort_V / 20.0)
+    assert constraint_margin(low, oven) == pytest.approx((-3.0 + 8.0) / (2.0 + 8.0))
+    still = replace(low, setpoint_N=np.full(120, 20.0), tension_N=np.full(120, 20.0))
+    assert constraint_margin(still, oven) == pytest.approx((-3.0 + 8.0) / (3.0 + 8.0))
+
+
+def test_effort_that_holds_the_plant_may_be_of_one_sample():
+    oven = replace(RIG, measurement="temperature, K", command="voltage, V")
+    held = {"time_s": np.arange(4) / 100.0, "setpoint_N": np.array([10.0, 10.0, 20.0, 20.0])}
+    effort_V = np.array([1.0, 2.0, 3.0, 4.0]) / 20.0
+    few = replace(record(), **held, tension_N=held["setpoint_N"], current_A=effort_V)
+    assert constraint_margin(few, oven) == pytest.approx((1.0 + 100.0) / (2.0 + 100.0))
+
+
+def test_measurement_that_is_no_number_leaves_the_margin_of_the_effort():
+    lost = record(tension_N=math.nan, current_A=60.0 / 20.0)
+    assert constraint_margin(lost, RIG) == pytest.approx(0.5)
+
+
 def test_constraint_margin_ignores_unlimited_sides():
     tight = replace(RIG, limits=RigLimits(10.0, 20.0, 5.0))
     assert constraint_margin(record(tension_N=25.0), tight) == pytest.approx(1.0)

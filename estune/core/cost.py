@@ -210,17 +210,17 @@ class StepCost:
         step_index, step_size, load, _ = step
         rest = [np.asarray(c)[..., : max(step_index, 1)].mean(-1, keepdims=True) for c in columns]
         rest[1] = rest[0]  # the error stays as it is
-        moved = np.broadcast_arrays(*(c - r for c, r in zip(columns, rest, strict=True)))
-        samples = moved[0].shape[-1]
+        moved = np.stack(np.broadcast_arrays(*(c - r for c, r in zip(columns, rest, strict=True))))
+        *batch, samples = moved.shape[1:]
         time_s = (np.arange(samples) - step_index) / sampling_Hz
         costs = [
             evaluate_function(
                 self.function,
                 StepResponse(time_s, r, y, u, step_size, step_index, self.settling_time_s, load),
             )
-            for r, y, u in zip(*(c.reshape(-1, samples) for c in moved), strict=True)
+            for r, y, u in np.moveaxis(moved.reshape(3, -1, samples), 1, 0)
         ]
-        return costs[0] if moved[0].ndim == 1 else np.reshape(costs, moved[0].shape[:-1])
+        return np.reshape(costs, batch) if batch else costs[0]
 
     @property
     def is_quadratic(self) -> bool:
@@ -315,8 +315,7 @@ def _normalised_weights(cost: StepCost, sampling_Hz: float, samples: int, ramp: 
     sigmoid = 1.0 / (1.0 + np.exp(np.minimum(exponent, 700.0)))
     unit = 1.0 if cost.time_unit == "second" else t_s
     whole, reference = _trapezoid(t, h, t[-1]), np.exp(-4.0 * t / t_s)
-    if ramp > 1:
-        reference = np.convolve(reference, np.full(ramp, 1.0 / ramp))[:samples]
+    reference = np.convolve(reference, np.full(ramp, 1.0 / ramp))[:samples]
     weights: FloatArray
     if cost.criterion == "itae":
         weights = t * whole / (t * whole @ reference)

@@ -156,7 +156,7 @@ def _peak(z: FloatArray, noise: float) -> float:
     are few, and where the noise explains the peak the largest mean of `SMOOTHED` samples.
     """
     largest = float(z.max())
-    if len(z) < SMOOTHED or largest <= 1.0 or noise == 0.0:
+    if len(z) < SMOOTHED or noise == 0.0:
         return largest
     sums = np.concatenate([[0.0], np.cumsum(z)])
     means = (sums[SMOOTHED:] - sums[:-SMOOTHED]) / SMOOTHED
@@ -164,9 +164,9 @@ def _peak(z: FloatArray, noise: float) -> float:
     if largest - 1.0 < NOISE_SIGMAS * noise:
         return top
     low = means <= 1.0 + 0.5 * (top - 1.0)
-    after = int(low[at:].argmax()) if low[at:].any() else len(low) - at
+    after = int(low[at:].argmax()) if low[at:].any() else len(low)
     before = int(low[at::-1].argmax()) if low[: at + 1].any() else at + 1
-    peak = z[max(at - before + 1, 0) + SMOOTHED // 2 : at + after + SMOOTHED // 2]
+    peak = z[at - before + 1 + SMOOTHED // 2 : at + after + SMOOTHED // 2]
     if len(peak) < FEWEST_OF_PEAK:
         return largest
     place = np.linspace(-1.0, 1.0, len(peak))

@@ -13,7 +13,7 @@ class Area(NamedTuple):
 AREAS: dict[str, Area] = {
     "cost": Area(
         ("estune/core/cost.py", "estune/core/metrics.py", "estune/trial/scoring.py"),
-        ("cost", "metrics", "score", "ramp", "cost_presets"),
+        ("cost", "metrics", "score", "ramp", "cost_presets", "oscillation"),
     ),
     "seeking": Area(
         (
@@ -144,5 +144,13 @@ UNCHANGED: dict[tuple[str, str], str] = {
         "if self.effort_weight > 0.0:",
         "condition replaced",
     ): "a weight of zero adds nothing",
+    (
+        "place = np.linspace(-1.0, 1.0, len(peak))",
+        "constant scaled",
+    ): "polynomials over a wider place are the same",
+    (
+        "if t_s > samples * h * (1.0 + 1e-9):  # the margin is for rounding in samples * h",
+        "constant scaled",
+    ): "rounding is far below it",
 }
 """Faults that change no behaviour, by their line and kind, with the reason."""
