@@ -7,6 +7,7 @@ import numpy as np
 
 from estune.core.gains import Gains
 from estune.core.quantities import FloatArray
+from estune.loop_model.converter_step import converter_step
 
 
 class LoopRecord(NamedTuple):
@@ -88,4 +89,7 @@ def rounding_std(measurement: FloatArray) -> float:
     An encoder whose speed has steps of 8.3 rpm is exact at rest and off by 2.4 rpm in motion.
     """
     steps = np.abs(np.diff(measurement))
-    return float(steps[steps > 0.0].min(initial=np.inf)) / math.sqrt(12.0) if steps.any() else 0.0
+    if not steps.any():
+        return 0.0
+    least = float(steps[steps > 0.0].min())
+    return max(least, converter_step(measurement)) / math.sqrt(12.0)
