@@ -13,6 +13,7 @@ from estune.core.gains import Gains
 from estune.core.pidf import ControllerSettings
 from estune.loop_model.friction_score import hides_friction
 from estune.loop_model.motion_score import changes_with_motion
+from estune.loop_model.records import rounding_std
 from estune.service_records.identification import ServicePart, identify
 from estune.service_records.sources import Logs
 from estune.service_records.stretches import Stretch
@@ -98,3 +99,16 @@ def test_noise_at_the_input_of_a_linear_loop_is_no_friction():
     assert not loop.fit.model.friction
     assert not hides_friction(loop.records, loop.fit)
     assert not changes_with_motion(loop.fit, loop.records, settings)
+
+
+def test_means_of_eight_readings_of_a_converter_show_its_steps_and_a_smooth_sensor_none():
+    random = np.random.default_rng(2)
+    moves = np.cumsum(np.repeat(random.uniform(-0.3, 0.3, 40), 40)) + 500.0
+    readings = np.round(moves + 0.15 * random.standard_normal((8, moves.size))).mean(axis=0)
+    smooth = np.round(moves + 0.05 * random.standard_normal(moves.size), 3)
+    steps = np.repeat(random.integers(0, 12, 32).astype(float), 50)  # one apart, noise of 1 %
+    held = lfilter([0.1], [1.0, -0.9], steps) + 0.01 * random.standard_normal(steps.size)
+
+    assert rounding_std(readings) == pytest.approx(1.0 / math.sqrt(12.0), rel=0.02)
+    assert rounding_std(smooth) < 0.01
+    assert rounding_std(held) < 0.01

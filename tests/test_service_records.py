@@ -131,6 +131,34 @@ def test_gains_that_did_not_run_are_the_first_line(busy):
     assert replace(found, replay=in_other_form).heading().startswith("OTHER FORM RAN")
 
 
+def part_of(log, rows, name, **columns):
+    (part,) = log.parts
+    kept = {channel: values[:rows] for channel, values in (part | columns).items()}
+    return log._replace(name=name, parts=(kept,))
+
+
+def test_gains_misstated_in_an_earlier_log_and_one_that_no_gains_explain_leave_the_verdict(busy):
+    noise = np.random.default_rng(1).standard_normal(busy.parts[0]["effort"].size)
+    logs = (
+        part_of(busy, 4000, "misstated.csv"),
+        part_of(busy, 4000, "strange.csv", effort=noise),
+        part_of(busy, 6000, "last.csv"),
+    )
+    trial = REEL.trial
+    found = estune.suggest(
+        Logs(logs, (), trial.controller),
+        gains={"misstated": replace(REEL.start, P=2.0 * REEL.start.P)},
+        settling_time_s=trial.cost.settling_time_s,
+        step=trial.step.size,
+    )
+    assert found.exit_code == 0
+    assert found.ran_otherwise == ("misstated.csv",)
+    ran, true = found.gains_by_log["misstated.csv"].P, REEL.start.P
+    assert ran == pytest.approx(true, rel=1e-3)
+    assert any("misstated.csv" in remark for remark in found.remarks())
+    assert [part.log for part in found.left_out] == ["strange.csv"]
+
+
 def test_stretches_at_a_limit_and_in_manual_are_left_out(busy):
     (part,) = busy.parts
     limited = part["effort"].copy()

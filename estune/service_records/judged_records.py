@@ -34,16 +34,17 @@ class JudgedRecords:
 
     Attributes:
         verdict: Whether to change the gains; `cannot tell` where the records do not show it,
-            `other gains ran` where the effort is not that of the stated gains.
+            `other gains ran` where the last log's effort is not that of the stated gains.
         in_use: The gains in use: those stated, or those that the logged effort shows.
         margins: Predictions for them; None where they are not known.
         recommendation: Better gains, or None.
         judgement: What the records show.
-        replay: Comparison of the logged effort with that of the gains; None without an effort.
+        replay: Comparison of the last logged effort with that of the gains; None without one.
         trial: The step response that cost and overshoot are predicted for.
         fit: The identified loop.
         stretches: What was used.
         gains_by_log: The gains that ran, by the log's name.
+        ran_otherwise: Names of logs before the last in which other gains ran than those stated.
         left_out: What was not, with the reason.
         issues: What was done to the time stamps, and files that cannot be used.
         experiment: What would show the margins; None where nothing is known to, or is needed.
@@ -60,6 +61,7 @@ class JudgedRecords:
     fit: LoopFit
     stretches: tuple[Stretch, ...]
     gains_by_log: Mapping[str, Gains]
+    ran_otherwise: tuple[str, ...]
     left_out: tuple[LeftOut, ...]
     issues: tuple[DataIssue, ...]
     limits: RobustnessLimits
@@ -132,6 +134,11 @@ class JudgedRecords:
             remarks.append(
                 f"Several sets of gains ran: {_listed(self.gains_by_log)}; those in use are the "
                 "last."
+            )
+        if self.ran_otherwise:
+            remarks.append(
+                f"In {', '.join(self.ran_otherwise)} other gains ran than those stated; what the "
+                "logged effort shows is used."
             )
         if self.replay is not None and (self.replay.stated is None or self.replay.is_thin):
             sentence = self.replay.sentence()

@@ -21,6 +21,8 @@ SHORTEST = 32
 """Samples of the shortest stretch. Start states and offset of a fit of six poles are eight
 numbers, four samples for each."""
 
+TOO_SHORT = f"shorter than {SHORTEST} samples"
+
 
 class Stretch(NamedTuple):
     """Successive samples of a log, shape (samples,) each, in the units of the log.
@@ -114,13 +116,13 @@ def _gaps(log: LoopLog) -> list[LeftOut]:
 
 
 def _too_short(log: LoopLog, part: Columns, rows: slice) -> LeftOut:
-    return LeftOut(log.name, *_ends(part["time"], rows), f"shorter than {SHORTEST} samples")
+    return LeftOut(log.name, *_ends(part["time"], rows), TOO_SHORT)
 
 
-def too_short(stretch: Stretch, sampling_Hz: float) -> LeftOut:
-    """A stretch that is left out for its length."""
+def unused(stretch: Stretch, sampling_Hz: float, reason: str = TOO_SHORT) -> LeftOut:
+    """A stretch that is left out."""
     stop_s = stretch.start_s + (stretch.samples - 1) / sampling_Hz
-    return LeftOut(stretch.log, stretch.start_s, stop_s, f"shorter than {SHORTEST} samples")
+    return LeftOut(stretch.log, stretch.start_s, stop_s, reason)
 
 
 def _limits(part: Columns, held: BoolArray) -> tuple[float, float]:

@@ -31,7 +31,7 @@ from estune.service_records.judgement import Judgement, judge, margins_of
 from estune.service_records.recommendation import Recommendation, recommend
 from estune.service_records.replay import Replay
 from estune.service_records.sources import Logs, check_names, gains_of, read_logs
-from estune.service_records.stretches import SHORTEST, LeftOut, too_short, whole_stretches
+from estune.service_records.stretches import SHORTEST, LeftOut, unused, whole_stretches
 from estune.support.blas import one_blas_thread
 
 TRIAL_SPAN = 3.0
@@ -122,7 +122,7 @@ def suggest(
     )
     cause = judge_logs(logs.logs)
     parts, left_out, replays = _usable(logs, gains, settings, cause)
-    decides = _deciding(replays)
+    decides = replays[-1][1] if replays else None
     if decides is not None and decides.explained and decides.controller is not None:
         settings = decides.controller
     in_use = parts[-1].gains
@@ -172,6 +172,7 @@ def suggest(
         fit=loop.fit,
         stretches=tuple(part.stretch for part in parts),
         gains_by_log={part.stretch.log: part.gains for part in parts},
+        ran_otherwise=tuple(log for log, one in replays[:-1] if one.contradicts),
         left_out=tuple(left_out),
         issues=logs.issues,
         limits=limits,
@@ -216,22 +217,28 @@ def _usable(
     given: Gains | Mapping[str, Gains] | None,
     settings: ControllerSettings,
     cause: Cause,
-) -> tuple[list[ServicePart], list[LeftOut], list[Replay]]:
-    """Stretches with the gains that ran, what is left out, and the replays of the effort."""
-    parts, left_out, replays = list[ServicePart](), list[LeftOut](), list[Replay]()
+) -> tuple[list[ServicePart], list[LeftOut], list[tuple[str, Replay]]]:
+    """Stretches with the gains that ran, what is left out, and replays of the effort by log.
+
+    The last log shows the gains in use. Another whose effort no gains explain is left out.
+    """
+    parts, replays = list[ServicePart](), list[tuple[str, Replay]]()
     if isinstance(given, Mapping):
         check_names(logs.logs, given)
-    for log in logs.logs:
+    found = [(log, *whole_stretches(log)) for log in logs.logs]
+    left_out = [part for *_, without in found for part in without]
+    used = [(log, whole) for log, whole, _ in found if whole]
+    for number, (log, whole) in enumerate(used, 1):
         stated = gains_of(log, given)
-        whole, without = whole_stretches(log)
-        left_out += without
-        if not whole:
-            continue
         sets = gain_sets(log, settings, stated)
-        replays += [one.replay for one in sets]
+        if number < len(used) and not all(one.replay.explained for one in sets):
+            why = sets[-1].replay.sentence()
+            left_out += [unused(stretch, log.sampling_Hz, why) for stretch in whole]
+            continue
+        replays += [(log.name, one.replay) for one in sets]
         ran = [_ran(one.replay, stated) for one in sets] or [stated]
-        for stretch, number in (pair for one in whole for pair in cut(one, sets, log.sampling_Hz)):
-            gains = ran[number]
+        for stretch, of in (pair for one in whole for pair in cut(one, sets, log.sampling_Hz)):
+            gains = ran[of]
             if gains is None:
                 logged = any(stretch.effort is not None for stretch in whole)
                 also = "no P, I and D explain the output" if logged else "log the effort beside"
@@ -241,7 +248,7 @@ def _usable(
                     cause,
                 )
             if stretch.samples < SHORTEST:
-                left_out.append(too_short(stretch, log.sampling_Hz))
+                left_out.append(unused(stretch, log.sampling_Hz))
             else:
                 parts.append(ServicePart(stretch, gains))
     if not parts:
@@ -255,14 +262,6 @@ def _usable(
 def _ran(compared: Replay, stated: Gains | None) -> Gains | None:
     """The gains that ran by a comparison with those stated."""
     return compared.ran if compared.explained and not compared.agrees else stated
-
-
-def _deciding(replays: Sequence[Replay]) -> Replay | None:
-    """The replay that decides: the worst that contradicts, else that of the gains in use."""
-    others = [one for one in replays if one.contradicts]
-    return (
-        max(others, key=lambda one: one.stated_error) if others else next(reversed(replays), None)
-    )
 
 
 def _trial(
