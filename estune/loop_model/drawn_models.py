@@ -42,15 +42,18 @@ def drawn_models(fit: LoopFit, factor: FloatArray, count: int, seed: int) -> tup
     normal = np.random.default_rng(seed).standard_normal((TRIES * count, len(factor)))
     steps = normal @ factor.T
     A, slopes = difference_polynomial(model.coordinates), _slopes(np.array(model.coordinates))
-    found = list[LoopModel]()
+    found, end = list[LoopModel](), model.order + len(model.numerator)
     drawn = A + steps[:, : model.order] @ slopes
+    values = (model.parameters + steps).tolist()
     for begin in range(0, TRIES * count, count):  # most draws are stable: few need a second part
         part = slice(begin, begin + count)
         coordinates = coordinates_of(drawn[part], growing=model.grows)
-        for step, poles in zip(steps[part], coordinates, strict=True):
+        for row, poles in zip(values[part], coordinates, strict=True):
             if poles is not None and len(found) < count:
-                moved = model.with_parameters(model.parameters + step)
-                found.append(moved._replace(coordinates=poles))
+                numerator, friction = tuple(row[model.order : end]), max(sum(row[end:]), 0.0)
+                found.append(
+                    model._replace(coordinates=poles, numerator=numerator, friction=friction)
+                )
         if len(found) == count:
             break
     rest = [model.with_parameters(model.parameters + step) for step in steps[len(found) : count]]

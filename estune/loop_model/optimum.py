@@ -81,16 +81,11 @@ class RobustnessLimits:
     def excesses(self, found: Sequence[Prediction]) -> FloatArray:
         """The same with the sensitivity of each band, (predictions, bands + 2), without kinks."""
         Ms, overshoot, angle = self.max_sensitivity, self.max_overshoot, self.min_phase_margin_deg
-        none = np.full((len(found), 1), -1.0)
-        tops, angles = np.array([(p.overshoot, p.phase_margin_deg) for p in found]).T[..., None]
-        of_bands = none if Ms is None else np.log(np.array([p.peaks for p in found]) / Ms)
-        return np.hstack(
-            [
-                of_bands,
-                none if overshoot is None else tops - overshoot,
-                none if angle is None else np.radians(angle - angles),
-            ]
-        )
+        values = np.array([(*p.peaks, p.overshoot, p.phase_margin_deg) for p in found])
+        values[:, :-2] = -1.0 if Ms is None else np.log(values[:, :-2] / Ms)
+        values[:, -2] = -1.0 if overshoot is None else values[:, -2] - overshoot
+        values[:, -1] = -1.0 if angle is None else np.radians(angle - values[:, -1])
+        return values
 
     def broken_by(self, margins: PredictedMargins) -> str:
         """The limits that a loop breaks, whichever value of its intervals is true; or nothing."""
