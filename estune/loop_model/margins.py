@@ -142,6 +142,7 @@ class LoopResponse(NamedTuple):
     stable: bool
 
 
+@lru_cache(maxsize=8)
 def loop_response(model: LoopModel, gains: Gains, settings: ControllerSettings) -> LoopResponse:
     """The loop of a model and a controller over frequency."""
     grid, laws = frequency_grid((model,)), Laws.of([gains], settings)

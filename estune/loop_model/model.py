@@ -234,6 +234,7 @@ def plant_polynomials(model: LoopModel) -> tuple[FloatArray, FloatArray]:
     return polynomial(model.coordinates), B
 
 
+@lru_cache(maxsize=8)
 def close_loop(model: LoopModel, gains: Gains, settings: ControllerSettings) -> ClosedLoop:
     """The closed loop of a model and a controller with these gains."""
     law = controller_law(settings, gains)
