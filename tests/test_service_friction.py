@@ -54,10 +54,9 @@ def test_an_eyelet_in_motion_and_a_drum_that_sticks_refuse_the_margins(effect, k
 
 
 @pytest.mark.parametrize(
-    "seed", [8, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (12, 14))]
+    "seed", [12, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (4, 9))]
 )
 def test_an_eyelet_shows_by_another_plant_in_fast_motion(seed):
-    # The power of the errors alone is no reason: they state Ms as 1.50 to 1.60 for 1.87.
     plant = plants.reference_reel() + EyeletFriction(0.93)
     gains = Gains(0.2469, 8.397, 0.003641, 0.003946)
     found = suggested(plant, PROBLEMS["friction"].cost, gains, "busy", seed=seed)
@@ -97,7 +96,7 @@ def test_noise_at_the_input_of_a_linear_loop_is_no_friction():
     loop = identify([ServicePart(stretch, Gains(1.5, 0.05, 0.0, 0.0))], settings, None)
 
     assert not loop.fit.model.friction
-    assert not hides_friction(loop.records, loop.fit)
+    assert not hides_friction(loop.records, loop.fit, settings)
     assert not changes_with_motion(loop.fit, loop.records, settings)
 
 

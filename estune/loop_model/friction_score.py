@@ -10,10 +10,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from estune.core.pidf import ControllerSettings
 from estune.core.quantities import FloatArray
 from estune.loop_model.friction_motion import FrictionMotion, forces_of, less_friction, two_poles
 from estune.loop_model.least_squares import Solution
-from estune.loop_model.linear_past import less, linear_past, orthonormal
+from estune.loop_model.limited_loop import setpoint_response
+from estune.loop_model.linear_past import less, linear_answers, linear_past, orthonormal
 from estune.loop_model.loop_fit import LoopFit
 from estune.loop_model.records import LoopRecord, rounding_std
 
@@ -44,15 +46,20 @@ def grid_of_poles(linear: LoopFit) -> list[FloatArray]:
     return [np.array(two_poles(linear.model).coordinates), *others]
 
 
-def friction_score(motion: FrictionMotion, linear: LoopFit) -> float:
+def friction_score(
+    motion: FrictionMotion, linear: LoopFit, answers: Sequence[tuple[FloatArray, FloatArray]] = ()
+) -> float:
     """Largest score of a friction that a linear fit does not have, in standard deviations.
 
     It is the slope of the likelihood along the size of the friction, less what the parameters of
-    the linear fit and the past explain of it, by its own scatter.
+    the linear fit, the past and the answers to the setpoint, where they are known, explain of it,
+    by its own scatter.
     """
     signals, model = motion.signals, linear.model
     at = Solution.at(signals, np.array(model.coordinates), model.dead_samples, linear.noise)
-    known = orthonormal(np.hstack([at.slopes(signals), linear_past(signals, LAGS)]))
+    linear_laws = [at.slopes(signals), linear_past(signals, LAGS)]
+    linear_laws += [linear_answers(signals, answers)] if answers else []
+    known = orthonormal(np.hstack(linear_laws))
     errors = less(at.residual, known)
     rounding = max(rounding_std(motion.records[i].measurement) for i in range(signals.records))
     grid = [np.array([*p, share, 0.0]) for p in grid_of_poles(linear) for share in SHARES]
@@ -71,22 +78,32 @@ def friction_score(motion: FrictionMotion, linear: LoopFit) -> float:
     return max(scores)
 
 
-def shows_friction(motion: FrictionMotion, linear: LoopFit) -> bool:
+def shows_friction(
+    motion: FrictionMotion, linear: LoopFit, answers: Sequence[tuple[FloatArray, FloatArray]] = ()
+) -> bool:
     """Whether the errors of a linear fit show friction beyond chance."""
     from scipy.special import ndtri  # noqa: PLC0415  slow to import
 
     tried = len(SHARES) * len(grid_of_poles(linear))
-    return friction_score(motion, linear) > -float(ndtri(CHANCE / tried))
+    return friction_score(motion, linear, answers) > -float(ndtri(CHANCE / tried))
 
 
-def hides_friction(records: Sequence[LoopRecord], linear: LoopFit) -> bool:
+def hides_friction(
+    records: Sequence[LoopRecord], linear: LoopFit, controller: ControllerSettings
+) -> bool:
     """Whether the errors of a fit without friction show some.
 
     Friction in small motion, under a load that moves as much, is explained by no size of it; Ms
     is then read as 1.20 for 1.79.
     """
-    gain = linear.model.static_gain
+    gain, scored = linear.model.static_gain, records[:SCORED]
     if linear.model.friction or not (gain and math.isfinite(gain)):
         return False
     two = linear._replace(model=two_poles(linear.model))
-    return shows_friction(FrictionMotion.of(records[:SCORED], two), linear)
+    answers = [
+        setpoint_response(linear.model, record, record.gains, controller)
+        for record in scored
+        if record.gains is not None
+    ]
+    known = len(answers) == len(scored) and all(np.isfinite(one).all() for one in answers)
+    return shows_friction(FrictionMotion.of(scored, two), linear, answers if known else ())

@@ -101,7 +101,7 @@ def judge(
     half_width = DEVIATIONS * deviation
     band = margin.unknown and unknown_band(margin.unknown, loop.settings.sampling_Hz)
     reason = _too_still(loop, half_width)
-    if not reason and not is_thin and hides_friction(loop.records, loop.fit):
+    if not reason and not is_thin and hides_friction(loop.records, loop.fit, loop.settings):
         reason = "friction is shown, but not its size: the setpoint moves too little against it"
     if not reason and not is_thin and changes_with_motion(loop.fit, loop.records, loop.settings):
         reason = "the identified loop changes with its motion, as of friction or an eyelet"
