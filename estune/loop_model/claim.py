@@ -19,7 +19,7 @@ from estune.loop_model.intervals import (
 )
 from estune.loop_model.loop_fit import LoopFit
 from estune.loop_model.near_fit import TRIALS_MIN, is_near
-from estune.loop_model.peak import shown_overshoot
+from estune.loop_model.peak import load_deviation, shown_overshoot
 from estune.loop_model.plant_error import ErrorMargin, error_margin, plant_error, unknown_band
 from estune.loop_model.prediction import StepTrial, predict
 from estune.loop_model.records import LoopRecord
@@ -34,6 +34,8 @@ class Claim(NamedTuple):
         misfit: rho of the trials near the gains; NaN without one.
         is_white: Whether the model explains the records but for white noise.
         others: Ms by the trials of each gains that contradict the model.
+        load: Standard deviation of a measurement by load and drift, as a share of the step; zero
+            where none are known.
     """
 
     margins: PredictedMargins | None
@@ -41,6 +43,7 @@ class Claim(NamedTuple):
     misfit: float
     is_white: bool = False
     others: tuple[float, ...] = ()
+    load: float = 0.0
 
 
 def claim(
@@ -79,7 +82,8 @@ def claim(
             overshoot = shown_overshoot(fit, records, trial, gains, margins.overshoot)
             margins = margins._replace(overshoot=overshoot)
             if math.isfinite(margins.sensitivity.high):
-                return Claim(margins, "", misfit, fit.is_white, others)
+                load = load_deviation(fit, trial, gains)
+                return Claim(margins, "", misfit, fit.is_white, others, load)
             reason = "the records leave open whether the loop is stable with these gains"
             if math.inf in others:
                 reason = (

@@ -75,6 +75,23 @@ class LoopFit(NamedTuple):
         return math.sqrt(math.fsum(rho * rho for rho in kept) / len(kept))
 
     @property
+    def model_misfit(self) -> float:
+        """Misfit that load and drift do not explain: none where the errors are white."""
+        return 0.0 if self.is_white else self.misfit
+
+    @property
+    def is_loaded(self) -> bool:
+        """Whether a load or a drift explains what the plant does not."""
+        return self.is_white and not self.noise.is_white
+
+    def disturbance(self, errors: FloatArray) -> FloatArray:
+        """What prediction errors make of noise, load and drift at the output, shape (samples,)."""
+        if self.noise.is_white:
+            return errors
+        H = shaping(self.model.coordinates, self.noise, self.settling_samples)
+        return whiten(errors[np.newaxis], H.mirrored, H.zeros)[0] / H.growth
+
+    @property
     def is_incomplete(self) -> bool:
         """Whether the model leaves more of the records unexplained than their white noise."""
         powers = [float(np.mean(left**2)) for left in self.unexplained if left.size]

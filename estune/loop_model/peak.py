@@ -14,13 +14,10 @@ from estune.core.quantities import FloatArray
 from estune.loop_model.intervals import Interval
 from estune.loop_model.loop_fit import LoopFit
 from estune.loop_model.model import close_loop
-from estune.loop_model.prediction import StepTrial, expected_response, fixed_noise
+from estune.loop_model.prediction import StepTrial, expected_response
 from estune.loop_model.records import LoopRecord
 
 NORMAL_QUANTILE = 1.96
-
-SEQUENCES = 32
-"""Sequences of noise by which the scatter of a mean is estimated, to an eighth."""
 
 
 def shown_overshoot(
@@ -62,13 +59,24 @@ def peak_deviation(fit: LoopFit, trial: StepTrial, gains: Gains) -> float:
     Zero where the predicted response has no peak above the setpoint.
     """
     window = _upper_half(expected_response(fit.model, trial, gains), trial)
-    if not window.any():
-        return 0.0
-    loop, count = close_loop(fit.model, gains, trial.controller), trial.samples
-    noise = fit.noise_std * fixed_noise(SEQUENCES * count).reshape(SEQUENCES, count)
-    # Each mean is a sum of the noise by weights, the answer to the window run backwards.
-    weights = loop.noise_response(window[::-1] / np.count_nonzero(window))[0][::-1]
-    return float(np.std(noise @ weights)) / abs(trial.step.size)
+    return _deviation(fit, trial, gains, window[::-1] / max(np.count_nonzero(window), 1))
+
+
+def load_deviation(fit: LoopFit, trial: StepTrial, gains: Gains) -> float:
+    """Standard deviation of a measurement by load, drift and noise, as a share of the step.
+
+    Zero where the fit knows of no load or drift.
+    """
+    return _deviation(fit, trial, gains, np.eye(1, trial.samples)[0]) if fit.is_loaded else 0.0
+
+
+def _deviation(fit: LoopFit, trial: StepTrial, gains: Gains, weights: FloatArray) -> float:
+    """Standard deviation of a weighted sum of a measurement, its weights run backwards."""
+    std = fit.noise_std if fit.noise.is_white else fit.residual_std
+    before = 0 if fit.noise.is_white else trial.samples  # a load acts before the trial, too
+    answer = fit.disturbance(np.concatenate([weights, np.zeros(before)]))
+    found = close_loop(fit.model, gains, trial.controller).noise_response(answer)[0]
+    return std * float(np.linalg.norm(found)) / abs(trial.step.size)
 
 
 def _upper_half(response: FloatArray, trial: StepTrial) -> FloatArray:

@@ -103,8 +103,10 @@ def measured_overshoot(
         # By the median: the response itself moves in less than half of the samples.
         noise = float(np.median(np.abs(np.concatenate(moves)))) / MEDIAN_OF_DIFFERENCE
         spread = PEAK_SCATTER * noise / abs(plan.step.step_N)
-    half = quantile * spread / math.sqrt(count)
-    found = Interval(mean, max(mean - half, 0.0), mean + half)
+    load = claim.load if claim else 0.0
+    half = quantile * max(spread, load) / math.sqrt(count)
+    # The peak of a record is the higher the more a load moves it.
+    found = Interval(mean, max(mean - half - load, 0.0), mean + half)
     told = claim.margins.overshoot if claim and claim.margins else None
     if claim is None or told is None or not math.isfinite(told.high):
         return found

@@ -2,7 +2,7 @@
 
 import math
 from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -20,6 +20,7 @@ from estune.loop_model.intervals import PredictedMargins
 from estune.loop_model.limit_price import LimitPrice, price_of
 from estune.loop_model.loop_fit import LoopFit
 from estune.loop_model.margins import robustness
+from estune.loop_model.model import close_loop
 from estune.loop_model.near_fit import fit_near, is_explained
 from estune.loop_model.optimum import RobustnessLimits
 from estune.loop_model.prediction import expected_response
@@ -96,6 +97,21 @@ class IdentifiedLoop(NamedTuple):
         trial = step_trial(rig, plan.step, plan.cost)
         trial = replace(trial, rest_effort=self.signals[0].rest_effort)
         return expected_response(self.fit.model._replace(friction=0.0), trial, gains)
+
+    def loads(self, rig: RigDescription) -> dict[str, FloatArray]:
+        """What load and drift add to the measurements of the step trials, by their ids.
+
+        Empty where the fit knows of none.
+        """
+        if self.fit is None or not self.fit.is_loaded:
+            return {}
+        found = dict[str, FloatArray]()
+        for step, left in zip(self.steps, self.fit.unexplained, strict=False):
+            gains = step.record.gains
+            if math.isfinite(robustness(self.fit.model, gains, rig.controller).sensitivity):
+                loop = close_loop(self.fit.model, gains, rig.controller)
+                found[step.record.trial_id] = loop.noise_response(left)[0]
+        return found
 
     def undisturbed(self, records: Iterable[TrialRecord]) -> list[TrialRecord]:
         """The records that the loop rests on, and all records of gains of which it has none.
@@ -239,7 +255,9 @@ def _judged(run: TuningRun, change: Change | None) -> Verdict:
         return Verdict(loop=loop, claim=claimed)
     records = loop.undisturbed(records)
     expected = loop.expected_response(plan, rig, gains)
-    fault = not_robust(records, plan, claimed, gains, rig, expected=expected)
+    loads = loop.loads(rig)
+    unloaded = [less_load(record, loads) for record in records]
+    fault = not_robust(unloaded, plan, claimed, gains, rig, expected=expected)
     limits, missing = limit_verdict(plan, claimed, gains, records), MissingTrials()
     if limits.state is LimitState.NOT_SHOWN and loop.fit is not None:
         done = sum(r.outcome is Outcome.DONE and r.gains == gains for r in records)
@@ -251,6 +269,12 @@ def _judged(run: TuningRun, change: Change | None) -> Verdict:
             more = f"; about {needed} repeats would show it (--repeats {needed})"
             limits = limits._replace(reason=limits.reason + more)
     return Verdict(fault, broken, loop, claimed, limits, missing)
+
+
+def less_load(record: TrialRecord, loads: Mapping[str, FloatArray]) -> TrialRecord:
+    """The record without what load and drift add to its measurement."""
+    load = loads.get(record.trial_id)
+    return record if load is None else replace(record, tension_N=record.tension_N - load)
 
 
 def not_robust(

@@ -185,7 +185,9 @@ class IdentifiedLoopTuner:
         """The state with the next trial: the model's, or the fallback's where that fails."""
         recent = [abs(error) for error in state.errors[-3:]]
         failed = len(recent) == 3 and float(np.median(recent)) > PREDICTION_FAILED  # not with NaN
-        if state.fit is None or state.best_cost is None or failed or state.fit.misfit > MISFIT_MAX:
+        if state.fit is None or state.best_cost is None or failed:
+            return self._fall_back(state)
+        if state.fit.model_misfit > MISFIT_MAX:
             return self._fall_back(state)
         # From a tried point that a model calls unstable the search would go to far smaller gains.
         held = math.isfinite(self._at(state, state.fit, state.base).cost)
@@ -303,7 +305,7 @@ class IdentifiedLoopTuner:
             for (cost, overshoot), p in zip(measured, predicted, strict=True)
         ]
         return ResidualSurface.fitted(
-            state.points[recent], differences, fit.misfit, cost_noise(state.errors)
+            state.points[recent], differences, fit.model_misfit, cost_noise(state.errors)
         )
 
     def _best_kept(
