@@ -11,7 +11,7 @@ from estune.loop_model.intervals import predict_with_intervals
 from estune.loop_model.least_squares import FitSignals, RecordGroup
 from estune.loop_model.margins import robustness
 from estune.loop_model.near_fit import fit_near
-from estune.loop_model.whiteness import LAGS, is_disturbed
+from estune.loop_model.whiteness import is_contradicted
 from estune.trial import TrialRequest
 from estune.trial.loop_records import loop_signals
 from experiments.batch.__main__ import start_of
@@ -80,9 +80,10 @@ def test_coloured_load_before_the_steps_is_noise_and_not_a_pole():
     assert loop.at(tried, COST).Ms == pytest.approx(Ms, rel=0.1)
 
 
-def test_drift_before_the_steps_is_a_load_unless_the_reading_rests():
-    drift = np.cumsum(np.random.default_rng(1).standard_normal((2, 8 * LAGS)), axis=1)
-    moving = RecordGroup(np.zeros_like(drift), drift, 0, (0, 1), 4 * LAGS)
-    resting = moving._replace(measurement=np.zeros_like(drift))
-    assert is_disturbed(FitSignals((moving,), 100.0, 0.01), drift.ravel())
-    assert not is_disturbed(FitSignals((resting,), 100.0, 0.01), drift.ravel())
+@pytest.mark.parametrize("rests", [False, True])
+def test_load_that_foretells_a_resting_reading_worse_than_its_mean_is_contradicted(rests):
+    noise = np.random.default_rng(1).standard_normal((2, 160))
+    reading = noise if rests else np.cumsum(noise, axis=1)
+    errors = np.diff(reading, axis=1, prepend=0.0)
+    group = RecordGroup(np.zeros_like(reading), reading, 0, (0, 1), 80)
+    assert is_contradicted(FitSignals((group,), 100.0, 0.01), errors.ravel()) == rests

@@ -53,7 +53,9 @@ def is_contradicted(signals: FitSignals, errors: FloatArray) -> bool:
             of_mean += float(np.sum((before - before.mean(axis=1, keepdims=True)) ** 2))
             count += before.size
     least = count * signals.resolution**2
-    return count * math.log((of_errors + least) / (of_mean + least)) > CONTRADICTED if least else False
+    if not least:
+        return False
+    return count * math.log((of_errors + least) / (of_mean + least)) > CONTRADICTED
 
 
 def _is_correlated(rows: Sequence[FloatArray]) -> bool:
