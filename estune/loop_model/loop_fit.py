@@ -89,7 +89,7 @@ class LoopFit(NamedTuple):
         if self.noise.is_white:
             return errors
         H = shaping(self.model.coordinates, self.noise, self.settling_samples)
-        return whiten(errors[np.newaxis], H.mirrored, H.zeros)[0] / H.growth
+        return np.asarray(whiten(errors[np.newaxis], H.mirrored, H.zeros)[0] / H.growth)
 
     @property
     def is_incomplete(self) -> bool:

@@ -59,7 +59,7 @@ def peak_deviation(fit: LoopFit, trial: StepTrial, gains: Gains) -> float:
     Zero where the predicted response has no peak above the setpoint.
     """
     window = _upper_half(expected_response(fit.model, trial, gains), trial)
-    return _deviation(fit, trial, gains, window[::-1] / max(np.count_nonzero(window), 1))
+    return _deviation(fit, trial, gains, window[::-1] / max(int(np.count_nonzero(window)), 1))
 
 
 def load_deviation(fit: LoopFit, trial: StepTrial, gains: Gains) -> float:
