@@ -1,4 +1,4 @@
-"""Springs and sensors whose slope changes, in the identified loop."""
+"""Springs and sensors whose slope changes, and gains that change, in the identified loop."""
 
 from dataclasses import replace
 
@@ -7,6 +7,7 @@ import pytest
 
 from estune.core.gains import Gains
 from estune.loop_model.fitting import fit_loop
+from estune.loop_model.intervals import predict_with_intervals
 from estune.loop_model.margins import robustness
 from estune.loop_model.prediction import predict
 from estune.run.planning import step_trial
@@ -51,8 +52,8 @@ def test_loop_whose_slope_changes_is_known_at_the_end_of_the_step(change):
 
 def test_loop_whose_gain_drifts_shows_no_bend():
     fit, _ = fitted(replace(STRAIGHT, drift=1.0))
-    assert not fit.is_white
     assert fit.model.bend.is_straight
+    assert fit.strengths
 
 
 def test_margins_are_those_of_the_straight_plant():
@@ -62,3 +63,17 @@ def test_margins_are_those_of_the_straight_plant():
     found = robustness(fit.model, TRIED, trial.controller).sensitivity
     assert found == pytest.approx(true, rel=0.015)
     assert np.isfinite(predict(fit.model, trial, TRIED).cost)
+
+
+def test_loop_whose_gain_changes_between_trials_is_known_at_the_present_one():
+    for change in ({"drift": 1.0}, {"varying": 0.05}):
+        loop = replace(STRAIGHT, **change)
+        fit, trial = fitted(loop)
+        assert fit.is_white
+        assert len(fit.strengths) == 5
+        told = predict_with_intervals(fit, trial, TRIED)
+        for true, at in (
+            (loop.sensitivity(TRIED, 4), told.sensitivity),
+            (loop.overshoot(TRIED, 4), told.overshoot),
+        ):
+            assert at.low <= true <= at.high

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import control
 import numpy as np
 import pytest
 
@@ -19,7 +20,7 @@ from experiments.batch.loop import ProcessLoop
 from experiments.batch.processes import PROCESSES
 from experiments.batch.rig import BatchRig, Disturbance
 from experiments.loop_claims import true_sensitivity
-from tests.test_loop_model import COST, SAMPLING_HZ, SYSTEM, linear, record_of, trial_of
+from tests.test_loop_model import COST, SAMPLING_HZ, SYSTEM, W, linear, record_of, trial_of
 
 TIMID, TRIED = Gains(0.1, 2.0, 0.002, 0.05), Gains(0.8, 12.0, 0.02, 0.01)
 
@@ -53,7 +54,8 @@ def test_fewer_than_two_trials_near_the_gains_are_no_fit_of_their_own():
 
 def test_excitation_that_contradicts_the_steps_near_it_stays_as_an_error_of_the_plant():
     _, records = changed_between()
-    excitation = record_of(linear(), TRIED, 5)
+    damped = control.tf([W * W], [1.0, 1.4 * W, W * W])
+    excitation = record_of(linear(system=damped), TRIED, 5)
     near = fit_near(TRIED, records, [excitation], SAMPLING_HZ, COST.settling_time_s)
     assert near.excitations == (excitation,)
     assert len(near.fit.errors) == 3

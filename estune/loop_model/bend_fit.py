@@ -96,7 +96,8 @@ def with_bend(
     """
     if bend is not None:
         own = np.flatnonzero(bend.terms).tolist()
-        return _explained(_settled(fit, records, bend, own, fits.again))
+        found = _settled(fit, records, bend, own, fits.again)
+        return found if found is not None and is_plain(found) else None
     level = level_of(records)
     if level is None or len(records) < FEWEST:
         return None
@@ -117,8 +118,8 @@ def with_bend(
     known = [(kind, bent) for kind, bent in singly if bent is not None]
     for kind, bent in sorted(known, key=lambda pair: _squares(pair[1])):
         whole = fits.anew([unbent(record, bent.model.bend) for record in records])
-        found = _explained(_settled(whole, records, bent.model.bend, kind, fits.again))
-        if found is not None and _beyond(found) < LEFT_MOST * _beyond(fit):
+        found = _settled(whole, records, bent.model.bend, kind, fits.again)
+        if found is not None and explains(found, fit):
             return found
     return None
 
@@ -128,12 +129,16 @@ def _squares(fit: LoopFit) -> float:
     return sum(float(errors @ errors) for errors in fit.errors)
 
 
-def _explained(fit: LoopFit | None) -> LoopFit | None:
-    """A fit that explains its records by a bend that can be, or None."""
-    if fit is None or not fit.model.bend.steepness(fit.model.static_gain) < STEEPEST:
-        return None
+def explains(found: LoopFit, linear: LoopFit) -> bool:
+    """Whether a fit explains what a linear one leaves, and is one that can be."""
+    return is_plain(found) and _beyond(found) < LEFT_MOST * _beyond(linear)
+
+
+def is_plain(fit: LoopFit) -> bool:
+    """Whether a fit explains its records, with few poles and a bend that can be."""
     few = fit.misfit < EXPLAINED and fit.order <= POLES_MOST
-    return fit if fit.is_white or few else None
+    can_be = fit.model.bend.steepness(fit.model.static_gain) < STEEPEST
+    return can_be and (fit.is_white or few)
 
 
 def _beyond(fit: LoopFit) -> float:
@@ -185,8 +190,8 @@ def _correction(
     signals = signals_of(
         [unbent(r, bend) for r in chosen], fit.settling_samples, model.dead_samples
     )
-    at = _solution(fit, signals)
-    terms = [_solution(fit, _with(signals, chosen, bend, term)).residual for term in kind]
+    at = solution_of(fit, signals)
+    terms = [solution_of(fit, _with(signals, chosen, bend, term)).residual for term in kind]
     slopes, e = np.column_stack([at.slopes(signals), *terms]), at.residual
     size = np.linalg.norm(slopes, axis=0)
     size = np.where(size > 0.0, size, 1.0)
@@ -198,7 +203,7 @@ def _correction(
     count, n = max(e.size - step.size, 1), model.parameters.size
     whole = np.zeros(2 * len(POWERS))
     whole[list(kind)] = step[-len(kind) :]
-    scores = np.array([slopes[rows].T @ left[rows] for rows in _rows(signals)])
+    scores = np.array([slopes[rows].T @ left[rows] for rows in rows_of(signals)])
     return Correction(
         whole,
         (float(e @ e), after),
@@ -208,7 +213,8 @@ def _correction(
     )
 
 
-def _solution(fit: LoopFit, signals: FitSignals) -> Solution:
+def solution_of(fit: LoopFit, signals: FitSignals) -> Solution:
+    """The prediction errors of a fit's model on signals."""
     model = fit.model
     x, numerator = np.array(model.coordinates), np.array(model.numerator)
     return Solution.at(signals, x, model.dead_samples, fit.noise, numerator)
@@ -227,7 +233,7 @@ def _with(signals: FitSignals, records: Sequence[LoopRecord], bend: Bend, term: 
     return signals._replace(groups=tuple(map(alone, signals.groups)))
 
 
-def _rows(signals: FitSignals) -> Iterator[slice]:
+def rows_of(signals: FitSignals) -> Iterator[slice]:
     """Where the residuals of each record stand among those of all."""
     at = 0
     for group in signals.groups:

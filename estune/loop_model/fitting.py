@@ -41,6 +41,7 @@ from estune.loop_model.order import (
 )
 from estune.loop_model.poles import mirrored
 from estune.loop_model.records import LoopRecord
+from estune.loop_model.strength_fit import with_strengths
 from estune.loop_model.whiteness import is_white
 
 STARTED_BY = 2
@@ -92,7 +93,8 @@ def fit_loop(
     """The loop model that fits records best.
 
     A record that the others contradict is left out: a trial that was disturbed spoils the fit.
-    Where no linear model explains trials from rest, one with a bend may (`bend_fit`).
+    Where no linear model explains trials from rest, one with a bend may (`bend_fit`), or one whose
+    gain is not the same in all (`strength_fit`).
 
     Args:
         records: At least one, of any setpoints, lengths and gains.
@@ -123,7 +125,9 @@ def fit_loop(
         starts = [_start_of(last)]
     starts = starts or _cold_starts(records, settling)[1]
     fit = _fit_of_those_that_agree(records, settling, starts, last)
-    return fit if fit.is_white else with_bend(fit, records, fits) or fit
+    if fit.is_white or (fit.model.friction and fit.misfit < FRICTION_DONE):
+        return fit
+    return with_bend(fit, records, fits) or with_strengths(fit, records, fits) or fit
 
 
 def best_scale(

@@ -30,8 +30,8 @@ with what its estimate moves by: with 1 the upper end lay 0.01 to 0.14 % of the 
 limit on 3 of 14 plants of `experiments.batch` whose overshoot is limited, with 1.25 on 2."""
 
 OVERSHOOT_MOST = 0.015
-"""Most half width of the overshoot, as a share of the step, where no model explains all trials:
-where a gain varies by 2 to 15 % it is 1.2 to 2.5 %."""
+"""Most half width of the overshoot, as a share of the step, where no model explains all trials or
+their gain is not the same: where it varies by 2 to 15 % it is 1.2 to 2.5 %."""
 
 SHOWN = 3.2
 """Upper end of what the trials show of a peak, in standard deviations, in nine of ten cases: 1.96,
@@ -103,6 +103,7 @@ def half_widths(
         above = math.hypot(above, NEAR_ERROR, NEAR_APART)
         over, most = max(overshoot.high - overshoot.value, most), max(most, OVERSHOOT_MOST)
     elif fit.is_white:
+        most = max(most, OVERSHOOT_MOST) if fit.strengths else most
         shown = SHOWN * peak_deviation(fit, trial, gains) / math.sqrt(REPEATS)
         over = math.hypot(MOVES * (overshoot.high - overshoot.value), shown)
     below = angle.value - angle.low

@@ -40,6 +40,8 @@ class LoopFit(NamedTuple):
         settling_samples: Settling time asked for, which scales the noise model.
         near_error: Error of ln Ms where it is of the trials near some gains alone because no
             linear model explains all; zero of a fit of all.
+        strengths: Gain of the plant in each record over the present one, where that is not the
+            same in all; else empty.
     """
 
     model: LoopModel
@@ -56,6 +58,7 @@ class LoopFit(NamedTuple):
     left_out: tuple[int, ...]
     settling_samples: float
     near_error: float = 0.0
+    strengths: tuple[float, ...] = ()
 
     @property
     def order(self) -> int:

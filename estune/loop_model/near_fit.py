@@ -88,7 +88,7 @@ def lacks_excitation(
 
 def is_explained(fit: LoopFit) -> bool:
     """Whether a fit explains its records: no linear model is needed that explains fewer."""
-    if fit.is_white or not fit.model.bend.is_straight:
+    if fit.is_white or fit.strengths or not fit.model.bend.is_straight:
         return True
     return fit.model.friction > 0.0 and fit.misfit < FRICTION_DONE
 

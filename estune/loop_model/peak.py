@@ -43,7 +43,7 @@ def shown_overshoot(
         and record.samples == trial.samples
         and record.step_index == trial.step.sample
     ]
-    if not (own and window.any()):
+    if fit.strengths or not (own and window.any()):  # trials of another gain show another peak
         return told
     differences = [float(np.mean((one - response)[window])) / trial.step.size for one in own]
     mean = told.value + float(np.mean(differences))
