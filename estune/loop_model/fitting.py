@@ -121,6 +121,10 @@ def fit_loop(
         bent = with_bend(fit, records, fits, bend)
         if bent is not None and (bent.is_white or len(records) not in TRIED_WITH):
             return bent
+    if last is not None and last.strengths:
+        found = with_strengths(None, records, fits)
+        if found is not None and found.is_white:
+            return found
     if last is not None:
         starts = [_start_of(last)]
     starts = starts or _cold_starts(records, settling)[1]

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from estune.core.quantities import FloatArray
-from estune.loop_model.bend_fit import Fits, explains, rows_of, solution_of
+from estune.loop_model.bend_fit import Fits, explains, is_plain, may_explain, rows_of, solution_of
 from estune.loop_model.least_squares import signals_of
 from estune.loop_model.loop_fit import LoopFit
 from estune.loop_model.records import LoopRecord
@@ -57,21 +57,25 @@ class Present(NamedTuple):
         return cls(value, deviation * float(stdtrit(free, 0.975)) / NORMAL_QUANTILE)
 
 
-def with_strengths(fit: LoopFit, records: Sequence[LoopRecord], fits: Fits) -> LoopFit | None:
+def with_strengths(
+    fit: LoopFit | None, records: Sequence[LoopRecord], fits: Fits
+) -> LoopFit | None:
     """The fit of records of different strength; None where that does not explain them.
 
     Args:
-        fit: That of equal strengths.
+        fit: That of equal strengths; None where fewer records are known to differ.
         records: The records, the step trials in their order.
         fits: How records are fitted.
     """
-    out = set(fit.left_out)
+    out = set(fit.left_out) if fit else set[int]()
     steps = [i for i, record in enumerate(records) if record.is_step and i not in out]
     if len(steps) < FEWEST or not all(record.at_rest for record in records):
         return None
     logs = np.zeros(len(records))
-    found = fits.by_two_poles(records)
+    found = two = fits.by_two_poles(records)
     for again in (lambda scaled, _: fits.by_two_poles(scaled), fits.again):
+        if again == fits.again and not may_explain(found, two):
+            return None
         for _ in range(ROUNDS):
             step = _step(found, _scaled(records, logs))
             if step is None:
@@ -83,7 +87,7 @@ def with_strengths(fit: LoopFit, records: Sequence[LoopRecord], fits: Fits) -> L
     present = Present.of(logs[steps])
     logs -= present.value
     found = fits.again(_scaled(records, logs), found)
-    if not explains(found, fit):
+    if not (explains(found, fit) if fit else is_plain(found)):
         return None
     # The gain is that of the numerator: an error of it is one along the numerator.
     along = np.zeros(found.model.parameters.size)
