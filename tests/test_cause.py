@@ -10,8 +10,9 @@ from estune.cli import main
 from estune.recordings.loop_log import LoopLog
 from estune.service_records.cause.judge import (
     between_limits,
-    judge_logs,
+    judge_cause,
     judge_signals,
+    of_most,
     with_margins,
 )
 from estune.service_records.cause.loop_signals import JudgedSignals
@@ -93,7 +94,7 @@ def test_cause_of_several_logs_is_that_of_most_and_the_others_are_named():
         LoopLog(name, 0.1, (loop_columns(columns, signals),), None, {}, {}, ())
         for name, signals in names.items()
     ]
-    found = judge_logs(logs)
+    found = of_most([judge_cause(log) for log in logs])
     assert found.name == "sticking"
     assert "2 of 3 logs" in found.words
     assert "SENSOR in b" in found.words
@@ -126,12 +127,14 @@ def test_actuator_rests_until_the_output_is_a_band_ahead():
     assert at[-1] == pytest.approx(0.5, abs=0.011)
 
 
-def test_tuning_is_the_cause_where_the_margins_are_known_to_be_small():
+def test_tuning_is_the_cause_where_the_margins_are_known_to_be_small_and_there_alone():
     waved = judge_signals(flow_loop(load=1.0))
     assert with_margins(waved, (2.5, 2.2, 2.9)).name == "tuning"
     assert with_margins(waved, (1.9, 1.6, 2.3)) is waved
     slow = replace(waved, name="tuning", numbers={"direction": "slow"})
     assert with_margins(slow, (3.0, 2.9, 3.1)).numbers["direction"] == "tight"
+    tight = replace(waved, name="tuning", numbers={"direction": "tight"})
+    assert with_margins(tight, (1.3, 1.2, 1.4)).name == "outside"
     sticks = with_margins(judge_signals(flow_loop(band=1.5, slip=0.9)), (2.5, 2.2, 2.9))
     assert sticks.name == "sticking"
     assert "too tight as well" in sticks.heading()

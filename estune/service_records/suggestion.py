@@ -18,7 +18,7 @@ from estune.loop_model.optimum import RobustnessLimits
 from estune.loop_model.prediction import StepTrial
 from estune.recordings.loop_log import LoopLog
 from estune.service_records.advice import advise
-from estune.service_records.cause.judge import Cause, judge_logs, with_margins
+from estune.service_records.cause.judge import Cause, judge_cause, of_most, with_margins
 from estune.service_records.gain_sets import cut, gain_sets
 from estune.service_records.identification import (
     ServiceLoop,
@@ -120,7 +120,8 @@ def suggest(
     settings = logs.controller or ControllerSettings(
         logs.logs[0].sampling_Hz, derivative_filter_s or 0.0, -math.inf, math.inf, form
     )
-    cause = judge_logs(logs.logs)
+    judged = [judge_cause(log) for log in logs.logs]
+    cause = of_most(judged)
     parts, left_out, replays = _usable(logs, gains, settings, cause)
     decides = replays[-1][1] if replays else None
     if decides is not None and decides.explained and decides.controller is not None:
@@ -139,7 +140,8 @@ def suggest(
     margins, margin = margins_of(loop, trial, in_use)
     is_thin = decides is not None and decides.is_thin
     judgement = judge(loop, in_use, margins, margin, is_thin=is_thin)
-    cause = with_margins(cause, margins.sensitivity if judgement.can_tell else None)
+    known = margins.sensitivity if judgement.can_tell else None
+    cause = of_most([with_margins(one, known) for one in judged])
     judgement = _for_machine(judgement, cause, loop)
     better = recommend(loop, trial, in_use, limits) if judgement.can_tell else None
     holds = math.isfinite(margins.sensitivity.value)

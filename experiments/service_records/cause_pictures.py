@@ -38,10 +38,10 @@ def picture(cause: Cause) -> bytes:
     grid = figure.add_gridspec(2, 3)
     above = figure.add_subplot(grid[0, 0])
     below = figure.add_subplot(grid[1, 0], sharex=above)
-    assert cause.signals is not None  # noqa: S101  it was judged
-    draw_time(cause.signals, above, below)
-    draw_plane(cause.signals, figure.add_subplot(grid[:, 1]))
-    draw_spectrum(cause, cause.signals, figure.add_subplot(grid[:, 2]))
+    assert cause.shown is not None  # noqa: S101  it was judged
+    draw_time(cause, cause.shown, above, below)
+    draw_plane(cause, cause.shown, figure.add_subplot(grid[:, 1]))
+    draw_spectrum(cause.shown, figure.add_subplot(grid[:, 2]))
     return to_png(figure)
 
 

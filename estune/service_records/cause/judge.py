@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 
-from estune.core.quantities import FloatArray
 from estune.recordings.loop_log import LoopLog
 from estune.service_records.cause import margins
 from estune.service_records.cause.evidence import CauseEvidence, evidence
@@ -62,8 +61,7 @@ class Cause:
         numbers: What is known of it, in the units of the log; times in s.
         words: The same as the end of a sentence.
         probabilities: Of every cause that was weighed.
-        signals: The signals that were judged; None of a log that cannot be.
-        disturbance: What the linear loop leaves of the measurement, shape (samples,).
+        shown: What was weighed; None of a log that cannot be judged.
     """
 
     name: CauseName
@@ -71,8 +69,7 @@ class Cause:
     numbers: Mapping[str, Number]
     words: str
     probabilities: Mapping[CauseName, float]
-    signals: JudgedSignals | None = field(default=None, repr=False)
-    disturbance: FloatArray | None = field(default=None, repr=False)
+    shown: CauseEvidence | None = field(default=None, repr=False)
     log: str = ""
 
     @property
@@ -108,12 +105,11 @@ def judge_cause(log: LoopLog) -> Cause:
     return judge_signals(between_limits(signals), log.name)
 
 
-def judge_logs(logs: Sequence[LoopLog]) -> Cause:
+def of_most(judged: Sequence[Cause]) -> Cause:
     """The cause that most logs of a loop show, as the log has it that shows it best.
 
     Logs that show another one are named: a sensor that froze in one of ten is still to be seen to.
     """
-    judged = [judge_cause(log) for log in logs]
     told = [cause for cause in judged if cause.name != "unknown"]
     if len(judged) == 1 or not told:
         return judged[-1]
@@ -155,10 +151,18 @@ def with_margins(cause: Cause, sensitivity: tuple[float, float, float] | None) -
     """A cause beside the Ms of the loop with the ends of its 95 % interval, where it is known.
 
     A loop that is known to be too tight needs no wave from outside to swing, and is not called
-    too slow: the judge's own plant is a rough one, by which a loop of Ms 3 was.
+    too slow, nor is one that is known not to be called too tight: the judge's own plant is a rough
+    one, by which a loop of Ms 3 was too slow and ovens of Ms 1.1 to 1.4 had no margin.
     """
     is_tight = cause.name == "tuning" and cause.numbers["direction"] == "tight"
-    if sensitivity is None or sensitivity[1] <= TIGHT or is_tight:
+    if sensitivity is None:
+        return cause
+    if is_tight and sensitivity[2] < TIGHT and cause.shown is not None:
+        others = {name: share for name, share in cause.probabilities.items() if name != "tuning"}
+        rest = sum(others.values()) or 1.0
+        weighed = {name: share / rest for name, share in others.items()}
+        return _told(cause.shown, weighed, cause.log)
+    if sensitivity[1] <= TIGHT or is_tight:
         return cause
     value = sensitivity[0]
     Ms = f"Ms {value:.1f}" if math.isfinite(value) else "unstable"
@@ -193,13 +197,17 @@ def judge_signals(signals: JudgedSignals, name: str = "") -> Cause:
         shown = evidence(signals)
     if shown.faults:
         return _of(shown, "sensor", {"sensor": 1.0}, name)
-    weighed: dict[CauseName, float] = probabilities(shown.numbers)
+    return _told(shown, probabilities(shown.numbers), name)
+
+
+def _told(shown: CauseEvidence, weighed: Mapping[CauseName, float], log: str) -> Cause:
+    """The likeliest cause, where it is likely enough."""
     likeliest = max(weighed, key=lambda cause: weighed[cause])
     told = weighed[likeliest] >= SURE
     if likeliest == "sticking":
         # An interval that holds none is that of a loop which is linear but for a little.
         told &= bool(shown.predicted.near) and _band_of(shown)[0] > 0.0
-    return _of(shown, likeliest if told else "unknown", weighed, name)
+    return _of(shown, likeliest if told else "unknown", weighed, log)
 
 
 def _unknown(words: str, log: str) -> Cause:
@@ -223,8 +231,7 @@ def _of(
         numbers,
         words,
         weighed,
-        shown.signals,
-        shown.predicted.left,
+        shown,
         log,
     )
 
