@@ -158,10 +158,9 @@ def with_margins(cause: Cause, sensitivity: tuple[float, float, float] | None) -
     if sensitivity is None:
         return cause
     if is_tight and sensitivity[2] < TIGHT and cause.shown is not None:
-        others = {name: share for name, share in cause.probabilities.items() if name != "tuning"}
-        rest = sum(others.values()) or 1.0
-        weighed = {name: share / rest for name, share in others.items()}
-        return _told(cause.shown, weighed, cause.log)
+        rest = 1.0 - cause.probabilities["tuning"] or 1.0
+        weighed = {name: share / rest for name, share in cause.probabilities.items()}
+        return _told(cause.shown, weighed | {"tuning": 0.0}, cause.log)
     if sensitivity[1] <= TIGHT or is_tight:
         return cause
     value = sensitivity[0]
