@@ -66,7 +66,7 @@ def load_rejection(
     if not math.isfinite(robustness(model, gains, settings).sensitivity):
         return None
     rate = settings.sampling_Hz
-    size = _gain(model, 2.0 * math.pi / (settling_time_s * rate))
+    size = gain_within(model, settling_time_s * rate)
     if not 0.0 < size < math.inf:
         return None
     load, count = step / size, min(round(HORIZON * settling_time_s * rate), SAMPLES_MAX)
@@ -81,8 +81,9 @@ def load_rejection(
     return LoadRejection(load, peak, vanished_s, time_s, deviation)
 
 
-def _gain(model: LoopModel, theta: float) -> float:
-    """Size of the plant's gain at rest, or at an angle where it integrates."""
-    within = float(np.abs(frequency_response(model, np.array([theta])))[0])
+def gain_within(model: LoopModel, settling_samples: float) -> float:
+    """Size of the plant's gain at rest, or at 1/settling time where it integrates."""
+    theta = np.array([2.0 * math.pi / settling_samples])
+    within = float(np.abs(frequency_response(model, theta))[0])
     at_rest = abs(model.static_gain)
     return at_rest if at_rest < INTEGRATES * within else within

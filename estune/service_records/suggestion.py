@@ -14,6 +14,7 @@ from estune.core.pidf import ControllerSettings
 from estune.core.response import CostFunction, LoadStep, StepShape
 from estune.errors import InvalidInput
 from estune.loop_model.intervals import PredictedMargins
+from estune.loop_model.load_rejection import gain_within
 from estune.loop_model.optimum import RobustnessLimits
 from estune.loop_model.prediction import StepTrial
 from estune.recordings.loop_log import LoopLog
@@ -283,14 +284,15 @@ def _trial(
     size = step or float(np.ptp(setpoint)) or float(np.ptp(measured)) or 1.0
     own = isinstance(cost, StepCost)
     cost = cost if isinstance(cost, StepCost) else cost_from(cost, settling_time_s)
-    if (cost.unscaled or not own) and math.isfinite(model.static_gain):
-        cost = cost.scaled(model.static_gain)
+    # A fit of an integrating plant has any gain at rest: with it the effort of a servo cost 1e11
+    # times the error.
+    gain = gain_within(model, settling_time_s * rate)
+    if cost.unscaled or not own:
+        cost = cost.scaled(gain)
     shape, samples = StepShape(1, size), math.ceil(TRIAL_SPAN * settling_time_s * rate) + 1
     if cost.rejection:
         # A load that takes as much effort as the step, once the step has settled.
-        gain = model.static_gain
-        load = size / gain if math.isfinite(gain) and gain else size
-        shape, samples = shape._replace(load=LoadStep(samples, load)), 2 * samples
+        shape, samples = shape._replace(load=LoadStep(samples, size / gain)), 2 * samples
     return StepTrial(settings, cost, 0.0, shape, samples)
 
 
