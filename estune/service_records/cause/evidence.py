@@ -42,6 +42,11 @@ class CauseEvidence(NamedTuple):
     faults: tuple[sensor.SensorLaw, ...]
     numbers: FloatArray
 
+    @property
+    def gain(self) -> float:
+        """Log likelihood of what is left out that an actuator which sticks gains."""
+        return GAIN * math.sinh(float(self.numbers[0]))
+
 
 NAMES = (
     "gain", "without best", "informed", "slow", "curved", "moving", "offset", "together",
@@ -52,6 +57,9 @@ NAMES = (
 CLIP = (-6.0, 12.0)
 """Least and greatest gain in likelihood of one block of forty that counts: one setpoint step whose
 model is a sample late would else outvote the rest of the log."""
+
+GAIN = 8.0
+"""Gain in log likelihood beyond which its logarithm counts."""
 
 BEST = 3
 """Blocks that are left out of the gain once: a load step that looks like a slip is in as many."""
@@ -85,8 +93,8 @@ def evidence(log: JudgedSignals) -> CauseEvidence:
     )
     gains = np.sort(np.clip(predicted.blocks, *CLIP))
     numbers = (
-        math.asinh(float(gains.sum()) / 8.0),
-        math.asinh(float(gains[:-BEST].sum()) / 8.0),
+        math.asinh(float(gains.sum()) / GAIN),
+        math.asinh(float(gains[:-BEST].sum()) / GAIN),
         math.asinh(predicted.informed / 20.0),
         predicted.slow,
         found.curved,

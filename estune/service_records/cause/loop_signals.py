@@ -10,6 +10,11 @@ from estune.core.quantities import FloatArray
 LONGEST = 1000
 """Samples that are compared; longer logs are thinned by means. The judge takes 0.1 s of CPU."""
 
+EXPLAINED = 0.99
+"""Share of the output's variance from which a controller explains it. The moves of a chamber's
+output, which is a whole number, give half of P and an integral that does not run, and Ms 3.8 or
+none for 1.3 to 1.6; the output itself, of which 0.999 is explained, gives P to 1 %."""
+
 SWING = 0.25
 """Least size of a swing of the output, over its range from the 2nd to the 98th percent."""
 
@@ -84,7 +89,7 @@ class Controller(NamedTuple):
         P: Moves of the output over those of the measurement, with the sign of the loop's gain.
         I: Moves of the output over the error, per sample.
         D: The same of the second difference of the measurement.
-        explained: Share of the moves' variance that it explains.
+        explained: Share of the variance of the output, or its moves, that it explains.
     """
 
     P: float
@@ -100,15 +105,27 @@ class Controller(NamedTuple):
 
 
 def shown_controller(signals: JudgedSignals) -> Controller:
-    """The controller by least squares of the output's moves."""
-    y, r, moves = signals.measurement, signals.setpoint, np.diff(signals.output)[1:]
-    columns = np.column_stack(
-        [-np.diff(y)[1:], signals.error[2:], -np.diff(y, 2), np.diff(r)[1:], np.ones(moves.size)]
+    """The controller by least squares of the output's moves, or of the output where that shows it.
+
+    Rounding is small beside the output and as large as its moves. Nobody but the controller moves
+    an output that it explains; another is moved by hand, held, or fed forward, at times.
+    """
+    y, r, u = signals.measurement, signals.setpoint, signals.output
+    whole = _least_squares(
+        np.column_stack([-y, np.cumsum(signals.error), -np.diff(y, prepend=y[0]), r]), u
     )
+    moves = _least_squares(
+        np.column_stack([-np.diff(y)[1:], signals.error[2:], -np.diff(y, 2), np.diff(r)[1:]]),
+        np.diff(u)[1:],
+    )
+    return whole if whole.explained > max(EXPLAINED, moves.explained) else moves
+
+
+def _least_squares(columns: FloatArray, wanted: FloatArray) -> Controller:
     scale = columns.std(axis=0) + np.abs(columns).max(axis=0) * 1e-9 + 1e-300
-    found = np.linalg.lstsq(columns / scale, moves, rcond=1e-9)[0]
-    left = moves - columns / scale @ found
-    power = float(np.var(moves))
-    explained = 1.0 - float(np.var(left)) / power if power else 0.0
-    P, I, D = (found / scale)[:3].tolist()
+    design = np.column_stack([columns / scale, np.ones(wanted.size)])
+    found = np.linalg.lstsq(design, wanted, rcond=1e-9)[0]
+    power = float(np.var(wanted))
+    explained = 1.0 - float(np.var(wanted - design @ found)) / power if power else 0.0
+    P, I, D = (found[:3] / scale[:3]).tolist()
     return Controller(P, I, D, explained)
