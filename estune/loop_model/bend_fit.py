@@ -118,7 +118,7 @@ def with_bend(
     known = [(kind, bent) for kind, bent in singly if bent and may_explain(bent, two)]
     for kind, bent in sorted(known, key=lambda pair: _squares(pair[1])):
         whole = fits.anew([unbent(record, bent.model.bend) for record in records])
-        if not may_explain(whole, fit):
+        if not may_explain(whole, two):
             continue
         found = _settled(whole, records, bent.model.bend, kind, fits.again)
         if found is not None and found.order > two.order:
@@ -136,7 +136,7 @@ def _squares(fit: LoopFit) -> float:
 
 
 def may_explain(found: LoopFit, linear: LoopFit) -> bool:
-    """Whether more fits are worth it: one with as many poles leaves less than a linear one.
+    """Whether more fits are worth it: one leaves much less than a linear one.
 
     Where a load acts in some trials they took 10 s a trial, and explained nothing.
     """
@@ -144,8 +144,17 @@ def may_explain(found: LoopFit, linear: LoopFit) -> bool:
 
 
 def explains(found: LoopFit, linear: LoopFit) -> bool:
-    """Whether a fit explains what a linear one leaves, and is one that can be."""
-    return is_plain(found) and _beyond(found) < LEFT_MOST * _beyond(linear)
+    """Whether a fit explains what a linear one leaves, and is one that can be.
+
+    A load of its noise model makes white what a bend leaves, with a misfit of 1 % and more: where
+    a fit without one predicts as well, there is none.
+    """
+    if linear.noise.is_white:
+        return is_plain(found) and _beyond(found) < LEFT_MOST * _beyond(linear)
+    size = sum(errors.size for errors in found.errors)
+    chance = 1.0 + 5.0 * math.sqrt(2.0 / size)
+    as_well = _squares(found) < chance * _squares(linear)
+    return is_plain(found) and found.is_white and found.noise.is_white and as_well
 
 
 def is_plain(fit: LoopFit) -> bool:

@@ -129,7 +129,8 @@ def fit_loop(
         starts = [_start_of(last)]
     starts = starts or _cold_starts(records, settling)[1]
     fit = _fit_of_those_that_agree(records, settling, starts, last)
-    if fit.is_white or (fit.model.friction and fit.misfit < FRICTION_DONE):
+    plain = fit.is_white and fit.noise.is_white
+    if plain or (fit.model.friction and fit.misfit < FRICTION_DONE):
         return fit
     return with_bend(fit, records, fits) or with_strengths(fit, records, fits) or fit
 
