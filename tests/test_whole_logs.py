@@ -10,6 +10,7 @@ from estune.core.gains import Gains
 from estune.loop_model.margins import robustness
 from estune.recordings.loop_log import LoopLog
 from estune.service_records.suggestion import Suggestion, suggest
+from experiments.service_records.keep import judged as judged_beside_truth
 from experiments.service_records.short_logs import verdict
 from tests.support_loops import loop_of_taps
 
@@ -106,3 +107,19 @@ def test_a_loop_that_rings_at_one_setpoint_is_told_with_its_period_and_gains_tha
     better = robustness(PLANT, found.recommendation.gains, found.trial.controller).sensitivity
     assert better <= 1.6
     assert any("period" in remark for remark in found.remarks())
+
+
+@pytest.mark.parametrize(
+    ("seed", "at_optimum", "said"),
+    [
+        # The judge of causes takes the setpoint filter of this one for a sticking actuator.
+        (11, True, "keep"),
+        (11, False, "change"),
+        *(pytest.param(seed, True, "keep", marks=pytest.mark.slow) for seed in (4, 15, 25)),
+    ],
+)
+def test_keep_is_said_of_a_loop_at_its_optimum_and_change_of_others(seed, at_optimum, said):
+    found = judged_beside_truth(seed, at_optimum=at_optimum)
+
+    assert found.said == said
+    assert not found.false

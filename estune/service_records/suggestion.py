@@ -18,8 +18,16 @@ from estune.loop_model.load_rejection import gain_within
 from estune.loop_model.optimum import RobustnessLimits
 from estune.loop_model.prediction import StepTrial
 from estune.recordings.loop_log import LoopLog
+from estune.service_records.actuator import may_stick
 from estune.service_records.advice import advise
-from estune.service_records.cause.judge import Cause, judge_cause, of_most, with_margins
+from estune.service_records.cause.judge import (
+    Cause,
+    judge_cause,
+    of_most,
+    of_others,
+    with_margins,
+)
+from estune.service_records.cause.valve import Valve
 from estune.service_records.gain_sets import cut, gain_sets
 from estune.service_records.identification import (
     ServiceLoop,
@@ -141,8 +149,9 @@ def suggest(
     margins, margin = margins_of(loop, trial, in_use)
     is_thin = decides is not None and decides.is_thin
     judgement = judge(loop, in_use, margins, margin, is_thin=is_thin)
-    known = margins.sensitivity if judgement.can_tell else None
-    cause = of_most([with_margins(one, known) for one in judged])
+    if judgement.can_tell:
+        judged = [with_margins(_beside(loop, one), margins.sensitivity) for one in judged]
+        cause = of_most(judged)
     judgement = _for_machine(judgement, cause, loop)
     better = recommend(loop, trial, in_use, limits) if judgement.can_tell else None
     holds = math.isfinite(margins.sensitivity.value)
@@ -202,6 +211,14 @@ def _logs(
         return Logs(logs, ())
     paths = [path for path in records if isinstance(path, Path | str)]
     return read_logs(paths, columns, sampling_Hz, reverse=reverse)
+
+
+def _beside(loop: ServiceLoop, cause: Cause) -> Cause:
+    """The cause beside an identified loop, which may leave no room for an actuator that sticks."""
+    if cause.name != "sticking":
+        return cause
+    band, slip = (float(cause.numbers[name] or 0.0) for name in ("band", "slip"))
+    return cause if may_stick(loop, Valve(band, slip)) else of_others(cause)
 
 
 def _for_machine(judgement: Judgement, cause: Cause, loop: ServiceLoop) -> Judgement:

@@ -173,10 +173,8 @@ def with_margins(cause: Cause, sensitivity: tuple[float, float, float] | None) -
     is_tight = cause.name == "tuning" and cause.numbers["direction"] == "tight"
     if sensitivity is None:
         return cause
-    if is_tight and sensitivity[2] < TIGHT and cause.shown is not None:
-        rest = 1.0 - cause.probabilities["tuning"] or 1.0
-        weighed = {name: share / rest for name, share in cause.probabilities.items()}
-        return _told(cause.shown, weighed | {"tuning": 0.0}, cause.log)
+    if is_tight and sensitivity[2] < TIGHT:
+        return of_others(cause)
     if sensitivity[1] <= TIGHT or is_tight:
         return cause
     value = sensitivity[0]
@@ -195,6 +193,15 @@ def with_margins(cause: Cause, sensitivity: tuple[float, float, float] | None) -
         numbers=numbers,
         words=f"too tight, {Ms}, by the gains that ran",
     )
+
+
+def of_others(cause: Cause) -> Cause:
+    """The cause that is the likeliest of the others, where a told one is known not to be."""
+    if cause.shown is None:
+        return cause
+    rest = 1.0 - cause.probabilities[cause.name] or 1.0
+    weighed = {name: share / rest for name, share in cause.probabilities.items()}
+    return _told(cause.shown, weighed | {cause.name: 0.0}, cause.log)
 
 
 def judge_signals(signals: JudgedSignals, name: str = "") -> Cause:
