@@ -149,9 +149,8 @@ def suggest(
     margins, margin = margins_of(loop, trial, in_use)
     is_thin = decides is not None and decides.is_thin
     judgement = judge(loop, in_use, margins, margin, is_thin=is_thin)
-    if judgement.can_tell:
-        judged = [with_margins(_beside(loop, one), margins.sensitivity) for one in judged]
-        cause = of_most(judged)
+    known = margins.sensitivity if judgement.can_tell else None
+    cause = of_most([with_margins(_beside(loop, one, judgement), known) for one in judged])
     judgement = _for_machine(judgement, cause, loop)
     better = recommend(loop, trial, in_use, limits) if judgement.can_tell else None
     holds = math.isfinite(margins.sensitivity.value)
@@ -213,9 +212,9 @@ def _logs(
     return read_logs(paths, columns, sampling_Hz, reverse=reverse)
 
 
-def _beside(loop: ServiceLoop, cause: Cause) -> Cause:
-    """The cause beside an identified loop, which may leave no room for an actuator that sticks."""
-    if cause.name != "sticking":
+def _beside(loop: ServiceLoop, cause: Cause, judgement: Judgement) -> Cause:
+    """The cause beside a known loop, which may leave no room for an actuator that sticks."""
+    if cause.name != "sticking" or not judgement.can_tell:
         return cause
     band, slip = (float(cause.numbers[name] or 0.0) for name in ("band", "slip"))
     return cause if may_stick(loop, Valve(band, slip)) else of_others(cause)
