@@ -1,5 +1,6 @@
 """Setpoint, measurement and output of a loop at its own pace, its swings, and its controller."""
 
+import math
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -122,10 +123,21 @@ def shown_controller(signals: JudgedSignals) -> Controller:
 
 
 def _least_squares(columns: FloatArray, wanted: FloatArray) -> Controller:
+    """The controller whose P and I have one sign: collinear columns gave a P below zero."""
+    from scipy.optimize import lsq_linear  # noqa: PLC0415  slow to import
+
     scale = columns.std(axis=0) + np.abs(columns).max(axis=0) * 1e-9 + 1e-300
-    design = np.column_stack([columns / scale, np.ones(wanted.size)])
-    found = np.linalg.lstsq(design, wanted, rcond=1e-9)[0]
-    power = float(np.var(wanted))
-    explained = 1.0 - float(np.var(wanted - design @ found)) / power if power else 0.0
-    P, I, D = (found[:3] / scale[:3]).tolist()
-    return Controller(P, I, D, explained)
+    design, power = (columns - columns.mean(axis=0)) / scale, float(np.var(wanted))
+    if not power:
+        return Controller(0.0, 0.0, 0.0, 0.0)
+    free, wanted = np.full(2, np.inf), (wanted - wanted.mean()) / math.sqrt(power)
+    found = [
+        lsq_linear(design, wanted, bounds=bounds)
+        for bounds in (
+            (np.concatenate([np.zeros(2), -free]), np.inf),
+            (-np.inf, np.concatenate([np.zeros(2), free])),
+        )
+    ]
+    best = min(found, key=lambda one: float(one.cost))
+    P, I, D = (best.x[:3] / scale[:3] * math.sqrt(power)).tolist()
+    return Controller(P, I, D, 1.0 - 2.0 * float(best.cost) / wanted.size)
