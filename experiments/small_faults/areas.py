@@ -94,7 +94,7 @@ AREAS: dict[str, Area] = {
             "estune/run/confirmation.py",
             "plants/diagnosis/search/intervals.py",
         ),
-        ("comparison", "intervals", "session", "loop_records", "loop_model"),
+        ("comparison", "intervals", "loop_intervals", "session", "loop_records", "loop_model"),
     ),
     "proof": Area(
         (
