@@ -15,7 +15,9 @@ from estune.service_records.cause.judge import (
     of_most,
     with_margins,
 )
-from estune.service_records.cause.loop_signals import JudgedSignals
+from estune.service_records.cause.loop_signals import LONGEST, JudgedSignals
+from estune.service_records.cause.sensor import frozen as sensor_frozen
+from estune.service_records.cause.sensor import spikes
 from estune.service_records.cause.valve import Valve, positions
 
 SAMPLES = 1200
@@ -77,6 +79,47 @@ def frozen(k, y, held=[]):  # noqa: B006  the reading that is held
 def test_fault_of_the_sensor_is_named(fault, sensor):
     found = judge_signals(flow_loop(sensor=sensor))
     assert (found.name, found.numbers["fault"]) == ("sensor", fault)
+
+
+def test_spikes_are_counted_once_and_have_their_height():
+    spiked = judge_signals(flow_loop(sensor=lambda k, y: y + 3.0 * (k % 211 == 100)))
+    assert spiked.numbers["count"] == SAMPLES // 211 + (SAMPLES % 211 > 100)
+    assert spiked.numbers["size"] == pytest.approx(3.0, rel=0.1)
+
+
+def test_kinks_of_a_measurement_after_steps_of_the_setpoint_are_no_spikes():
+    k = np.arange(2000)
+    answer = np.clip(k % 100, 0, 3) / 3.0  # it rises for three samples
+    y = np.where(k // 100 % 2, answer, 1.0 - answer) + 0.003 * np.random.default_rng(1).normal(
+        size=k.size
+    )
+    assert spikes(JudgedSignals(np.zeros_like(y), y, y, 1.0)) is None
+
+
+def test_reading_frozen_several_times_is_frozen():
+    rng = np.random.default_rng(2)
+    y = np.cumsum(rng.normal(size=2000)) + rng.normal(size=2000)
+    for at in (300, 900, 1500):
+        y[at : at + 40] = y[at]
+    found = sensor_frozen(JudgedSignals(np.zeros_like(y), y, np.arange(2000.0), 1.0))
+    assert found is not None
+    assert (found.fault, found.number) == ("frozen", 39)
+
+
+def test_reading_that_stands_while_the_output_rests_is_not_frozen():
+    k = np.arange(2000)
+    u = np.where(k < 1000, 0.0, k - 1000.0)
+    y = np.where(k < 1002, 0.0, k - 1002.0) + 0.1 * np.sin(k) * (k >= 1002)
+    assert sensor_frozen(JudgedSignals(np.zeros_like(y), y, u, 1.0)) is None
+
+
+def test_servo_that_settles_within_a_thousandth_of_its_log_is_thinned_to_its_own_pace():
+    t = np.arange(32000) / 2000.0
+    setpoint = np.floor(2.0 * t) % 2.0
+    after = np.exp(-(t % 0.5) / 0.015) * np.where(setpoint > 0.0, 1.0, -1.0)
+    thinned = JudgedSignals(setpoint, setpoint - after, after, 1 / 2000.0).thinned()
+    assert thinned.samples == LONGEST
+    assert thinned.interval_s <= 0.005
 
 
 def test_log_too_short_to_judge_says_what_to_record():

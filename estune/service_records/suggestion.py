@@ -37,6 +37,7 @@ from estune.service_records.identification import (
 )
 from estune.service_records.judged_records import JudgedRecords, Verdict
 from estune.service_records.judgement import Judgement, judge, margins_of
+from estune.service_records.passed_wave import with_passed_wave
 from estune.service_records.recommendation import Recommendation, recommend
 from estune.service_records.replay import Replay
 from estune.service_records.sources import Logs, check_names, gains_of, read_logs
@@ -154,6 +155,8 @@ def suggest(
     judgement = _for_machine(judgement, cause, loop)
     better = recommend(loop, trial, in_use, limits) if judgement.can_tell else None
     holds = math.isfinite(margins.sensitivity.value)
+    identified = loop if judgement.can_tell and holds else None
+    cause = with_passed_wave(cause, identified, in_use, better and better.gains)
     if better is None and judgement.can_tell and not holds:
         judgement = judgement._replace(
             reason="the loop is unstable, and no gains are known to hold"

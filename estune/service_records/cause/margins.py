@@ -35,12 +35,6 @@ def room(plant: FittedPredictor, controller: Controller) -> float:
     return float(np.exp(low))
 
 
-def passed(plant: FittedPredictor, controller: Controller, factor: float, angle: float) -> float:
-    """Share of a disturbance at an angle per sample that reaches the measurement."""
-    at = int(np.argmin(np.abs(_ANGLES - angle)))
-    return float(1.0 / abs(1.0 + factor * _loop(plant, controller)[at]))
-
-
 def peak(plant: FittedPredictor, controller: Controller) -> float:
     """Angle per sample at which the loop is most sensitive."""
     return float(_ANGLES[np.argmax(1.0 / np.abs(1.0 + _loop(plant, controller)))])

@@ -12,6 +12,10 @@ SensorFault = Literal["frozen", "steps", "spikes", "noise"]
 FROZEN = 25.0
 """Equal readings in a row from which the sensor is frozen: five times the next longest run."""
 
+TURNS = 0.25
+"""Share of moves that turn back, from which readings have noise: of white noise two thirds do, of
+the swing of a loop sampled 20 times a tenth."""
+
 LEVELS = 12.0
 """Range of the measurement in steps up to which the steps are what the controller reacts to."""
 
@@ -46,20 +50,35 @@ class SensorLaw(NamedTuple):
 
 
 def frozen(signals: JudgedSignals) -> SensorLaw | None:
-    """The longest run of equal readings while the output moves, if no other is nearly as long."""
+    """Equal readings in a row while the output moves, many more than elsewhere.
+
+    A reading may freeze several times, each at least half as long as the longest. An actuator that
+    rests does the same to a measurement without noise: then one freeze alone is told.
+    """
     y, u = signals.measurement, signals.output
     equal = np.concatenate([[False], np.diff(y) == 0.0, [False]])
     edges = np.flatnonzero(np.diff(equal.astype(np.int8)))
-    runs = [(int(b - a), int(a)) for a, b in zip(edges[::2], edges[1::2], strict=True)]
-    moved = sorted(
-        (length for length, at in runs if np.ptp(u[at : at + length + 1]) > 0.0), reverse=True
-    )
-    if not moved:
+    lengths = np.sort([_moved(u[a : b + 1]) for a, b in zip(edges[::2], edges[1::2], strict=True)])
+    if not lengths.size or lengths[-1] < FROZEN:
         return None
-    others = moved[1] if len(moved) > 1 else 1
-    if moved[0] < FROZEN or moved[0] < 5 * others:
+    alike = lengths[2 * lengths >= lengths[-1]]
+    others = lengths[2 * lengths < lengths[-1]]
+    if lengths[-1] < 5 * others.max(initial=1) or (alike.size > 1 and not _is_noisy(y)):
         return None
-    return SensorLaw("frozen", 0.0, moved[0], moved[0] / y.size)
+    return SensorLaw("frozen", 0.0, int(lengths[-1]), float(alike.sum()) / y.size)
+
+
+def _moved(output: FloatArray) -> int:
+    """Samples of a part after the output's first move: a drive at rest stands for a reason."""
+    moved = output != output[0]
+    return int(moved.size - np.argmax(moved)) if moved.any() else 0
+
+
+def _is_noisy(y: FloatArray) -> bool:
+    """Whether readings that differ go up and down as noise does, and not as a motion."""
+    moves = np.diff(y)
+    moves = moves[moves != 0.0]
+    return bool(np.mean(moves[1:] * moves[:-1] < 0.0) > TURNS) if moves.size > 2 else False
 
 
 def steps(signals: JudgedSignals) -> SensorLaw | None:
@@ -77,19 +96,20 @@ def steps(signals: JudgedSignals) -> SensorLaw | None:
 
 
 def spikes(signals: JudgedSignals) -> SensorLaw | None:
-    """Single readings far from both neighbours, which agree with those beside them."""
+    """Single readings far from the two before and the two after, which agree.
+
+    Neighbours of a spike, edges of a step, and turns of a fast swing are none: there these four
+    disagree by half as much or more.
+    """
     y = signals.measurement
-    # A cubic through four neighbours: a line through two takes a fast swing for spikes.
-    cubic = (4.0 * (y[1:-3] + y[3:-1]) - (y[:-4] + y[4:])) / 6.0
-    apart, beside = y[2:-2] - cubic, np.abs(y[3:-1] - y[1:-3])
+    beside = np.array([y[:-4], y[1:-3], y[3:-1], y[4:]])
+    apart = np.abs(y[2:-2] - np.median(beside, axis=0))
     # The 90th percent: a historian that repeats readings leaves a median of nothing.
-    noise = float(np.percentile(np.abs(apart), 90.0)) / 1.645
-    hit = (np.abs(apart) > SPIKE * noise) & (beside < 0.5 * np.abs(apart))
+    noise = float(np.percentile(apart, 90.0)) / 1.645
+    hit = (apart > SPIKE * noise) & (np.ptp(beside, axis=0) < 0.5 * apart)
     if noise == 0.0 or hit.sum() < 3:  # one or two are chance among 80 logs of a plant
         return None
-    return SensorLaw(
-        "spikes", float(np.median(np.abs(apart[hit]))), int(hit.sum()), float(hit.mean())
-    )
+    return SensorLaw("spikes", float(np.median(apart[hit])), int(hit.sum()), float(hit.mean()))
 
 
 def noise(signals: JudgedSignals) -> SensorLaw | None:
