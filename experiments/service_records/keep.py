@@ -48,7 +48,7 @@ BEYOND_MS, BEYOND_OVERSHOOT = 0.05, 0.02
 FIFTH = 0.2
 
 
-class Drawn(NamedTuple):
+class LoopAtOptimum(NamedTuple):
     """A loop and its best gains within the limits."""
 
     plant: LoopModel
@@ -56,7 +56,7 @@ class Drawn(NamedTuple):
     best: Gains
 
 
-class Judged(NamedTuple):
+class JudgedVerdict(NamedTuple):
     """What was said of one record.
 
     Attributes:
@@ -71,7 +71,7 @@ class Judged(NamedTuple):
     false: str
 
 
-def drawn(random: np.random.Generator) -> Drawn:
+def drawn(random: np.random.Generator) -> LoopAtOptimum:
     """A loop of two lags and a dead time, samples of one second."""
     first = math.exp(random.uniform(math.log(8.0), math.log(40.0)))
     second, dead = first * random.uniform(0.1, 0.8), round(first * random.uniform(0.05, 0.5))
@@ -85,7 +85,7 @@ def drawn(random: np.random.Generator) -> Drawn:
     trial = StepTrial(SETTINGS, cost, 0.0, StepShape(1, 1.0), math.ceil(TRIAL_SPAN * T) + 1)
     P = first / (gain * 2.0 * (second + dead + 1.0))  # SIMC (Skogestad 2003), twice as slow
     start = np.log([P, P / first, 0.3 * P * second, 0.05 * T])
-    return Drawn(plant, trial, _best(plant, trial, start))
+    return LoopAtOptimum(plant, trial, _best(plant, trial, start))
 
 
 def _best(plant: LoopModel, trial: StepTrial, start: FloatArray) -> Gains:
@@ -97,7 +97,7 @@ def _gains_of(x: FloatArray) -> Gains:
     return Gains(*np.exp(x).tolist())
 
 
-def record(loop: Drawn, gains: Gains, random: np.random.Generator) -> LoopLog:
+def record(loop: LoopAtOptimum, gains: Gains, random: np.random.Generator) -> LoopLog:
     """Busy service with these gains, under a load and with noise."""
     T = loop.trial.cost.settling_time_s
     begun, samples = round(BEGUN * T), round((BEGUN + LENGTH) * T)
@@ -116,7 +116,7 @@ def record(loop: Drawn, gains: Gains, random: np.random.Generator) -> LoopLog:
     return LoopLog("loop.csv", 1.0, (columns,), gains, {}, {}, ())
 
 
-def judged(seed: int, *, at_optimum: bool) -> Judged:
+def judged(seed: int, *, at_optimum: bool) -> JudgedVerdict:
     """What is said of a loop, and whether it is true."""
     random = np.random.default_rng(seed)
     loop = drawn(random)
@@ -125,7 +125,7 @@ def judged(seed: int, *, at_optimum: bool) -> Judged:
     in_use = Gains(factor * best.P, factor * best.I, factor * best.D, best.setpoint_filter_s)
     log = record(loop, in_use, random)
     if not np.abs(log.parts[0]["measurement"]).max() < 1e3:
-        return Judged(factor, "unstable", math.inf, "")
+        return JudgedVerdict(factor, "unstable", math.inf, "")
     T = loop.trial.cost.settling_time_s
     found = suggest(Logs((log,), (), SETTINGS), settling_time_s=T, step=1.0)
     now, at_best = (predict(loop.plant, loop.trial, gains, NOISE) for gains in (in_use, best))
@@ -133,7 +133,7 @@ def judged(seed: int, *, at_optimum: bool) -> Judged:
         loop.plant, loop.trial, found.recommendation.gains, NOISE
     )
     dearer = now.cost / at_best.cost - 1.0
-    result = Judged(factor, found.verdict, dearer, _false(found, now, at_best, better))
+    result = JudgedVerdict(factor, found.verdict, dearer, _false(found, now, at_best, better))
     print(seed, *result, _shown(now), better and _shown(better), file=sys.stderr, flush=True)
     return result
 
@@ -184,7 +184,7 @@ def main() -> int:
     return print_results({"rows": rows}, targets, as_json=options.json, tables=True)
 
 
-def _row(name: str, of: Sequence[Judged]) -> dict[str, Any]:
+def _row(name: str, of: Sequence[JudgedVerdict]) -> dict[str, Any]:
     said = [one.said for one in of]
     false = [one.said for one in of if one.false]
     counts = {verdict: said.count(verdict) for verdict in _VERDICTS}
