@@ -15,8 +15,6 @@ from tests.support_loops import loop_of_taps
 MODEL = loop_of_taps((-1.5, 0.56), (0.05, 0.01, 0.0), 1)
 SETTINGS = ControllerSettings(10.0, 0.0, -np.inf, np.inf)
 LOOP = SimpleNamespace(fit=SimpleNamespace(model=MODEL), settings=SETTINGS)
-    fit=SimpleNamespace(model=MODEL), settings=ControllerSettings(10.0, 0.0, -np.inf, np.inf)
-)
 
 
 def cause(**numbers):
