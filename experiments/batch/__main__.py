@@ -69,7 +69,7 @@ def tuned(
     except EstuneError as error:
         return {"trials": rig.trials, "ending": f"refused: {error}"}, start, None
     cpu_s = time.process_time() - began_s
-    margins = result.claim.margins
+    margins, change = result.claim.margins, result.improvement if result.success else None
     row = {
         "trials": rig.trials,
         "cpu_s": cpu_s,
@@ -77,6 +77,7 @@ def tuned(
         "why": result.limits.reason if result.limits else result.message,
         "claimed_Ms": list(margins.sensitivity) if margins else None,
         "claimed_overshoot": list(margins.overshoot) if margins else None,
+        "claimed_change": [change.estimate, change.low, change.high] if change else None,
         "gains": list(result.gains.as_tuple()),
     }
     return row, result.gains, result.plan.cost

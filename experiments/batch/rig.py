@@ -5,12 +5,13 @@ from typing import NamedTuple
 import numpy as np
 from scipy.signal import lfilter
 
+from estune.core.cost import StepCost
 from estune.core.gains import Gains
 from estune.core.pidf import ControllerSettings
 from estune.core.quantities import FloatArray
 from estune.trial import RigLimits, TrialRequest
 from estune.trial.profiles import LoadStepProfile, StepProfile
-from experiments.batch.loop import FILTER_SAMPLES, ProcessLoop, convolved, impulse
+from experiments.batch.loop import FILTER_SAMPLES, ProcessLoop, convolved, driven, impulse
 from experiments.written_rig import WrittenRig
 
 REACH, LOAD_MAX, LONGEST = 50.0, 100.0, 10.0
@@ -63,16 +64,10 @@ class BatchRig(WrittenRig):
 
     def answer(self, request: TrialRequest, setpoint: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Measurement and effort of a trial; with those of the load before it in the state."""
-        load, before = np.zeros(setpoint.size), np.zeros(0)
+        noise, load = self._acting(setpoint.size, request.number)
+        before, load = load[: -setpoint.size], load[-setpoint.size :]
         if isinstance(request.profile, LoadStepProfile):
-            load = request.profile.shape(1.0 / self._loop.h).loads(setpoint.size)
-        rng = np.random.default_rng([self._seed, request.number])
-        noise = self._loop.noise * rng.standard_normal(setpoint.size)
-        if any(self._disturbance):
-            before, own = self._loads(setpoint.size, rng)
-            load += own
-            drift = self._disturbance.drift * rng.choice([-1.0, 1.0])
-            noise += drift * np.linspace(0.0, 1.0, setpoint.size)
+            load = load + request.profile.shape(1.0 / self._loop.h).loads(setpoint.size)
         m = self._loop.matrices(request.gains)
         inputs = np.stack([setpoint, noise, load])
         driving = np.stack([m.setpoint, m.noise, m.load], axis=1)
@@ -102,13 +97,34 @@ class BatchRig(WrittenRig):
         coloured = convolved(answer[None], np.power(self._pole, np.arange(float(count))))[0]
         return 1.0 / float(np.linalg.norm(coloured)), 1.0 / float(np.abs(np.cumsum(answer)).max())
 
-    def _loads(self, count: int, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
-        """The loads before a trial and in it, shape (samples,) each."""
+    def _acting(self, count: int, number: int) -> tuple[FloatArray, FloatArray]:
+        """Noise of a trial, shape (count,), and loads before it and in it, (before + count,)."""
+        rng = np.random.default_rng([self._seed, number])
+        noise = self._loop.noise * rng.standard_normal(count)
+        if not any(self._disturbance):
+            return noise, np.zeros(count)
         size, settled = self._disturbance.load * self._load_scale, 2 * self._loop.after
         white = size * rng.standard_normal(settled + count)
-        coloured = np.asarray(lfilter([1.0], [1.0, -self._pole], white))
-        before, load = coloured[self._loop.after : settled], coloured[settled:]
+        load = np.asarray(lfilter([1.0], [1.0, -self._pole], white))
         if rng.random() < LOADED:
             at, sign = int(rng.uniform(0.15, 0.9) * count), rng.choice([-1.0, 1.0])
-            load[at:] += sign * self._disturbance.steps * self._step_scale
-        return before, load
+            load[settled + at :] += sign * self._disturbance.steps * self._step_scale
+        drift = self._disturbance.drift * rng.choice([-1.0, 1.0])
+        return noise + drift * np.linspace(0.0, 1.0, count), load[self._loop.after :]
+
+    def costs(self, gains: Gains, cost: StepCost, trials: int) -> FloatArray:
+        """Costs of step trials of some gains, with what acts on them, shape (trials,)."""
+        step, rate, m = self._description.step, 1.0 / self._loop.h, self._loop.matrices(gains)
+        setpoint = step.setpoint(rate)
+        count, after = setpoint.size, setpoint.size - self._loop.before
+        rows = zip(*(self._acting(count, number) for number in range(trials)), strict=True)
+        noise, load = (np.array(row) for row in rows)
+        states = np.zeros((count, m.output.size))
+        states[-after:] = driven(m.M, m.setpoint, after)
+        output = states @ m.output + noise
+        effort = states @ m.effort + m.effort_of_setpoint * setpoint + m.effort_of_noise * noise
+        for acting, by in ((noise, m.noise), (load, m.load)):
+            answer = impulse(m.M, by, acting.shape[1])
+            output = output + convolved(acting, answer @ m.output)[:, -count:]
+            effort = effort + convolved(acting, answer @ m.effort)[:, -count:]
+        return np.asarray(cost.evaluate(rate, step.shape(rate), setpoint, output, effort))
