@@ -9,12 +9,15 @@ import pytest
 import plants
 from estune.core.cost import default_cost
 from estune.core.gains import Gains
+from estune.run.ending import RunEnding
 from estune.trial import TrialRequest
 from estune.trial.profiles import StepProfile
-from experiments.batch.__main__ import is_beyond, start_of
+from estune.trial.scoring import cost_of
+from experiments.batch.__main__ import is_beyond, start_of, tuned
 from experiments.batch.loop import FILTER_SAMPLES, ProcessLoop
+from experiments.batch.optimum import optimum
 from experiments.batch.processes import PROCESSES, UNSTABLE
-from experiments.batch.rig import BatchRig
+from experiments.batch.rig import BatchRig, Disturbance
 from experiments.batch.rules import first_order, relay_experiment, simc
 from experiments.loop_claims import true_sensitivity
 
@@ -108,3 +111,36 @@ def test_noise_raises_the_cost_by_what_it_adds_to_error_and_moves():
     error = np.std(costs) / math.sqrt(len(costs))
     assert noisy > quiet
     assert noisy == pytest.approx(np.mean(costs), abs=6.0 * error)
+
+
+def tuned_under(name, level, seed):
+    """A tuning of a process under loads of a level, and its cost above the optimum."""
+    process = BY_NAME[name]
+    loop, acting = ProcessLoop(process, 0.003), Disturbance(level, level, level)
+    run, gains, cost = tuned(loop, seed, "paper", acting)
+    best = optimum(loop, cost, [start_of(process), gains])
+    return run, loop.at(gains, cost).cost / loop.at(best, cost).cost - 1.0
+
+
+@pytest.mark.parametrize(
+    ("name", "level", "seed"),
+    [
+        ("e^-s/(2s+1)", 0.01, 5000),
+        pytest.param("e^-s/(0.5s+1)", 0.03, 5000, marks=pytest.mark.slow),
+    ],
+)
+def test_loads_in_trials_are_told_from_the_plant_in_few_trials(name, level, seed):
+    run, above = tuned_under(name, level, seed)
+    assert run["trials"] <= 20
+    assert above < 0.1
+    assert run["ending"] in (RunEnding.TUNED, RunEnding.LIMITS_NOT_SHOWN)
+
+
+def test_costs_of_many_trials_are_those_of_the_trials_one_by_one():
+    process = BY_NAME["e^-s/(10s+1)"]
+    loop, gains = ProcessLoop(process, 0.003), start_of(process)
+    rig = BatchRig(loop, gains, 7, Disturbance(0.03, 0.03, 0.03))
+    step, cost = rig.describe().step, default_cost(process.settling_time_s)
+    records = [rig.run(TrialRequest("run", number, gains, step)) for number in range(3)]
+    one_by_one = [cost_of(record, step, cost, 1.0) for record in records]
+    assert rig.costs(gains, cost, 3) == pytest.approx(one_by_one, rel=1e-3)

@@ -243,16 +243,21 @@ def after_trial(
                 session.plan, choice.gains[choice.best], known_costs(session)
             )
     else:
-        changed = {"confirmation": _after_repeat(session, math.inf if censored else cost)}
+        changed = {"confirmation": _after_repeat(session, outcome, cost)}
     return replace(
         session, tally=session.tally.after([(phase, outcome, cost)]), attempt=0, **changed
     )
 
 
-def _after_repeat(session: Session, cost: float) -> InterleavedRepeats:
-    """The confirmation after a repeat; one that shows limits does not open it again."""
+def _after_repeat(session: Session, outcome: Outcome, cost: float) -> InterleavedRepeats:
+    """The confirmation after a repeat; one that shows limits does not open it again.
+
+    The initial gains ran safely: a load that makes a slow loop's trial dear does not void it.
+    """
     assert session.confirmation is not None  # noqa: S101  the last phase there is
-    repeats = session.confirmation.with_cost(cost)
+    most = session.eta_max if session.confirmation.next_index else math.inf
+    safe = is_safe(Phase.CONFIRM, outcome, cost, most)
+    repeats = session.confirmation.with_cost(cost if safe else math.inf)
     return repeats if session.showing else extended(repeats, session.plan)
 
 
