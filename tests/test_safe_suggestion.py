@@ -1,10 +1,15 @@
 """Gains recommended from logs: never from what the log does not show, nor by an absurd cost."""
 
+from dataclasses import replace
+
 import numpy as np
+import pytest
 
 from estune.core.gains import Gains
+from estune.loop_model.intervals import Interval, relative_cost
+from estune.loop_model.optimum import RobustnessLimits
 from estune.recordings.loop_log import LoopLog
-from estune.service_records.suggestion import suggest
+from estune.service_records.suggestion import is_worthwhile, suggest
 
 GAINS = Gains(1.6, 0.75, 0.0, 0.0)
 
@@ -59,3 +64,38 @@ def test_effort_of_an_integrating_plant_is_weighed_by_its_gain_within_the_settli
 
     assert found.margins.cost.value < 30.0
     assert found.recommendation.gains.P > 4.0
+
+
+@pytest.fixture(scope="module")
+def stepped():
+    """What is said of a loop that is stepped every 20 s."""
+    return suggest([loop_log(np.random.default_rng(3).uniform(-2.0, 2.0, 5).repeat(200))])
+
+
+def test_costs_of_two_sets_of_gains_are_compared_by_the_same_models(stepped):
+    same = relative_cost(stepped.fit, stepped.trial, GAINS, GAINS)
+
+    assert same == pytest.approx((1.0, 1.0, 1.0))
+
+
+def test_gains_that_may_cost_more_than_those_in_use_are_not_recommended(stepped):
+    better, limits = stepped.recommendation, RobustnessLimits()
+    surely, perhaps = (
+        better._replace(relative_cost=Interval(0.4, 0.3, high)) for high in (0.9, 1.2)
+    )
+
+    assert is_worthwhile(stepped.margins, surely, limits)
+    assert not is_worthwhile(stepped.margins, perhaps, limits)
+    kept = replace(stepped, verdict="keep", recommendation=perhaps).heading()
+    assert "by -60%, but by up to +20%" in kept
+
+
+def test_a_load_that_is_rejected_much_worse_is_in_the_first_line(stepped):
+    slower = stepped.recommendation._replace(load_error=13.0)
+
+    first = replace(stepped, verdict="change", recommendation=slower).heading()
+
+    assert "the error after a load is 13 times as large" in first
+    assert ("error after a load, in use = 1", "1", "13") in replace(
+        stepped, recommendation=slower
+    ).rows()

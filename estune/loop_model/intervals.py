@@ -91,6 +91,25 @@ def predict_with_intervals(
     )
 
 
+def relative_cost(
+    fit: LoopFit, trial: StepTrial, gains: Gains, other: Gains, draws: Draws = ()
+) -> Interval:
+    """The cost of some gains over that of others by the same models, with its 95 % interval."""
+
+    def ratios(models: Sequence[LoopModel]) -> FloatArray:
+        costs = [
+            np.array([one.cost for one in predictions(models, trial, [at], fit.noise_std)])
+            for at in (gains, other)
+        ]
+        with np.errstate(invalid="ignore"):
+            return np.asarray(costs[0] / costs[1])
+
+    value = float(ratios([fit.model])[0])
+    ends = np.array([_ends(ratios(models)[:, None]) for models in draws or plain_draws(fit)])
+    low, high = float(ends[:, 0].min()), float(ends[:, 1].max())
+    return Interval(value, min(low, value), max(high, value))
+
+
 def remaining_error(fit: LoopFit, model_error: float = MODEL_ERROR) -> float:
     """Error of ln Ms that no further record takes off."""
     straight = not fit.model.friction and fit.model.bend.is_straight

@@ -25,6 +25,9 @@ LABELS = {"setpoint_filter_s": "setpoint filter, s"}
 LISTED = 4
 """Sets of gains that are named."""
 
+LARGE = 2.0
+"""Factor of the error after a load from which it is told in the first line."""
+
 Verdict = Literal["change", "keep", "cannot tell", "other gains ran"]
 
 
@@ -93,11 +96,16 @@ class JudgedRecords:
         now = f"Ms {Ms.value:.2f} ({Ms.low:.2f} to {Ms.high:.2f})"
         if self.recommendation is None:
             return f"KEEP: the records show no other gains that keep the limits; {now} in use."
-        cost = self.recommendation.margins.cost.value / self.margins.cost.value - 1.0
+        cost, _, most = (one - 1.0 for one in self.recommendation.relative_cost)
         if self.verdict == "keep":
-            return f"KEEP: the best gains within the limits change the cost by {cost:+.0%}; {now}."
+            sure = f", but by up to {most:+.0%} for all that is known" if cost < 0.0 < most else ""
+            change = f"change the cost by {cost:+.0%}{sure}"
+            return f"KEEP: the best gains within the limits {change}; {now}."
+        worse = self.recommendation.load_error
+        load = f"; the error after a load is {worse:.2g} times as large" if worse >= LARGE else ""
         return (
-            f"CHANGE: predicted cost {cost:+.0%} with {self.recommendation.gains}; {now} in use."
+            f"CHANGE: predicted cost {cost:+.0%} with {self.recommendation.gains}{load}; {now} in "
+            "use."
         )
 
     def rows(self) -> list[tuple[str, str, str]]:
@@ -123,6 +131,8 @@ class JudgedRecords:
                 for m in (self.margins, better.margins if better else None)
             ]
             rows.append((label, cells[0], cells[1]))
+        if better is not None and self.margins is not None:
+            rows.append(("error after a load, in use = 1", "1", f"{better.load_error:.3g}"))
         return rows
 
     def remarks(self) -> list[str]:

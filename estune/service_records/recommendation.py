@@ -10,7 +10,8 @@ import numpy as np
 
 from estune.core.gains import Gains
 from estune.core.quantities import FloatArray
-from estune.loop_model.intervals import PredictedMargins
+from estune.loop_model.intervals import Interval, PredictedMargins, relative_cost
+from estune.loop_model.load_rejection import load_rejection
 from estune.loop_model.model import LoopModel
 from estune.loop_model.optimum import RegionSearch, RobustnessLimits
 from estune.loop_model.prediction import StepTrial, predict, predictions
@@ -58,11 +59,15 @@ class Recommendation(NamedTuple):
     Attributes:
         price: Their cost over that of the optimum whose limits hold by the model alone, less one:
             what the uncertainty of the records costs.
+        relative_cost: Their cost over that of the gains in use, by the same models.
+        load_error: Integral of the deviation after a load step, over that of the gains in use.
     """
 
     gains: Gains
     margins: PredictedMargins
     price: float
+    relative_cost: Interval
+    load_error: float
 
 
 def recommend(
@@ -111,7 +116,16 @@ def recommend(
     if not kept:
         return None
     x, margins = min(kept, key=lambda one: one[1].cost.value)
-    return Recommendation(gains_of(x), margins, _price(margins, first_cost))
+    found = gains_of(x)
+    relative = relative_cost(loop.fit, trial, found, in_use, loop.draws)
+    rejections = [
+        load_rejection(*(loop.fit.model, gains, trial.controller, 1.0, trial.cost.settling_time_s))
+        for gains in (found, in_use)
+    ]
+    then, now = (np.abs(one.deviation).sum() if one else math.inf for one in rejections)
+    return Recommendation(
+        found, margins, _price(margins, first_cost), relative, float(then / max(now, 1e-300))
+    )
 
 
 def _price(margins: PredictedMargins, first_cost: float) -> float:

@@ -48,7 +48,8 @@ TRIAL_SPAN = 3.0
 """Duration of the predicted step response, settling times."""
 
 WORTHWHILE = 0.05
-"""Decrease of the cost, by the whole of both intervals, from which other gains are recommended."""
+"""Decrease of the cost from which other gains are recommended, where all that the records allow
+is a decrease."""
 
 
 class GainsUnknown(InvalidInput):
@@ -165,7 +166,7 @@ def suggest(
     if decides is not None and decides.contradicts:
         verdict = "other gains ran"
     elif judgement.can_tell:
-        verdict = "change" if better and _worthwhile(margins, better, limits) else "keep"
+        verdict = "change" if better and is_worthwhile(margins, better, limits) else "keep"
     if better is None:
         advised = advise(loop, trial, in_use)
     elif better.price > WORTHWHILE and judgement.half_width > 0.0:
@@ -315,10 +316,9 @@ def _trial(
     return StepTrial(settings, cost, 0.0, shape, samples)
 
 
-def _worthwhile(
+def is_worthwhile(
     margins: PredictedMargins, better: Recommendation, limits: RobustnessLimits
 ) -> bool:
-    """Whether other gains are better by the whole of both intervals, or keep a broken limit."""
-    if limits.broken_by(margins):
-        return True
-    return better.margins.cost.value < (1.0 - WORTHWHILE) * margins.cost.value
+    """Whether other gains are surely better, or keep a broken limit."""
+    cost = better.relative_cost
+    return bool(limits.broken_by(margins)) or (cost.value < 1.0 - WORTHWHILE and cost.high < 1.0)
