@@ -15,6 +15,7 @@ from estune.recordings.recording import read_recording
         ("%d/%m/%y %H:%M:%S.%f", "2025-12-31T23:59:55"),
         ("%Y-%m-%dT%H:%M:%SZ", "2026-03-02T23:59:55"),
         ("%H:%M:%S", "2026-03-02T12:00:00"),
+        ("%d.%m.%Y %H:%M:%S,%f", "2026-03-02T23:59:55"),
     ],
 )
 def test_dates_as_loggers_write_them_are_the_time(tmp_path, form, first):

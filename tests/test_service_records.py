@@ -217,8 +217,8 @@ def test_a_step_beyond_the_motion_of_the_records_is_said(suggested):
 
 
 def test_logs_of_a_folder_are_in_the_order_of_their_numbers(tmp_path):
-    for name in ("run10", "run2", "run9"):
-        write(tmp_path / f"{name}.csv", dict.fromkeys("tsyu", range(50)))
+    for number in (10, 2, 9):
+        write(tmp_path / f"run{number}.csv", dict.fromkeys("tsyu", range(number, number + 50)))
     assert [log.name for log in read_logs(tmp_path).logs] == ["run2.csv", "run9.csv", "run10.csv"]
 
 

@@ -10,7 +10,7 @@ from estune.recordings.raw_file import Channel
 TIMES = (
     *("time", "t", "timestamp", "stamp", "seconds", "sec", "s", "ms", "millis", "milliseconds"),
     *("us", "micros", "microseconds", "elapsed", "elapsed time", "relative time", "uptime"),
-    *("datetime", "date time", "date", "x value", "zeit", "uhrzeit"),
+    *("datetime", "date time", "date", "x value", "zeit", "uhrzeit", "zeitstempel"),
     *("last changed", "last updated", "time us"),
 )
 """Names of the time, without unit."""

@@ -282,6 +282,8 @@ def _dates(texts: NDArray[Any]) -> NDArray[Any] | None:
     """
     import pandas as pd  # noqa: PLC0415  slow to import
 
+    texts = pd.Series(texts).astype(str).str.replace(",", ".").to_numpy()  # of seconds
+
     def read(rows: NDArray[Any], form: str) -> NDArray[Any] | None:
         dates = pd.to_datetime(pd.Series(rows), format=form, errors="coerce", utc=True)
         return None if dates.isna().any() else dates.to_numpy("M8[ns]")

@@ -52,6 +52,9 @@ def loop_channels(channels: Sequence[Channel], sources: Mapping[str, str]) -> di
             channel = by_usual_name(left, column, NAMES[column])
         if channel is not None:
             found[column] = channel
+    left = unused(channels, found)
+    if {"time", "setpoint", "effort"} <= found.keys() and len(left) == 1:
+        found.setdefault("measurement", left[0])
     for column in ("setpoint", "measurement"):
         if column not in found:
             raise Unusable(not_found(column, unused(channels, found) or channels, NAMES[column]))

@@ -59,7 +59,8 @@ def evened(
 ) -> Evened:
     """Columns with one time stamp for each row, on an even grid.
 
-    Rows within half a sample of the grid are taken as they are; others are resampled.
+    Rows within half a sample of the grid are taken as they are; others are resampled. Rows that
+    run backward are reversed, copies of the row above left out.
 
     Args:
         columns: Columns but time.
@@ -70,6 +71,11 @@ def evened(
     Raises:
         Unusable: stamps are out of order, or contradict the stated rate.
     """
+    rows, issues = _in_order(columns, time_s)
+    if issues:
+        ordered = {name: values[rows] for name, values in columns.items()}
+        found = evened(ordered, time_s[rows], stated_Hz, measured)
+        return found._replace(issues=(*issues, *found.issues))
     rounding_s = _rounding(time_s)
     if _is_counted(time_s, rounding_s):
         return _counted(columns, time_s, stated_Hz)
@@ -82,13 +88,13 @@ def evened(
             return _filled(columns, time_s, counts, stated_Hz or found_Hz, measured)
     gaps = _gaps(time_s, rounding_s)
     bounds = [0, *gaps.tolist(), time_s.size]
-    rows = [slice(a, b) for a, b in itertools.pairwise(bounds)]
-    longest = max(rows, key=lambda part: part.stop - part.start)
+    whole_rows = [slice(a, b) for a, b in itertools.pairwise(bounds)]
+    longest = max(whole_rows, key=lambda part: part.stop - part.start)
     found_Hz = _rate(time_s[longest])
     # One sample late in the middle turns the slope by 1.5 samples over all of them.
     tolerance = AGREES + (LATE + rounding_s * found_Hz) / (longest.stop - longest.start)
     _check_rate(stated_Hz, found_Hz, tolerance)
-    off = max(_off_grid(time_s[part], found_Hz) for part in rows)
+    off = max(_off_grid(time_s[part], found_Hz) for part in whole_rows)
     if off > OFF_GRID + rounding_s * found_Hz:
         return resampled(columns, dict.fromkeys(columns, time_s), stated_Hz, measured)
     issues = _gap_issues(time_s, gaps)
@@ -98,8 +104,33 @@ def evened(
         )
         issues.append(DataIssue("warning", f"{sentence} spaced", COLUMN))
     whole = {COLUMN: time_s, **columns}
-    parts = tuple({name: values[part] for name, values in whole.items()} for part in rows)
+    parts = tuple({name: values[part] for name, values in whole.items()} for part in whole_rows)
     return Evened(found_Hz if stated_Hz is None else stated_Hz, parts, tuple(issues))
+
+
+def _in_order(columns: Columns, time_s: FloatArray) -> tuple[NDArray[np.intp], list[DataIssue]]:
+    """Rows in the order of time without copies, and what was done; nothing where it does not help.
+
+    Rows that share a stamp are copies where all of them are equal in every column: a stamp that is
+    rounded to several samples has other values, too.
+    """
+    steps, issues = np.diff(time_s), list[DataIssue]()
+    same: BoolArray = steps == 0.0
+    equal = np.logical_and.reduce([values[1:] == values[:-1] for values in columns.values()])
+    copies = np.flatnonzero(same) + 1 if (equal | ~same).all() else np.zeros(0, np.intp)
+    rows = np.delete(np.arange(time_s.size), copies)
+    if rows.size < 3:
+        return rows, []
+    if copies.size:
+        count = "a row repeats" if copies.size == 1 else f"{copies.size} rows repeat"
+        sentence = f"{count} the row above with its time, and the copies are left out"
+        issues.append(DataIssue("warning", sentence, COLUMN, int(copies[0]) + 1))
+    if (np.diff(time_s[rows]) < 0.0).all():
+        rows = rows[::-1]
+        issues.append(
+            DataIssue("warning", "the rows begin with the last, and are reversed", COLUMN)
+        )
+    return rows, issues
 
 
 def _filled(

@@ -62,15 +62,30 @@ def read_logs(
         except Unusable as error:
             issues.append(replace(error.issue, source=file.name))
             continue
+        copied = next((other.name for other in logs if _is_copy(log, other)), "")
+        if copied:
+            same = f"it has the samples of {copied}, and is left out"
+            issues.append(DataIssue("warning", same, source=file.name))
+            continue
         issues += [replace(issue, source=file.name) for issue in log.issues]
-        logs.append(_reversed(log) if reverse else log)
+        logs.append(log)
     if not logs:
         why = "; ".join(str(issue) for issue in issues)
         what = why or f"it holds no {', '.join(formats())} or run"
         where = ", ".join(map(str, given))
         raise InvalidInput(f"{where} has no log that can be used: {what}")
-    kept, others = _of_one_rate(logs)
+    kept, others = _of_one_rate([_reversed(log) if reverse else log for log in logs])
     return Logs(kept, (*issues, *others))
+
+
+def _is_copy(log: LoopLog, other: LoopLog) -> bool:
+    """Whether two logs have the same samples and gains: as two, they would show no noise."""
+    pairs = zip(log.parts, other.parts, strict=False)
+    return (log.gains, len(log.parts)) == (other.gains, len(other.parts)) and all(
+        one.keys() == two.keys()
+        and all(np.array_equal(one[name], two[name]) for name in one if name != "time")
+        for one, two in pairs
+    )
 
 
 def _of_one_rate(logs: list[LoopLog]) -> tuple[tuple[LoopLog, ...], list[DataIssue]]:
