@@ -165,7 +165,7 @@ def tune(target: Any, options: TuneOptions) -> "TuneResult":  # noqa: D417  from
     Args:
         target: An endpoint ("tcp/127.0.0.1:7447"), a plant ("reel.toml", "plants:reference_reel"
             or an object), a linear system of python-control or SciPy, a function `step(state,
-            effort, dt_s) -> (state, measurement)`, or a rig.
+            effort, dt_s) -> (state, measurement)`, both at its end, or a rig.
 
     Raises:
         InvalidInput: a value is not usable, or the rig gives no model to start from.

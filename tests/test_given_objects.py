@@ -1,5 +1,7 @@
 """Linear systems and functions as targets, without a wrapper."""
 
+import math
+
 import control
 import matplotlib.figure
 import numpy as np
@@ -26,6 +28,10 @@ def motor(speed, effort, dt_s):
 def servo(state, effort, dt_s):
     angle, speed = state
     return np.array([angle + dt_s * speed, speed + dt_s * (effort - 0.5 * speed)]), angle
+
+
+def rubbing_motor(speed, effort, dt_s):
+    return speed + dt_s * (effort - 0.2 * speed - 0.3 * np.sign(speed)) / 0.05, speed
 
 
 def oven(kelvin=293.0, watts=0.0, dt_s=1.0):
@@ -82,11 +88,25 @@ def test_function_without_arguments_is_called():
         (control.tf([1.0, 0.0], [1.0]), {}, "more zeros than poles; add the pole"),
         (plants.reference_reel(), {"dead_time_s": 1.0}, "dead_time_s .* which has its own"),
         (LAG, {"sampling_Hz": -1.0}, "sampling rate"),
+        (lambda x, _u, _dt: (x * math.nan, x), {}, "a state that is not finite"),
+        (rubbing_motor, {}, "as with dry friction: that hides its time constants"),
     ],
 )
 def test_what_is_no_plant_is_refused_with_the_remedy(target, options, message):
     with pytest.raises((InvalidInput, UnsafeStart), match=message):
         described(target, **options)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"dead_time_s": "0.1 s"}, "dead_time_s is '0.1 s'; it must be a number of s"),
+        ({"start": (1.0, 1.0, 0.0, 0.0)}, "give estune.Gains"),
+    ],
+)
+def test_option_of_another_type_is_refused_by_its_name(options, message):
+    with pytest.raises(InvalidInput, match=message):
+        estune.tune(LAG, journal=False, watch=None, **options)
 
 
 def test_unstable_system_is_tuned_from_the_gains_that_hold_it():

@@ -25,6 +25,7 @@ from typing import (
     Literal,
     NamedTuple,
     ParamSpec,
+    SupportsFloat,
     TypeVar,
     Union,
     cast,
@@ -182,7 +183,11 @@ class Declared(NamedTuple):
             return (
                 "" if value in self.choices else f"{self.name} is {value!r}; it must be {listed}"
             )
-        if self.kind not in (float, int) or self.setting.bounds.hold(value):
+        if self.kind not in (float, int):
+            return ""
+        if not isinstance(value, SupportsFloat):
+            return f"{self.name} is {value!r}; it must be a number{unit and ' of'}{unit}"
+        if self.setting.bounds.hold(float(value)):
             return ""
         bounds = self.setting.bounds
         must = " and ".join(

@@ -95,6 +95,11 @@ def make_plan(
         check_start(start, description)
         source, start = start.source, start.gains
     start = start or description.gains
+    if not isinstance(start, Gains):
+        raise InvalidInput(
+            f"start is {start!r}; give estune.Gains(P, I, D, setpoint_filter_s), or use "
+            "estune.start_from"
+        )
     made = make_tuner(tuner, start, bounds, description.bounds_of(trial=True))
     if isinstance(made, RecordUsingTuner):
         made = made.for_trial(trial, limits)
