@@ -115,6 +115,7 @@ def test_effort_of_a_measured_chamber_is_replayed_or_the_gains_that_ran_are_foun
     assert ("not what ran" in run.sentence) == (number in {6, 7})  # their names state a P of 4
 
 
+@cache
 def left_out(number):
     runs = [*chamber().values()]
     return oven.left_out(runs, runs.index(chamber()[number]))
@@ -125,7 +126,22 @@ def test_steps_of_a_measured_chamber_are_predicted_by_its_other_runs(number):
     assert left_out(number)["about_steps_K"] <= oven.ABOUT_STEPS_K
 
 
-@pytest.mark.xfail(strict=True, reason="2 % of the range of most; 0.8 % is asked")
-@pytest.mark.parametrize("number", [5, 10])
+LEFT = pytest.mark.xfail(strict=True, reason="0.84 % of its range; 0.8 % is asked")
+
+
+@pytest.mark.parametrize("number", [5, 10, pytest.param(4, marks=LEFT)])
 def test_a_measured_chamber_is_predicted_from_its_first_seconds(number):
     assert left_out(number)["predicted"] <= oven.PREDICTED
+
+
+@pytest.mark.slow
+def test_single_runs_and_all_runs_of_a_measured_chamber_are_told():
+    runs = chamber()
+    pooled = oven.suggest(oven.Logs(tuple(r.log for r in runs.values()), (), oven.SETTINGS))
+    assert pooled.verdict == "change"
+    assert pooled.cause.name == "none"
+    # Run 2 goes 11 K up, and shows that readings of a thermistor are not straight.
+    alone = {n: oven.alone(run, pooled.fit.model) for n, run in runs.items() if n != 2}
+    apart = {n: one["Ms"] / one["pooled_Ms"] - 1.0 for n, one in alone.items() if one["Ms"]}
+    assert apart.keys() == alone.keys()
+    assert max(map(abs, apart.values())) <= 0.1

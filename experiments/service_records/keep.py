@@ -142,13 +142,13 @@ def _shown(at: Prediction) -> str:
     return f"[{at.cost:.3g}, Ms {at.sensitivity:.3f}, {at.overshoot:.1%}]"
 
 
-def _breaks(at: Prediction) -> bool:
+def _breaks(at: Prediction, *, by_any: bool = False) -> bool:
     Ms, overshoot = LIMITS.max_sensitivity, LIMITS.max_overshoot
     assert Ms is not None  # noqa: S101  both are set by default
     assert overshoot is not None  # noqa: S101
-    return not (
-        at.sensitivity <= Ms * (1.0 + BEYOND_MS) and at.overshoot <= overshoot + BEYOND_OVERSHOOT
-    )
+    if not by_any:
+        Ms, overshoot = Ms * (1.0 + BEYOND_MS), overshoot + BEYOND_OVERSHOOT
+    return not (at.sensitivity <= Ms and at.overshoot <= overshoot)
 
 
 def _false(found: Suggestion, now: Prediction, best: Prediction, better: Prediction | None) -> str:
@@ -159,7 +159,8 @@ def _false(found: Suggestion, now: Prediction, best: Prediction, better: Predict
     if found.verdict == "change" and better is not None:
         if _breaks(better):
             return "the gains recommended break a limit"
-        if not _breaks(now) and better.cost >= now.cost:
+        # Either may be said of gains that break a limit by less than the tolerance.
+        if not _breaks(now, by_any=True) and better.cost >= now.cost:
             return "the gains recommended cost as much"
     return ""
 
