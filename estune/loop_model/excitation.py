@@ -40,7 +40,15 @@ SHARE_WANTED = 0.005
 """Largest share of |1 + L| that the noise may hide after an excitation: it adds 0.5 % to Ms."""
 
 ENOUGH = 0.02
-"""Share by which the end of Ms may exceed the model's before an excitation is worth a trial."""
+"""Share by which the end of Ms may exceed the model's before an excitation is worth a trial, where
+it is not known what that costs."""
+
+DEAR = 0.01
+"""Price of caution, as a share of the optimum's cost, above which one is where that is known."""
+
+PAYS = 0.1
+"""Share of the distance that the plant's error may take off |1 + L| which a further excitation has
+to give back."""
 
 
 class UnknownLoop(NamedTuple):
@@ -48,6 +56,8 @@ class UnknownLoop(NamedTuple):
 
     Attributes:
         tried: Gains of a safe trial.
+        price: Logarithm of the cost of gains that keep a margin for what is not known, over that
+            of the model's optimum within the limits; None where it is not known.
     """
 
     fit: LoopFit
@@ -55,6 +65,7 @@ class UnknownLoop(NamedTuple):
     gains: Gains
     tried: Gains
     controller: ControllerSettings
+    price: float | None = None
 
     @property
     def excited_at(self) -> Gains:
@@ -78,12 +89,25 @@ class UnknownLoop(NamedTuple):
         margin = self.margin(self.powers.bound())
         if margin.unknown is not None:
             return margin.excited
-        least = loop_response(self.fit.model, self.gains, self.controller)
-        Ms = float(np.max(1.0 / np.abs(1.0 + least.loop)))
-        return margin.sensitivity <= (1.0 + ENOUGH) * Ms
+        if self.price is not None:
+            return self.price <= DEAR
+        return (1.0 + ENOUGH) * margin.distance >= self.distance
+
+    @property
+    def distance(self) -> float:
+        """Least |1 + L| by the model."""
+        loop = loop_response(self.fit.model, self.gains, self.controller).loop
+        return float(np.min(np.abs(1.0 + loop)))
+
+    def pays(self, after: ErrorMargin) -> bool:
+        """Whether a trial takes enough of a margin that is known to be dear."""
+        now = self.margin(self.powers.bound()).distance
+        return self.price is None or after.distance - now >= PAYS * (self.distance - now)
 
 
-def wanted_setpoint(unknown: UnknownLoop, samples: int, highest: float = math.pi) -> float:
+def wanted_setpoint(
+    unknown: UnknownLoop, samples: int, lowest: float = 0.0, highest: float = math.pi
+) -> float:
     """Setpoint of white power that makes the loop known, as its root mean square.
 
     Infinite where one of the loops is unstable by the model.
@@ -91,14 +115,16 @@ def wanted_setpoint(unknown: UnknownLoop, samples: int, highest: float = math.pi
     Args:
         unknown: The loop.
         samples: Length of the multisine.
-        highest: Frequency up to which the loop is to be known by it, rad/sample.
+        lowest: Frequency from which the loop is to be known by it, rad/sample.
+        highest: Frequency up to which it is.
     """
     fit, controller = unknown.fit, unknown.controller
+    lowest = max(lowest, 2.0 * math.pi / samples)
     theta, C, loop, stable = loop_response(fit.model, unknown.gains, controller)
     at = close_loop(fit.model, unknown.excited_at, controller)
     if not (stable and loop_response(fit.model, unknown.excited_at, controller).stable):
         return math.inf
-    inside = (theta >= 2.0 * math.pi / samples) & (theta <= highest)
+    inside = (theta >= lowest) & (theta <= highest)
     theta, weight = theta[inside], np.abs(C[inside] / (1.0 + loop[inside]))
     later = np.exp(-1j * theta)
     to_effort = np.polyval(at.to_effort[::-1], later) / np.polyval(at.characteristic[::-1], later)

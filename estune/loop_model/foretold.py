@@ -58,7 +58,7 @@ def trials_to_show(
 
 def _information(loop: UnknownLoop, answer: LoopRecord) -> float:
     """Information that a trial adds, over that of the records; by their number if not known."""
-    fit, records, gains, _, settings = loop
+    fit, records, gains, settings = loop.fit, loop.records, loop.gains, loop.controller
     if not fit.model.friction:
         now, then = (
             setpoint_deviation(fit, given, gains, settings)

@@ -65,6 +65,11 @@ class HalfWidths(NamedTuple):
         return self.sensitivity >= LARGEST
 
     @classmethod
+    def none(cls) -> "HalfWidths":
+        """Those of a loop that is known."""
+        return cls(0.0, 0.0, 0.0)
+
+    @classmethod
     def assumed(cls, noise: float) -> "HalfWidths":
         """Those before any is known, with noise of a standard deviation in shares of the step."""
         return cls(ASSUMED, OVERSHOOT + OF_NOISE * noise, PHASE_MARGIN_deg)

@@ -20,6 +20,9 @@ from estune.loop_model.sobol import sobol_points
 SENSITIVITY_MAX = 1.6
 """Largest Ms by default; 1.4 is robust, 2 aggressive."""
 
+KEPT = 0.01
+"""Share of a limit by which it may be exceeded and still counts as kept. To keep the ends of the
+intervals within the limits themselves costs 1 to 3 % of the optimum on `experiments.batch`."""
 
 _NONE = "no limit"
 
@@ -87,11 +90,21 @@ class RobustnessLimits:
         values[:, -1] = -1.0 if angle is None else np.radians(angle - values[:, -1])
         return values
 
+    @property
+    def tolerated(self) -> "RobustnessLimits":
+        """The limits with what may exceed them and still counts as kept."""
+        Ms, overshoot, angle = self.max_sensitivity, self.max_overshoot, self.min_phase_margin_deg
+        return RobustnessLimits(
+            None if Ms is None else min((1.0 + KEPT) * Ms, 100.0),
+            None if overshoot is None else min((1.0 + KEPT) * overshoot, 1.0),
+            None if angle is None else (1.0 - KEPT) * angle,
+        )
+
     def broken_by(self, margins: PredictedMargins) -> str:
         """The limits that a loop breaks, whichever value of its intervals is true; or nothing."""
 
         def broken(limit: float | None, at: Interval, name: str, form: str) -> Iterator[str]:
-            if limit is not None and at.low > limit:
+            if limit is not None and at.low > (1.0 + KEPT) * limit:
                 yield f"{name} {at.value:{form}}, above {limit:{form}}"
 
         least = self.min_phase_margin_deg
@@ -102,22 +115,26 @@ class RobustnessLimits:
                 *broken(self.max_overshoot, margins.overshoot, "an overshoot of", ".1%"),
                 *(
                     [f"a phase margin of {angle.value:.0f}°, below {least:.0f}°"]
-                    if least is not None and angle.high < least
+                    if least is not None and angle.high < (1.0 - KEPT) * least
                     else []
                 ),
             )
         )
 
     def aimed(self, beside: HalfWidths) -> "RobustnessLimits":
-        """Limits of a search at whose optimum the intervals' ends keep these.
+        """Limits of a search at whose optimum the intervals' ends count as keeping these.
 
         Half of a small overshoot and of the logarithm of a small Ms is left at least.
         """
         Ms, overshoot, angle = self.max_sensitivity, self.max_overshoot, self.min_phase_margin_deg
+        wide, over, turn = beside
+        over -= KEPT * (overshoot or 0.0)
+        turn -= KEPT * (angle or 0.0)
+        nearer = math.exp(-max(wide - math.log1p(KEPT), 0.0))
         return RobustnessLimits(
-            None if Ms is None else max(Ms * math.exp(-beside.sensitivity), math.sqrt(Ms)),
-            None if overshoot is None else max(overshoot - beside.overshoot, overshoot / 2.0),
-            None if angle is None else min(angle + beside.phase_margin_deg, 90.0),
+            None if Ms is None else max(Ms * nearer, math.sqrt(Ms)),
+            None if overshoot is None else max(overshoot - max(over, 0.0), overshoot / 2.0),
+            None if angle is None else min(angle + max(turn, 0.0), 90.0),
         )
 
     def loosened_to(self, p: Prediction) -> "RobustnessLimits":

@@ -10,7 +10,7 @@ import numpy as np
 from estune.core.gains import Gains
 from estune.loop_model.claim import Claim
 from estune.loop_model.intervals import Interval
-from estune.loop_model.optimum import RobustnessLimits
+from estune.loop_model.optimum import KEPT, RobustnessLimits
 from estune.run.ending import RunEnding
 from estune.run.plan import Plan
 from estune.trial import TrialRecord
@@ -63,7 +63,8 @@ def limit_verdict(
     """Whether gains keep the limits of a plan, by what the records allow to be claimed.
 
     Ms and phase margin are those of the claim. The overshoot is measured, without the noise of the
-    records, or that of the claim. A limit is kept where the whole interval keeps it.
+    records, or that of the claim. A limit is kept where the whole
+    interval keeps it, or exceeds it by a share of `KEPT` of it at most.
     """
     limits = plan.limits
     if limits is None:  # a run of an earlier version is not judged
@@ -145,15 +146,16 @@ def _judged(
 def _above(name: str, at: Interval, limit: float, *, percent: bool = False) -> Judged:
     """Judgement of a quantity with a greatest value."""
     ends = [f"{100.0 * v:.1f} %" if percent else f"{v:.2f}" for v in (at.value, at.low, at.high)]
-    most = f"{100.0 * limit:.3g} %" if percent else f"{limit:g}"
-    state = _state(at.low > limit, not at.high <= limit)
-    return state, _reason(state, name, ends, f"above the limit of {most}")
+    said, most = f"{100.0 * limit:.3g} %" if percent else f"{limit:g}", (1.0 + KEPT) * limit
+    state = _state(at.low > most, not at.high <= most)
+    return state, _reason(state, name, ends, f"above the limit of {said}")
 
 
 def _below(name: str, at: Interval, limit: float) -> Judged:
     """Judgement of a quantity with a least value."""
     ends = [f"{value:.0f}°" for value in (at.value, at.low, at.high)]
-    state = _state(at.high < limit, not at.low >= limit)
+    least = (1.0 - KEPT) * limit
+    state = _state(at.high < least, not at.low >= least)
     return state, _reason(state, name, ends, f"below the limit of {limit:g}°")
 
 

@@ -64,6 +64,7 @@ def missing_trials(
     known = loop.margin(loop.powers.bound()).unknown is None
     if claimed.margins is None and known and near >= TRIALS_MIN:
         return MissingTrials()  # the model is wrong of these gains, and more trials tell the same
+    limits = limits.tolerated
     limit, most = limits.max_sensitivity or math.inf, limits.max_overshoot
     if max(claimed.others, default=0.0) > limit:
         return MissingTrials()

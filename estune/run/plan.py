@@ -38,9 +38,13 @@ SHOWING_MAX = 4
 plants of `experiments.batch` with noise of 1 % of the step one trial showed them for four of the
 six whose confirmation did not; for the other two 19 and more than 50 were foretold."""
 
-EXCITATIONS_MAX = 2
+EXCITATIONS, EXCITATIONS_MAX = 2, 5
 """Most excitations of a run: one at the initial gains, where these move the effort enough to be of
-use, and one at better ones."""
+use, and one at better ones; and where the price of caution is known and they lower it."""
+
+CAUTION_TRIALS = 10
+"""Most trials of a run, its confirmation included, up to which further excitations lower the price
+of caution."""
 
 
 @documented

@@ -23,7 +23,7 @@ from estune.loop_model.records import LoopRecord
 from estune.run.confirmation import confirming, extended
 from estune.run.excitation import ExcitationTrial, excitation_trial
 from estune.run.phase import Phase
-from estune.run.plan import EXCITATIONS_MAX, Plan
+from estune.run.plan import CAUTION_TRIALS, EXCITATIONS, EXCITATIONS_MAX, Plan
 from estune.run.tally import Tally, is_safe
 from estune.trial import Outcome, RigDescription, TrialRequest
 from estune.tuners.interface import CostPrediction, PredictingTuner, RecordUsingTuner
@@ -332,20 +332,26 @@ def _after_end(session: Session) -> dict[str, Any]:
 def with_excitation(session: Session, rig: RigDescription) -> Session:
     """The session with an excitation next, where one would tell more of the loop.
 
-    Before each trial of the search, and before the confirmation of what it recommends; not twice
-    in a row, for a step trial in between may show enough, or better gains for another.
+    Before each trial of the search, and before the confirmation of what it recommends. Not twice
+    in a row, for a step trial in between may show enough, or better gains for another; but where
+    it is known what the loop costs that is not known, as many as pay.
     """
     tuner, plan = session.plan.tuner, session.plan
-    before = session.confirmation
+    before, done = session.confirmation, len(session.excitations)
     confirmed = before is not None and before.costs != (known_costs(session), ())
     if session.phase not in (Phase.SEARCH, Phase.CONFIRM) or confirmed:
         return session
-    if session.excitation_refused or len(session.excitations) >= EXCITATIONS_MAX:
-        return session
-    if session.number - 1 in session.excitations or not isinstance(tuner, RecordUsingTuner):
+    if session.excitation_refused or not isinstance(tuner, RecordUsingTuner):
         return session
     unknown = tuner.unknown_loop(session.tuner_state)
-    made = None if unknown is None else excitation_trial(unknown, plan, rig)
+    if unknown is None:
+        return session
+    if unknown.price is None:
+        may = done < EXCITATIONS and session.number - 1 not in session.excitations
+    else:
+        to_come = 2 * plan.repeats - len(known_costs(session))
+        may = done < EXCITATIONS_MAX and session.number + 1 + to_come <= CAUTION_TRIALS
+    made = excitation_trial(unknown, plan, rig) if may else None
     return session if made is None else replace(session, excitation=made)
 
 

@@ -122,6 +122,7 @@ class IdentifiedLoopTuner:
             surface=None,
             proposal=fallback.proposal,
             centre=self.space.coordinates(self.space.start),
+            caution=None,
             base=self.space.coordinates(self.space.start),
             step_scale=1.0,
             estimate=None,
@@ -154,6 +155,7 @@ class IdentifiedLoopTuner:
             gains=self.space.gains(state.proposal),
             tried=self.space.gains(self.space.point(state.base)),
             controller=self.trial.controller,
+            price=state.caution,
         )
         return None if unknown.is_known else unknown
 
@@ -242,6 +244,7 @@ class IdentifiedLoopTuner:
         return state._replace(
             proposal=self._stable(state, tuner.ask(state.fallback)),
             centre=self.space.coordinates(tuner.recommend(state.fallback)),
+            caution=None,
             estimate=None,
             fallen_back=True,
         )
@@ -321,12 +324,12 @@ class IdentifiedLoopTuner:
 
     def _propose(self, state: IdentifiedLoopState, fit: LoopFit) -> IdentifiedLoopState:
         """The next trial and the centre by the model."""
-        best = np.array(state.base)
-        search = self._search(state, fit.model)
+        best, known = np.array(state.base), len(state.costs) >= CLOSE_FROM
+        search = self._search(state, fit.model, HalfWidths.none() if known else None)
         foreseen = abs(state.errors[-1]) < FORESEEN  # not with NaN
         optimum = search.minimise(
             [np.array(state.centre), best, *search.ends(best)],
-            iterations=FIRST_ITERATIONS if len(state.costs) < CLOSE_FROM else ITERATIONS,
+            iterations=ITERATIONS if known else FIRST_ITERATIONS,
             scattered=0 if foreseen else SCATTERED,
             apart=()
             if foreseen
@@ -334,15 +337,18 @@ class IdentifiedLoopTuner:
         )
         if not math.isfinite(optimum.prediction.cost):
             return self._fall_back(state)
-        beside = None
-        if len(state.costs) >= CLOSE_FROM:
+        beside = caution = None
+        if known:
+            least = log_of_cost(optimum.prediction)
             gains = self.space.gains(self.space.point(tuple(optimum.coordinates.tolist())))
             records = (*state.records, *state.excitations)
             beside = half_widths(fit, records, self._trial(state), gains)
             optimum = self._search(state, fit.model, beside).minimise([optimum.coordinates])
+            caution = log_of_cost(optimum.prediction) - least
         centre = tuple(optimum.coordinates.tolist())
         return state._replace(
             centre=centre,
+            caution=caution,
             proposal=self.space.point(centre),
             estimate=self._convergence(state, fit, optimum, beside),
             fallen_back=False,

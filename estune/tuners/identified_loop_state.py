@@ -21,6 +21,8 @@ class IdentifiedLoopState(NamedTuple):
         errors: Errors of the predictions of these before they ran; NaN before the first fit.
         fit: The identified loop; None before the first record.
         surface: What the last trials measured beyond its predictions; None where these stand.
+        caution: Logarithm of the predicted cost of the centre over that of the optimum without a
+            margin to the limits; None where it is not known.
         base: Those of the safe trial of least cost by the model, about which the search reaches.
         step_scale: Factor on the reach after unsafe trials.
         fallen_back: Whether the fallback tuner proposes.
@@ -38,6 +40,7 @@ class IdentifiedLoopState(NamedTuple):
     surface: ResidualSurface | None
     proposal: Point
     centre: Coordinates
+    caution: float | None
     base: Coordinates
     step_scale: float
     estimate: ConvergenceEstimate | None
