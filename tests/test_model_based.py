@@ -186,8 +186,8 @@ def test_run_whose_model_differs_in_its_last_digits_resumes_with_the_recorded_ga
     reel, tuner, run = plants.reference_reel(0.8), IdentifiedLoopTuner, tmp_path / "cut"
     proposed = tuner._propose
 
-    def moved(self, state, fit):
-        state = proposed(self, state, fit)
+    def moved(self, state, fit, **rest):
+        state = proposed(self, state, fit, **rest)
         centre = tuple(x + 1e-5 for x in state.centre)
         return state._replace(centre=centre, proposal=self.space.point(centre))
 

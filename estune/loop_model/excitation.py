@@ -100,9 +100,11 @@ class UnknownLoop(NamedTuple):
         return float(np.min(np.abs(1.0 + loop)))
 
     def pays(self, after: ErrorMargin) -> bool:
-        """Whether a trial takes enough of a margin that is known to be dear."""
+        """Whether a trial takes enough of a margin that is known to be dear, or all of it."""
+        if self.price is None:
+            return after.unknown is None
         now = self.margin(self.powers.bound()).distance
-        return self.price is None or after.distance - now >= PAYS * (self.distance - now)
+        return after.distance - now >= PAYS * (self.distance - now)
 
 
 def wanted_setpoint(

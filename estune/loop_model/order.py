@@ -214,7 +214,7 @@ def is_resolved(signals: FitSignals, coordinates: FloatArray, least: float = 1.0
 
 def _longest(signals: FitSignals) -> int:
     """Samples of the longest record."""
-    return max(group.effort.shape[1] for group in signals.groups)
+    return max(int(group.effort.shape[1]) for group in signals.groups)
 
 
 def _is_controllable(signals: FitSignals, fit: PoleFit) -> bool:

@@ -157,6 +157,8 @@ def _spectra(
         effort = whiten((effort - effort[0])[np.newaxis], H.zeros, H.poles)[0]
         left, noise_std = fit.errors[number], fit.residual_std
     start = int(np.argmax(left != 0.0))
+    if record.at_rest:
+        left = _without_jump(left, start, record.step_index)
     power = _step_power if record.at_rest else _service_power
     samples = left.size - start - 1 if record.at_rest else left.size - start
     (remaining, bins), (driven, _) = (
@@ -185,6 +187,25 @@ def _step_power(signal: FloatArray) -> FloatArray:
     theta = 2.0 * math.pi * np.arange(1, moves.size // 2) / moves.size
     weight = moves.size * np.abs(2.0 * np.sin(theta / 2.0)) ** 2
     return np.asarray(np.abs(np.fft.rfft(moves)[1 : theta.size + 1]) ** 2 / weight)
+
+
+def _without_jump(left: FloatArray, start: int, moves: int) -> FloatArray:
+    """What is left of a trial from rest, with its noise faded out at both ends.
+
+    The noise of the first and the last sample is a jump: at the lowest frequency of 650 samples it
+    has 33 times the power of the noise, and would pass for something unexplained.
+
+    Args:
+        left: What is left, shape (samples,).
+        start: The first sample that is predicted.
+        moves: The first sample at which the setpoint moves.
+    """
+    faded, last = left.copy(), max(left.size // 10, 2)
+    at_rest = max(moves - start, 0)
+    faded[start : start + at_rest] *= np.sin(np.linspace(0.0, math.pi / 2.0, at_rest)) ** 2
+    end = float(faded[-last:].mean())
+    faded[-last:] = end + (faded[-last:] - end) * np.cos(np.linspace(0.0, math.pi / 2.0, last)) ** 2
+    return faded
 
 
 def _service_power(signal: FloatArray) -> FloatArray:

@@ -54,11 +54,9 @@ class ForeseenExcitation(NamedTuple):
 def excitation_trial(
     unknown: UnknownLoop, plan: Plan, rig: RigDescription
 ) -> ExcitationTrial | None:
-    """The trial that makes a loop known; None where none within the limits does, or pays."""
+    """The trial that makes a loop known, or pays; None where none within the limits does."""
     best = best_excitation(unknown, plan, rig)
-    if best is None or best.margin.unknown is not None or not unknown.pays(best.margin):
-        return None
-    return best.trial
+    return best.trial if best and unknown.pays(best.margin) else None
 
 
 def best_excitation(

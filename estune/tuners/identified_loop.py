@@ -62,7 +62,7 @@ SCATTERED = 16
 
 FORESEEN = 0.1
 """Error of the last prediction of the log cost below which the last optimum is enough to start
-from."""
+from, but after an excitation, which shows the loop anew."""
 
 FLAT = 0.01
 """Difference of predictions a logarithm back from the end of the reach, up to which that holds
@@ -166,7 +166,7 @@ class IdentifiedLoopTuner:
         rate, asked_s = self._scales
         found = (*state.excitations, record)
         fit, kept = fit_with_excitations(state.records, found, rate, asked_s, state.fit)
-        return self._decided(self._with_fit(state._replace(excitations=kept), fit))
+        return self._decided(self._with_fit(state._replace(excitations=kept), fit), excited=True)
 
     def tell(self, state: IdentifiedLoopState, observation: Observation) -> IdentifiedLoopState:
         """The state after the trial last asked for."""
@@ -183,7 +183,9 @@ class IdentifiedLoopTuner:
             state = self._learn(state, point, observation, observation.record)
         return self._decided(state)
 
-    def _decided(self, state: IdentifiedLoopState) -> IdentifiedLoopState:
+    def _decided(
+        self, state: IdentifiedLoopState, *, excited: bool = False
+    ) -> IdentifiedLoopState:
         """The state with the next trial: the model's, or the fallback's where that fails."""
         recent = [abs(error) for error in state.errors[-3:]]
         failed = len(recent) == 3 and float(np.median(recent)) > PREDICTION_FAILED  # not with NaN
@@ -195,7 +197,8 @@ class IdentifiedLoopTuner:
         held = math.isfinite(self._at(state, state.fit, state.base).cost)
         if not (held or state.fit.is_white):
             return self._fall_back(state)
-        return self._propose(state, state.fit)
+        foreseen = abs(state.errors[-1]) < FORESEEN and not excited  # not with NaN
+        return self._propose(state, state.fit, foreseen=foreseen)
 
     def _overshoot_margin(self, observation: Observation) -> float:
         """Constraint margin for the fallback: its least where the overshoot is at its limit.
@@ -322,11 +325,12 @@ class IdentifiedLoopTuner:
         best = min(kept, key=costs.__getitem__)
         return {"best_point": self.space.point(best), "best_cost": math.exp(costs[best])}
 
-    def _propose(self, state: IdentifiedLoopState, fit: LoopFit) -> IdentifiedLoopState:
+    def _propose(
+        self, state: IdentifiedLoopState, fit: LoopFit, *, foreseen: bool
+    ) -> IdentifiedLoopState:
         """The next trial and the centre by the model."""
         best, known = np.array(state.base), len(state.costs) >= CLOSE_FROM
         search = self._search(state, fit.model, HalfWidths.none() if known else None)
-        foreseen = abs(state.errors[-1]) < FORESEEN  # not with NaN
         optimum = search.minimise(
             [np.array(state.centre), best, *search.ends(best)],
             iterations=ITERATIONS if known else FIRST_ITERATIONS,
@@ -344,7 +348,9 @@ class IdentifiedLoopTuner:
             records = (*state.records, *state.excitations)
             beside = half_widths(fit, records, self._trial(state), gains)
             optimum = self._search(state, fit.model, beside).minimise([optimum.coordinates])
-            caution = log_of_cost(optimum.prediction) - least
+            # Where the reach holds the optimum back the next one is another loop.
+            held = self._at_edge(state, fit, optimum)
+            caution = 0.0 if held else log_of_cost(optimum.prediction) - least
         centre = tuple(optimum.coordinates.tolist())
         return state._replace(
             centre=centre,
