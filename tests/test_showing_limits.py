@@ -19,22 +19,22 @@ from tests.test_half_widths import GAINS, tried  # noqa: F401  a fixture
 from tests.test_loop_model import trial_of
 
 
-class DeadTimeRig(BatchRig):
-    """A dead time with a short lag and noise of 1 % of the step.
+class LaggingRig(BatchRig):
+    """An integrator with a lag, a dead time and noise of 1 % of the step.
 
     The confirmation does not show its limits.
     """
 
     def __init__(self):
-        process = next(process for process in PROCESSES if process.name == "e^-s/(0.1s+1)")
-        super().__init__(ProcessLoop(process, 0.01), start_of(process), seed=900)
+        process = next(process for process in PROCESSES if process.name == "e^-0.05s/s(0.95s+1)")
+        super().__init__(ProcessLoop(process, 0.01), start_of(process), seed=1004)
 
     def abort(self):
         return self.describe()
 
 
 def tune(**settings):
-    return estune.tune(DeadTimeRig(), **{"journal": False, "watch": None, **settings})
+    return estune.tune(LaggingRig(), **{"journal": False, "watch": None, **settings})
 
 
 @pytest.fixture(scope="module")
@@ -63,8 +63,8 @@ def test_run_cut_while_it_shows_its_limits_resumes_as_if_undisturbed(shown, tmp_
     with pytest.raises(Stopped):
         tune(journal=True, folder=tmp_path, run="cut", watch=stop)
     with pytest.raises(InvalidInput, match="confirming"):
-        estune.resume(tmp_path / "cut", DeadTimeRig(), trials=50, watch=None)
-    resumed = estune.resume(tmp_path / "cut", DeadTimeRig(), watch=None)
+        estune.resume(tmp_path / "cut", LaggingRig(), trials=50, watch=None)
+    resumed = estune.resume(tmp_path / "cut", LaggingRig(), watch=None)
     phases = [[entry.phase for entry in run.entries] for run in (shown, resumed)]
     assert phases[0] == phases[1]
     assert resumed.gains == shown.gains

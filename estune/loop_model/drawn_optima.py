@@ -55,18 +55,23 @@ class DrawnOptima(NamedTuple):
 def equal_range(search: RegionSearch, optimum: Optimum) -> tuple[FloatArray, FloatArray]:
     """Range of each coordinate by itself within which the predicted cost rises by `RISE`.
 
-    By a parabola on either side; to the end of the region where the cost does not rise.
+    By a parabola on either side; to the end of the region where the cost does not rise by as much
+    on the way there: a setpoint filter that is short enough acts as none.
     """
     x, here = optimum.coordinates, math.log(optimum.prediction.cost)
     low, high = np.array(search.low, dtype=float), np.array(search.high, dtype=float)
     axes = CURVATURE_STEP * np.eye(x.size)
-    search.all_predicted([x + side * axis for axis in axes for side in (-1.0, 1.0)])
+    reached = search.ends(x)  # all low ends, then all high ones
+    search.all_predicted([*(x + side * axis for axis in axes for side in (-1.0, 1.0)), *reached])
     for i, axis in enumerate(axes):
         rises = [math.log(search.predicted(x + side * axis).cost) - here for side in (-1.0, 1.0)]
         bend = (rises[0] + rises[1]) / (2.0 * CURVATURE_STEP**2)
         if not 0.0 < bend < math.inf:
             continue
         for side, end in ((-1.0, low), (1.0, high)):
+            there = search.predicted(reached[i if side < 0.0 else i + x.size])
+            if math.log(there.cost) - here < RISE:
+                continue
             # Towards a limit the cost may fall; the limit ends the way there.
             slope = max(side * (rises[1] - rises[0]) / (2.0 * CURVATURE_STEP), 0.0)
             away = (math.sqrt(slope**2 + 4.0 * bend * RISE) - slope) / (2.0 * bend)
