@@ -204,7 +204,9 @@ def _without_jump(left: FloatArray, start: int, moves: int) -> FloatArray:
     at_rest = max(moves - start, 0)
     faded[start : start + at_rest] *= np.sin(np.linspace(0.0, math.pi / 2.0, at_rest)) ** 2
     end = float(faded[-last:].mean())
-    faded[-last:] = end + (faded[-last:] - end) * np.cos(np.linspace(0.0, math.pi / 2.0, last)) ** 2
+    faded[-last:] = (
+        end + (faded[-last:] - end) * np.cos(np.linspace(0.0, math.pi / 2.0, last)) ** 2
+    )
     return faded
 
 
