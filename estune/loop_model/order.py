@@ -228,8 +228,8 @@ def _is_controllable(signals: FitSignals, fit: PoleFit) -> bool:
 def _is_settled(signals: FitSignals, fit: PoleFit) -> bool:
     """Whether no pole is slower than all records, or its sign is that of a stable loop.
 
-    In trials from rest such a fit has to explain them besides. A double integrator with a lag looks
-    like two poles that are resolved until it has the third.
+    In trials from rest such a fit has to explain them besides. A double integrator with a lag
+    looks like two poles that are resolved until it has the third.
 
     In records of service a load takes the place of a slow pole that is refused: with it the step
     response of the chamber of `tests/test_loop_records.py` is 3 % of the true one after 300 of
