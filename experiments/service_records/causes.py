@@ -6,7 +6,8 @@ sticking.
 
 Loops of first to third order, a third of them integrating, under P, PI or PID with noise of 0.1 to
 2 %, each with one fault that raises the error by half at least, or none (`loops`). The judge knows
-setpoint, measurement and output.
+setpoint, measurement and output. With --unlike the loops, which stick or are sound, are those of
+`unlike_loops`.
 """
 
 import sys
@@ -16,12 +17,12 @@ from typing import Any
 from estune.service_records.cause.judge import judge_signals
 from estune.service_records.cause.loop_signals import JudgedSignals
 from experiments.results import at_least, at_most, command_line, print_results
-from experiments.service_records.loops import CAUSES, draw
+from experiments.service_records import loops, unlike_loops
+from experiments.service_records.loops import DrawnLog
 
 
-def judged(seed: int, cause: str) -> tuple[str, float]:
+def judged(log: DrawnLog, seed: int, cause: str) -> tuple[str, float]:
     """What a loop of known cause is judged to have, and the CPU time."""
-    log = draw(seed, cause)
     begun = time.process_time()
     found = judge_signals(JudgedSignals(log.setpoint, log.measurement, log.output, 1.0))
     print(seed, cause, log.detail, found.name, f"{found.probability:.2f}", file=sys.stderr)
@@ -33,13 +34,15 @@ def main() -> int:
     parser = command_line(__doc__, quick="four loops of each cause")
     parser.add_argument("--loops", type=int, default=40, help="loops of each cause")
     parser.add_argument("--seed0", type=int, default=1, help="first seed: see seeds.md")
+    parser.add_argument("--unlike", action="store_true", help="loops unlike those of the weights")
     options = parser.parse_args()
+    kind = unlike_loops if options.unlike else loops
     seeds = range(options.seed0, options.seed0 + (4 if options.quick else options.loops))
     rows, told, right, false, others, count = list[dict[str, Any]](), 0, 0, 0, 0, 0
-    for cause in CAUSES:
-        names = [judged(seed, cause) for seed in seeds]
+    for cause in kind.CAUSES:
+        names = [judged(kind.draw(seed, cause), seed, cause) for seed in seeds]
         found = [name for name, _ in names]
-        row = {name: found.count(name) for name in (*CAUSES, "unknown")}
+        row = {name: found.count(name) for name in (*loops.CAUSES, "unknown")}
         rows.append({"cause": cause, **row, "cpu_s": max(cpu for _, cpu in names)})
         count += len(found)
         told += len(found) - row["unknown"]
