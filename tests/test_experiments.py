@@ -10,6 +10,7 @@ from tests.support_experiments import run_experiment
 
 TIMED = {
     "benchmark_trials",
+    "decision_time",
     "emergency_stop",
     "jitter",
     "live_page",
