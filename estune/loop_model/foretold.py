@@ -59,7 +59,7 @@ def trials_to_show(
 def _information(loop: UnknownLoop, answer: LoopRecord) -> float:
     """Information that a trial adds, over that of the records; by their number if not known."""
     fit, records, gains, settings = loop.fit, loop.records, loop.gains, loop.controller
-    if not fit.model.friction:
+    if not (fit.model.friction or fit.strengths):
         now, then = (
             setpoint_deviation(fit, given, gains, settings)
             for given in (records, (*records, answer))

@@ -8,7 +8,7 @@ from estune.core.gains import Gains
 from estune.loop_model.intervals import margins_by_records
 from estune.loop_model.limited_loop import setpoint_response
 from estune.loop_model.loop_fit import LoopFit
-from estune.loop_model.near_fit import NEAR_ERROR, is_explained
+from estune.loop_model.near_fit import is_explained, near_error
 from estune.loop_model.peak import peak_deviation
 from estune.loop_model.plant_error import band_powers, error_margin
 from estune.loop_model.prediction import StepTrial
@@ -105,7 +105,7 @@ def half_widths(
     above = math.hypot(*(math.log(end / Ms.value) for end in (Ms.high, error.sensitivity)))
     over, most = math.inf, assumed.overshoot
     if not is_explained(fit):
-        above = math.hypot(above, NEAR_ERROR, NEAR_APART)
+        above = math.hypot(above, near_error(fit.misfit), NEAR_APART)
         over, most = max(overshoot.high - overshoot.value, most), max(most, OVERSHOOT_MOST)
     elif fit.is_white:
         most = max(most, OVERSHOOT_MOST) if fit.strengths else most

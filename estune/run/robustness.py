@@ -167,7 +167,7 @@ def identify(
     rate, asked_s = rig.controller.sampling_Hz, plan.cost.settling_time_s
     fit, kept = fit_with_excitations(signals, excited, rate, asked_s, own)
     if gains is not None and not is_explained(fit):
-        near = fit_near(gains, signals, excited, rate, asked_s)
+        near = fit_near(gains, signals, excited, rate, asked_s, misfit=fit.misfit)
         if near is not None:
             steps = [steps[i] for i in near.steps]
             fit, kept = near.fit, near.excitations
