@@ -86,7 +86,8 @@ def measured_overshoot(
 
     Its 95 % interval is by Student's t. That of fewer than `FEWEST_REPEATS` is by the noise of the
     records. The claim's rests on all records and is narrower: it takes its place where the model
-    explains the records and the two agree. Else where it reaches higher, so does this one.
+    explains the records and the two agree. Else this one holds both: the peak of a flat response
+    in noise is too high, and the model of friction that is not constant is wrong.
     """
     own = [r for r in records if r.gains == gains]
     peaks = np.array([metrics_of(record, plan.step).overshoot for record in own])
@@ -113,7 +114,7 @@ def measured_overshoot(
         return found
     if claim.is_white and told.low <= found.high and found.low <= told.high:
         return told
-    return found._replace(high=max(found.high, told.high))
+    return found._replace(low=min(found.low, told.low), high=max(found.high, told.high))
 
 
 Judged = tuple[LimitState, str]
