@@ -13,6 +13,7 @@ from estune.service_records.cause.judge import (
     judge_cause,
     judge_signals,
     of_most,
+    with_better,
     with_margins,
 )
 from estune.service_records.cause.loop_signals import LONGEST, JudgedSignals
@@ -181,6 +182,16 @@ def test_tuning_is_the_cause_where_the_margins_are_known_to_be_small_and_there_a
     sticks = with_margins(judge_signals(flow_loop(band=1.5, slip=0.9)), (2.5, 2.2, 2.9))
     assert sticks.name == "sticking"
     assert "too tight as well" in sticks.heading()
+
+
+def test_a_first_line_agrees_with_gains_that_cost_far_less():
+    waved = judge_signals(flow_loop(load=1.0))
+    sound = replace(waved, name="none", numbers={}, words="the loop is sound")
+    assert "too slow, Ms 1.03; a step costs 93% less" in with_better(sound, 1.03, 0.07, 0.2).words
+    assert with_better(sound, 1.3, 0.4, 2.0).heading().startswith("NOTHING WRONG")
+    assert "a step costs 60% less" in with_better(sound, 1.3, 0.4, 2.0).words
+    assert with_better(sound, 1.3, 0.9, 0.5) is sound
+    assert with_better(waved, 1.3, 0.1, 0.5) is waved
 
 
 def said(capsys, *arguments):

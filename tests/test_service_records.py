@@ -255,7 +255,11 @@ def test_command_reads_a_csv_and_writes_report_and_json(busy, tmp_path, capsys):
     found = json.loads(capsys.readouterr().out)
     assert found["verdict"] == "change"
     assert found["replay"]["agrees"]
-    assert "Nyquist" in (tmp_path / "page.html").read_text()
+    page = (tmp_path / "page.html").read_text()
+    assert "Nyquist" in page
+    cause, verdict = (text.partition(":")[0] for text in (found["cause"]["heading"], "CHANGE:"))
+    assert page.index(cause) < page.index(verdict)
+    assert "1 samples" not in page
 
 
 @pytest.mark.parametrize(

@@ -52,7 +52,7 @@ def page(suggestion: JudgedRecords) -> Page:
     """The page of a suggestion."""
     return Page(
         "Gains by records of operation",
-        Status(suggestion.heading(), good=_GOOD.get(suggestion.verdict)),
+        _headline(suggestion),
         (
             Table(("", "In use", "Recommended"), suggestion.rows(), numeric=(1, 2)),
             Paragraph(
@@ -60,7 +60,6 @@ def page(suggestion: JudgedRecords) -> Page:
                 f"that of a step in {time_text(suggestion.trial.cost.settling_time_s)}.",
                 style="soft",
             ),
-            *_caused(suggestion),
             *_replayed(suggestion),
             Warnings(suggestion.remarks()),
         ),
@@ -73,9 +72,12 @@ def page(suggestion: JudgedRecords) -> Page:
     )
 
 
-def _caused(suggestion: JudgedRecords) -> Iterator[Block]:
-    if suggestion.cause is not None:
-        yield Paragraph(suggestion.cause.heading())
+def _headline(suggestion: JudgedRecords) -> Status:
+    """The cause and then the verdict, as on the command line."""
+    verdict, good = suggestion.heading(), _GOOD.get(suggestion.verdict)
+    if suggestion.cause is None:
+        return Status(verdict, good=good)
+    return Status(suggestion.cause.heading(), good=good, detail=verdict)
 
 
 def _replayed(suggestion: JudgedRecords) -> Iterator[Block]:
@@ -141,9 +143,11 @@ def _loop(suggestion: JudgedRecords) -> Iterator[Block]:
     settings, loops = suggestion.trial.controller, _loops(suggestion)
     settling_s = suggestion.trial.cost.settling_time_s
     response = PlantResponse.of_fit(suggestion.fit, settings, settling_s)
+    dead = suggestion.fit.model.dead_samples
     yield Paragraph(
         f"The plant is identified from the records with {suggestion.fit.order} poles and a dead "
-        f"time of {suggestion.fit.model.dead_samples} samples."
+        f"time of {dead} {'sample' if dead == 1 else 'samples'}; poles faster than a sample are "
+        "dead time, too."
     )
     yield Drawing(
         figure_of(draw_bode(response, settings, loops)),

@@ -25,6 +25,7 @@ from estune.service_records.cause.judge import (
     judge_cause,
     of_most,
     of_others,
+    with_better,
     with_margins,
 )
 from estune.service_records.cause.valve import Valve
@@ -162,11 +163,10 @@ def suggest(
         judgement = judgement._replace(
             reason="the loop is unstable, and no gains are known to hold"
         )
-    verdict: Verdict = "cannot tell"
-    if decides is not None and decides.contradicts:
-        verdict = "other gains ran"
-    elif judgement.can_tell:
-        verdict = "change" if better and is_worthwhile(margins, better, limits) else "keep"
+    verdict = _verdict(decides, judgement, margins, better, limits)
+    if better is not None and verdict == "change" and holds:
+        Ms, relative = margins.sensitivity.value, better.relative_cost.value
+        cause = with_better(cause, Ms, relative, better.load_error)
     if better is None:
         advised = advise(loop, trial, in_use)
     elif better.price > WORTHWHILE and judgement.half_width > 0.0:
@@ -314,6 +314,20 @@ def _trial(
         # A load that takes as much effort as the step, once the step has settled.
         shape, samples = shape._replace(load=LoadStep(samples, size / gain)), 2 * samples
     return StepTrial(settings, cost, 0.0, shape, samples)
+
+
+def _verdict(
+    decides: Replay | None,
+    judgement: Judgement,
+    margins: PredictedMargins,
+    better: Recommendation | None,
+    limits: RobustnessLimits,
+) -> Verdict:
+    if decides is not None and decides.contradicts:
+        return "other gains ran"
+    if not judgement.can_tell:
+        return "cannot tell"
+    return "change" if better and is_worthwhile(margins, better, limits) else "keep"
 
 
 def is_worthwhile(

@@ -55,6 +55,10 @@ RETURNS, LATER = 0.5, 0.3
 swings. Seven of 25 simulated loops that are too tight have Ms below `TIGHT` by the judge's plant
 and were called too slow: their correlations are 0.6 to 0.9 and 0.5 to 1; those of slow ones 0."""
 
+DEAR = 0.6
+"""Cost of a step with the recommended gains, over that in use, up to which the cause names it: ten
+sound logs gain 10 to 15 %, a setpoint filter or less effort up to 40 %."""
+
 KNOWN = 0.975
 """Probability that Ms is above the lower end of its interval."""
 
@@ -189,6 +193,29 @@ def with_margins(cause: Cause, sensitivity: tuple[float, float, float] | None) -
     )
 
 
+def with_better(
+    cause: Cause, sensitivity: float, relative_cost: float, load_error: float
+) -> Cause:
+    """A cause beside gains that are recommended, whose step and load cost so much less.
+
+    What is said of the loop and of other gains is one: a loop whose gains may be far larger was
+    told to have nothing wrong.
+    """
+    is_tight = cause.numbers.get("direction") == "tight"
+    if relative_cost > DEAR or is_tight or cause.name not in ("none", "unknown", "tuning"):
+        return cause
+    less = f"a step costs {1.0 - relative_cost:.0%} less with the recommended gains"
+    if load_error >= 1.0:
+        return replace(cause, words=f"{cause.words}; {less}")
+    numbers: dict[str, Number] = {
+        "direction": "slow",
+        "sensitivity": sensitivity,
+        "gain_factor": None,
+    }
+    words = f"too slow, Ms {sensitivity:.2f}; {less}"
+    return replace(cause, name="tuning", probability=KNOWN, numbers=numbers, words=words)
+
+
 def of_others(cause: Cause) -> Cause:
     """The cause that is the likeliest of the others, where a told one is known not to be."""
     if cause.shown is None:
@@ -289,7 +316,8 @@ def _tuning(shown: CauseEvidence, _weighed: Mapping[CauseName, float]) -> _Told:
         return numbers, f"too tight, {Ms}; {less}"
     more = f"{factor:.1f} times the gains lead {lead}"
     if numbers["gain_factor"] is None:
-        more = f"{factor:.0f} times the gains do not yet lead {lead}"
+        # Of a log whose gains times 15 give Ms 1.7, the rough plant had less with 30.
+        return numbers, "too slow; how much larger the gains may be, the log does not show"
     return numbers, f"too slow; {more}, if the output of the log shows the plant"
 
 
