@@ -44,10 +44,10 @@ tightened optimum cost 2.7 times as much."""
 BISECTIONS = 4
 """Bisections between such gains and the optimum, whose limits do not hold."""
 
-AIMED = ((1.0, 1.0), (0.7, 0.4), (0.4, 0.1), (0.2, 0.1))
+AIMED = ((1.0, 1.0), (0.7, 0.4), (0.4, 0.1), (0.2, 0.1), (1.0, 0.0))
 """Shares of the limit of ln Ms, and of I, within which the best of those gains are checked in
 turn: where the slow part of a plant is hardly known, less I alone keeps the overshoot in all that
-it may be."""
+it may be, and where not even its sign is, none, if the gains in use have none."""
 
 SCATTERED = 64
 """Low-discrepancy points of which the best is one of the starts of an optimum."""
@@ -93,6 +93,10 @@ def recommend(
         return _with_rival(margins_of(loop, trial, gains_of(x))[0], rival, trial, gains_of(x))
 
     within, first_cost, x = limits, math.nan, start
+    # The gains in use as they are, too: any integral may be unstable by an interval. A chamber at
+    # an Ms of 2.1 without one was told KEEP.
+    with np.errstate(divide="ignore"):
+        about = [start, np.log(in_use.as_tuple())]
     kept = list[tuple[FloatArray, PredictedMargins]]()
     for _ in range(ROUNDS):
         search = RegionSearch(
@@ -112,7 +116,7 @@ def recommend(
             break
         within = tighter
     if not kept or _price(kept[0][1], first_cost) > DEAR:
-        kept += _scaled_down(loop, trial, limits, (gains_of, margins_at), (x, start))
+        kept += _scaled_down(loop, trial, limits, (gains_of, margins_at), [x, *about])
     if not kept:
         return None
     x, margins = min(kept, key=lambda one: one[1].cost.value)
@@ -156,11 +160,12 @@ def _scaled_down(
         kept = (
             i
             for one, i in ranked
-            if scaled[i][1][1] <= math.log(most_I) and not (within.excess(one) > 0.0).any()
+            if (np.exp(scaled[i][1][1]) <= most_I if most_I else not gains[i].I)
+            and not (within.excess(one) > 0.0).any()
         )
         best = next(kept, None)
         if best is None:
-            break
+            continue
         margins = margins_at(points[best])
         if _tightened(limits, limits, margins) is None:
             return [_nearest_kept((points[best], margins), about[0], margins_at, limits)]
