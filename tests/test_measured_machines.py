@@ -135,6 +135,21 @@ def test_a_measured_chamber_is_predicted_from_its_first_seconds(number):
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("number", [4, 8, 12])
+def test_verdict_on_a_measured_chamber_is_the_same_in_hundredths_of_its_unit(number):
+    run = chamber()[number]
+    (part,), gains = run.log.parts, run.gains
+    larger = {name: 100.0 * part[name] for name in ("setpoint", "measurement")}
+    smaller = replace(gains, P=gains.P / 100.0, I=gains.I / 100.0, D=gains.D / 100.0)
+    logs = [
+        run.log._replace(gains=gains),
+        run.log._replace(gains=smaller, parts=({**part, **larger},)),
+    ]
+    said = [oven.suggest(oven.Logs((log,), (), oven.SETTINGS)).verdict for log in logs]
+    assert said[0] == said[1] == "change"
+
+
+@pytest.mark.slow
 def test_single_runs_and_all_runs_of_a_measured_chamber_are_told():
     runs = chamber()
     pooled = oven.suggest(oven.Logs(tuple(r.log for r in runs.values()), (), oven.SETTINGS))

@@ -74,7 +74,10 @@ def cold_starts(signals: FitSignals, noises: Iterable[NoiseModel] = (WHITE,)) ->
     ranked = sorted(coarse, key=by_cost)
     starts = [*ranked[:STARTS], ranked[0]._replace(dead=0)]
     found = list[PoleFit]()
-    for fit in sorted((improve(signals, one, ROUGH) for one in starts), key=by_cost):
+    rough = [improve(signals, one, ROUGH) for one in starts]
+    # The search of a load of no size ends early: readings in hundredths took another dead time.
+    rough = [one._replace(noise=one.noise.counted) for one in rough]
+    for fit in sorted(rough, key=by_cost):
         if all(abs(fit.dead - other.dead) > _first_step(other.dead) for other in found):
             found.append(fit)
     return [searched_dead_time(signals, found[:1]), *found[1:]]

@@ -28,6 +28,9 @@ FASTEST = 1e-9
 RESPONSE = 1024
 """Samples after which a colour has died out: it stands for less than ten."""
 
+LEAST = 1e-9
+"""Size of load or drift below which there is none."""
+
 SLOW = 30.0
 """Settling times in which load and drift forget."""
 
@@ -49,6 +52,12 @@ class NoiseModel(NamedTuple):
     def sizes(self) -> tuple[float, float]:
         """k1 and k2."""
         return self.load, self.drift
+
+    @property
+    def counted(self) -> "NoiseModel":
+        """The same, where a load or a drift of no size is none."""
+        load, drift = (k if k >= LEAST else 0.0 for k in self.sizes)
+        return self._replace(load=load, drift=drift)
 
     @property
     def is_white(self) -> bool:

@@ -65,9 +65,6 @@ stable loop. A double integrator in noise is found with 0.3."""
 TRIED = 2
 """Starts that are improved."""
 
-NOISE_LEAST = 1e-9
-"""Size of load or drift below which there is none."""
-
 LOAD_SHARE = 0.5
 """Share of the squared errors that a load has to explain in one record. Loads of 3 % of the step
 explain 84 to 93 % on four plants of `experiments.batch`, friction in the eyelet of a reel none."""
@@ -286,8 +283,7 @@ def is_enough(signals: FitSignals, fit: PoleFit) -> bool:
 
 def _judged(signals: FitSignals, fit: PoleFit) -> Selected:
     """A fit with its criterion, infinite where it failed; a load or a drift of no size is none."""
-    load, drift = (k if k >= NOISE_LEAST else 0.0 for k in fit.noise.sizes)
-    fit = fit._replace(noise=fit.noise._replace(load=load, drift=drift))
+    fit = fit._replace(noise=fit.noise.counted)
     if not math.isfinite(fit.cost) or (fit.noise.is_white and fit.noise.colour):
         return Selected(fit, math.inf)
     return Selected(fit, criterion(signals, 2.0 * fit.cost, fit.coordinates.size, fit.noise))
