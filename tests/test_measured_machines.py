@@ -154,7 +154,8 @@ def test_single_runs_and_all_runs_of_a_measured_chamber_are_told():
     runs = chamber()
     pooled = oven.suggest(oven.Logs(tuple(r.log for r in runs.values()), (), oven.SETTINGS))
     assert pooled.verdict == "change"
-    assert pooled.cause.name == "none"
+    assert not pooled.cause.is_machine
+    assert pooled.cause.numbers.get("direction") != "tight"  # Ms 1.3 with the gains in use
     # Run 2 goes 11 K up, and shows that readings of a thermistor are not straight.
     alone = {n: oven.alone(run, pooled.fit.model) for n, run in runs.items() if n != 2}
     apart = {n: one["Ms"] / one["pooled_Ms"] - 1.0 for n, one in alone.items() if one["Ms"]}
