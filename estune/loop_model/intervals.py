@@ -194,6 +194,8 @@ def _deviations(slopes: FloatArray, error_std: float) -> FloatArray | None:
     values, vectors = np.linalg.eigh((slopes / size).T @ (slopes / size))
     if not values[-1] > 0.0:
         return None
+    # A short log may know nothing of a pole, or of the gain: rounding leaves zero or less of it,
+    # whose root is no number.
     values = np.maximum(values, 1e-13 * values[-1])
     with np.errstate(over="ignore"):
         columns = error_std * (vectors / np.sqrt(values)) / size[:, np.newaxis]

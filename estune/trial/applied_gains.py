@@ -20,10 +20,14 @@ from estune.trial.outcome import Outcome
 from estune.trial.records import SATURATED, TrialRecord
 
 RATIO_ERROR = 0.05
-"""Error of a ratio of gains that is allowed."""
+"""Error of a ratio of gains that is allowed. With one gain doubled on two rigs of
+`experiments.batch` the ratios told are at most 0.3 % off in logs rounded to 1e-3 of the effort's
+range. A measurement rounded to 1e-3 of the step makes up to 20 %, another derivative filter up to
+410 %: both leave more than `REPRODUCED`, so that nothing is told."""
 
 FILTERS = 60
-"""Time constants of the setpoint filter that are tried."""
+"""Time constants of the setpoint filter that are tried. Those of three trials, from 3 samples to
+two settling times, are found to 1e-4 with 60, and with 10."""
 
 BETTER = 0.25
 """Largest residual of what acted over that of what is stated: another form of the derivative's
