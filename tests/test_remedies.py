@@ -8,6 +8,7 @@ import pytest
 
 import plants
 from estune.core.gains import Gains
+from estune.errors import InvalidInput
 from estune.hardware.compensation.tables import CompensationTable
 from estune.trial import TrialRequest
 from estune.trial.tracking import tracking_of, tracking_profile
@@ -256,3 +257,44 @@ def test_page_and_json_tell_what_can_be_done():
     assert row["ratios"]["tracking"]["value"] < 0.8
     assert row["tables"]["friction"]["fraction"] == 0.8
     assert np.isfinite([row["ratios"]["cost"][end] for end in ("low", "value", "high")]).all()
+
+
+@pytest.mark.parametrize("unit", [1.0, 1000.0])
+def test_machines_are_drawn_from_the_interval_in_whatever_unit_and_within_the_bounds(
+    unit, monkeypatch
+):
+    """The interval may be in another unit than the effect's own number."""
+    monkeypatch.setattr(offers, "DRAWS", 2000)
+    effect = CoulombFriction(torque_Nm=0.02)
+    one = SimpleNamespace(effect=effect, parameters={})
+    assert {draw.torque_Nm for draw in offers._draws(one)} == {0.02}  # nothing is known of it
+    one.parameters["torque_Nm"] = Interval(0.02 * unit, 0.01 * unit, 0.03 * unit, "")
+    torques = [draw.torque_Nm for draw in offers._draws(one)]
+    assert np.quantile(torques, [0.025, 0.5, 0.975]) == pytest.approx([0.01, 0.02, 0.03], rel=0.05)
+    one.parameters["torque_Nm"] = Interval(0.02 * unit, 0.0, 0.2 * unit, "")
+    assert min(draw.torque_Nm for draw in offers._draws(one)) == 0.0  # friction drives nothing
+    one.parameters["torque_Nm"] = Interval(0.02 * unit, -np.inf, np.inf, "")
+    assert {draw.torque_Nm for draw in offers._draws(one)} == {0.02}
+
+
+def test_interval_of_a_ratio_is_the_range_of_the_draws_and_what_is_unexplained_of_its_change():
+    rows = np.array([[0.5, 0.9, 1.2, 1.0], [0.4, 0.95, 1.1, 1.02], [0.55, 0.85, 1.4, 0.01]])
+    plain, wide = (offers._intervals(rows, 0.2, widened=widened) for widened in (False, True))
+    for n, name in enumerate(MEASURES):
+        low, high = rows[:, n].min(), rows[:, n].max()
+        value, repeated = rows[0, n], 0.015 if name == "rest" else 0.0
+        for found_, form, reversal in ((plain, 0.0, 0.0), (wide, 0.07, 0.1)):
+            more = (0.2 + form) * abs(value - 1.0) + repeated
+            over = reversal if name == "reversal" else 0.0
+            at = found_[name]
+            expected = (value, max(low - more, 0.0), high + more + over)
+            assert (at.value, at.low, at.high) == pytest.approx(expected)
+
+
+def test_effect_takes_the_place_of_one_of_its_kind_alone():
+    hard = CoulombFriction(torque_Nm=0.04)
+    model = offers.with_effect(REEL + CoulombFriction(), CoulombFriction(), hard)
+    assert [one for one in model.effects if isinstance(one, CoulombFriction)] == [hard]
+    assert len(model.effects) == len((REEL + CoulombFriction()).effects)
+    with pytest.raises(InvalidInput, match="the model has no coulomb_friction"):
+        offers.with_effect(REEL, CoulombFriction(), hard)
