@@ -54,7 +54,7 @@ class CompiledErrors(NamedTuple):
     Attributes:
         nuisance: Of each group, as the other fields of `least_squares.Solution`.
         regressors: Of the numerator.
-        basis: Of them.
+        basis: Of them; empty with a given numerator.
         numerator: B.
         residual: e.
         memory: What the C code reads for the slopes.
@@ -117,7 +117,7 @@ def compiled_errors(
     parts = zip(nuisance, ranks.tolist(), lengths, strict=True)
     return CompiledErrors(
         tuple(one[:rank, :n].T for one, rank, n in parts),
-        *(regressors.T, basis.T, b, residual),
+        *(regressors.T, (basis if numerator is None else basis[:0]).T, b, residual),
         (task, memory),
         library,
     )

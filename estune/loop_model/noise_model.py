@@ -128,6 +128,7 @@ def _shaping(
     )
 
 
+@lru_cache(maxsize=64)
 def _power_gain(colour: tuple[float, ...]) -> float:
     """Variance of noise of this colour over that of the white noise that it is made of."""
     response = lfilter([1.0], [1.0, *colour], np.eye(1, RESPONSE)[0])

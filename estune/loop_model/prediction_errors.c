@@ -301,7 +301,7 @@ static long nuisance_at(const FitTask *t, long history, long n, double *Q)
     return rank;
 }
 
-/* Basis of the regressors from one on, and their numbers of least squares unless they are NULL. */
+/* Basis of the regressors from one on, and their numbers of least squares. */
 static void solve_rows(const FitTask *t, long from, double *triangle, const double *y,
                        double *numbers)
 {
@@ -314,8 +314,6 @@ static void solve_rows(const FitTask *t, long from, double *triangle, const doub
             scale(N, 1.0 / sizes[k], row, t->basis + k * N);
     }
     orthonormal(N, from, m, N, t->basis, triangle);
-    if (!numbers)
-        return;
     for (k = 0; k < m; k++)
         shares[k] = dot(N, t->basis + k * N, y);
     memcpy(whole, triangle, m * m * sizeof *whole);
@@ -405,7 +403,8 @@ __attribute__((visibility("default"))) int estune_prediction_errors(const FitTas
         return 1;
     regress(t, t->dead, driven);
     free(driven);
-    solve_rows(t, 0, triangle, t->residual, t->given ? NULL : t->numerator);
+    if (!t->given)
+        solve_rows(t, 0, triangle, t->residual, t->numerator);
     for (j = 0; j < t->terms; j++)
         less(t->residuals, t->numerator[j], t->regressors + j * t->residuals, t->residual);
     return 0;

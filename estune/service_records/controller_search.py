@@ -57,7 +57,7 @@ def least_changed(
         here = replace(settings, form=form)
         by_lag = partial(_with_derivative, best, here, tau)
         lagged = _derivative_filter(here, _best_filter(by_lag, rate, longest_s))
-        for controller in (here, lagged):
+        for controller in dict.fromkeys((here, lagged)):  # one where no filter is better
             tried.append((*best(controller, tau), controller, tau))
             if moves:
                 slow = _best_filter(partial(best, controller), rate, longest_s)
