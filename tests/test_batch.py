@@ -125,7 +125,7 @@ def tuned_under(name, level, seed):
 @pytest.mark.parametrize(
     ("name", "level", "seed"),
     [
-        ("e^-s/(2s+1)", 0.01, 5000),
+        ("e^-s/(10s+1)", 0.01, 5000),
         pytest.param("e^-s/(0.5s+1)", 0.03, 5000, marks=pytest.mark.slow),
     ],
 )
