@@ -144,3 +144,21 @@ def test_costs_of_many_trials_are_those_of_the_trials_one_by_one():
     records = [rig.run(TrialRequest("run", number, gains, step)) for number in range(3)]
     one_by_one = [cost_of(record, step, cost, 1.0) for record in records]
     assert rig.costs(gains, cost, 3) == pytest.approx(one_by_one, rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("name", "seed", "best"),
+    [
+        ("1/(s^2-1)", 1003, Gains(13.56, 15.20, 4.368, 0.7997)),
+        ("1/s(s+1)^2", 1005, Gains(0.7068, 1.5e-6, 0.7246, 0.1255)),
+    ],
+)
+def test_plant_whose_margin_to_the_limits_is_dear_is_tuned_to_its_optimum(name, seed, best):
+    loop = ProcessLoop(BY_NAME[name], 0.003)
+    run, gains, cost = tuned(loop, seed, "paper", Disturbance())
+    assert run["ending"] == RunEnding.TUNED
+    assert run["trials"] <= 12
+    found, Ms, overshoot = loop.judged(gains, cost)
+    assert found <= 1.01 * loop.judged(best, cost)[0]
+    assert Ms <= 1.616
+    assert overshoot <= 0.0505

@@ -21,8 +21,8 @@ SENSITIVITY_MAX = 1.6
 """Largest Ms by default; 1.4 is robust, 2 aggressive."""
 
 KEPT = 0.01
-"""Share of a limit by which it may be exceeded and still counts as kept. To keep the ends of the
-intervals within the limits themselves costs 1 to 3 % of the optimum on `experiments.batch`."""
+"""Share of a limit by which it may be exceeded and still counts as kept. With none the median cost
+of `experiments.batch` was 1.1 % above the optimum, with it 0.3 %, and Ms up to 1.603 for 1.6."""
 
 _NONE = "no limit"
 
