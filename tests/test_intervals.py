@@ -75,33 +75,88 @@ def test_groups_that_know_nothing_of_a_value_do_not_narrow_its_interval():
     assert jackknife(columns, residuals, group, unequal=True) == pytest.approx(alone, rel=1e-3)
 
 
-def test_number_that_an_effect_corrects_has_no_interval_beside_the_effects():
-    rng, group = np.random.default_rng(5), np.repeat(np.arange(GROUPS), EACH)
-    friction = positive("viscous_friction_Nms", "N m s/rad", 0.02)
-    added = from_zero("viscous_damping.damping_Nms", "N m s/rad", 0.01, 1.0)
-    added = replace(added, owner="viscous_damping", neutral=0.0)
-    slopes, residuals = rng.standard_normal((group.size, 3)), rng.standard_normal(group.size)
+FRICTION = positive("viscous_friction_Nms", "N m s/rad", 0.02)
+ADDED = from_zero("viscous_damping.damping_Nms", "N m s/rad", 0.01, 1.0)
+ADDED = replace(ADDED, owner="viscous_damping", neutral=0.0)
+FREE = (positive("drum_inertia_kg_m2", "kg m2", 2e-3), FRICTION, ADDED)
+VALUES = np.array([2e-3, 0.02, 0.01])
+GROUP = np.repeat(np.arange(GROUPS), EACH)
+
+
+def of_slopes(slopes, residuals, channels=()):
+    """A fitter and a fit whose residuals are straight along the values."""
     fitted = SimpleNamespace(
         predictor=SimpleNamespace(
-            free=(positive("drum_inertia_kg_m2", "kg m2", 2e-3), friction, added),
-            index=SimpleNamespace(measurement=group),
+            free=FREE,
+            index=SimpleNamespace(measurement=GROUP),
             linearise=lambda _values, moves, *_: (residuals, slopes[:, moves]),
         ),
-        values=np.array([2e-3, 0.02, 0.01]),
-        entries=np.arange(group.size),
+        values=VALUES,
+        entries=np.arange(GROUP.size),
         residuals=residuals,
     )
     fitter = SimpleNamespace(
         moves=lambda _: np.arange(3),
         model=SimpleNamespace(model=None),
-        group=group,
-        floor=SimpleNamespace(channels={}),
+        group=GROUP,
+        floor=SimpleNamespace(channels=dict.fromkeys(channels)),
+    )
+    return fitter, fitted
+
+
+def test_number_that_an_effect_corrects_has_no_interval_beside_the_effects():
+    rng = np.random.default_rng(5)
+    fitter, fitted = of_slopes(
+        rng.standard_normal((GROUP.size, 3)), rng.standard_normal(GROUP.size)
     )
     base, damped = (
         SimpleNamespace(effects=e, fitted=fitted, J=1.0) for e in ((), (ViscousDamping,))
     )
-    assert set(intervals(fitter, damped, base)) == {"drum_inertia_kg_m2", added.name}
-    assert friction.name in intervals(fitter, base, base)
+    assert set(intervals(fitter, damped, base)) == {"drum_inertia_kg_m2", ADDED.name}
+    assert FRICTION.name in intervals(fitter, base, base)
+
+
+@pytest.mark.parametrize("channels", [(), ("tension_N",)])
+@pytest.mark.parametrize(
+    ("effects", "left"), [((), (1.0, 1.0)), ((), (3.0, 3.0)), ((ViscousDamping,), (5.0, 1.5))]
+)
+def test_error_of_a_value_is_that_of_noise_of_laws_and_of_what_nothing_explains(
+    effects, left, channels
+):
+    rng, prior = np.random.default_rng(6), np.array([2e-3, 0.02, 0.01])
+    slopes = rng.standard_normal((GROUP.size, 3)) * [3e4, 3e3, 2e3]
+    residuals = np.repeat(rng.standard_normal(GROUPS), EACH)  # coloured
+    fitter, fitted = of_slopes(slopes, residuals, channels)
+    base, model = (
+        SimpleNamespace(effects=of, fitted=fitted, J=J)
+        for of, J in zip(((), effects), left, strict=True)
+    )
+    told = intervals(fitter, model, base)
+    kept = [0, 2] if effects else [0, 1, 2]
+    prior = np.array([prior_deviation(FREE[n], VALUES[n]) for n in kept])
+    columns = slopes[:, kept].T * prior[:, None]
+    of_noise = prior * np.maximum(
+        jackknife(columns, residuals, GROUP), jackknife(columns, residuals, GROUP, unequal=True)
+    )
+    explained, unexplained = np.sqrt(
+        np.maximum([left[0] - left[1], left[1] - 1.0], 0.0) * GROUP.size
+    )
+    by_length = prior * greatest_shifts(columns)
+    for n, noise, unit, shift in zip(kept, of_noise, prior, by_length, strict=True):
+        is_base = FREE[n] is not ADDED
+        most = unit if is_base else VALUES[n]
+        of_law = 0.001 * min(explained * shift, most) if effects else 0.0
+        if not (effects or is_base):  # of an effect that the model declares
+            of_law = 0.001 * VALUES[n]
+        of_rest = min((0.2 if effects else 0.5) * unexplained * shift, most)
+        calibrated = (0.001 if channels else 0.0003) * VALUES[n] if is_base else 0.0
+        at = told[FREE[n].name]
+        half = 1.96 * np.sqrt(noise**2 + of_law**2 + of_rest**2 + calibrated**2)
+        if FREE[n].scale == "log":
+            expected = VALUES[n] * np.exp(np.array([-1.0, 1.0]) * half / VALUES[n])
+        else:
+            expected = [max(VALUES[n] - half, FREE[n].low), min(VALUES[n] + half, FREE[n].high)]
+        assert (at.low, at.high) == pytest.approx(expected), FREE[n].name
 
 
 def test_prior_deviation_is_relative_on_a_log_scale_and_absolute_on_a_linear_one():
