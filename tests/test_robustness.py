@@ -149,6 +149,25 @@ def test_ill_posed_trial_is_refused_unless_forced(changes, message):
     assert tune(plants.reference_reel(), trials=1, force=True, **changes).nit == 1
 
 
+def test_step_before_a_warm_up_is_over_is_refused_as_that_and_not_as_noise():
+    def chamber(degC, percent, dt_s):
+        degC += dt_s * (8.0 * min(max(percent, 0.0), 100.0) - 5.0 * (degC - 20.0)) / 900.0
+        return degC, degC
+
+    plant = plants.python_plant(
+        *(chamber, 20.0),
+        initial_measurement_N=20.0,
+        sampling_Hz=1.0,
+        settling_time_s=120.0,
+        output_min_N=0.0,
+        output_max_N=100.0,
+        dead_time_s=4.0,
+        profile=StepProfile(60.0, 10.0, 60.0, 600.0),
+    )
+    with pytest.raises(InvalidInput, match="the loop is not at rest where trial"):
+        tune(plant)
+
+
 def test_short_settling_time_and_few_samples_are_told():
     reel = plants.reference_reel()
     remarks = tune(reel, cost=default_cost(0.03), trials=2).remarks()
