@@ -99,3 +99,9 @@ def test_a_load_that_is_rejected_much_worse_is_in_the_first_line(stepped):
     assert ("error after a load, in use = 1", "1", "13") in replace(
         stepped, recommendation=slower
     ).rows()
+
+
+def test_a_step_from_a_rest_that_shows_the_load_is_told():
+    Ms = suggest([loop_log(np.repeat([0.0, 1.0], 1500), load=0.009)]).margins.sensitivity
+
+    assert Ms.low <= 1.45 <= Ms.high
