@@ -204,10 +204,14 @@ def fit_with_excitations(
         last: An earlier fit to start from.
     """
     fit = fit_loop((*steps, *excitations), sampling_Hz, settling_time_s, last)
-    if fit.is_white or not excitations:
+    if not excitations or (fit.is_white and not fit.strengths):
         return fit, tuple(excitations)
     of_steps = last if last is not None and len(last.errors) == len(steps) else None
     alone = of_steps or fit_loop(steps, sampling_Hz, settling_time_s)
+    if fit.is_white and (alone.strengths or not alone.is_white):
+        return fit, tuple(excitations)
+    if fit.is_white:  # with another gain than the steps, which have one: a rate limit does so
+        return alone, ()
     spoilt, own = (np.concatenate(one.errors[: len(steps)]) for one in (fit, alone))
     chance = 1.0 + 5.0 * math.sqrt(2.0 / own.size)  # five deviations of the power of white noise
     return (alone, ()) if power_of(spoilt) > chance * power_of(own) else (fit, tuple(excitations))
