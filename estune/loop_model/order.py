@@ -147,7 +147,9 @@ def _selected(signals: FitSignals, start: PoleFit, *, has_load: bool) -> PoleFit
         if better is None:
             return best.fit
         # Dead time stands for poles that a model lacks: with more of them it is shorter.
-        best = _judged(signals, searched_dead_time(signals, [better.fit]))
+        moved = _judged(signals, searched_dead_time(signals, [better.fit]))
+        # A move may lose a drift that was just found: it was found again without an end.
+        best = min(better, moved, key=by_criterion)
 
 
 def _best_of(signals: FitSignals, best: Selected, options: Sequence[Selected]) -> Selected | None:

@@ -79,9 +79,10 @@ def read_logs(
 
 
 def _is_copy(log: LoopLog, other: LoopLog) -> bool:
-    """Whether two logs have the same samples and gains: as two, they would show no noise."""
+    """Whether two logs have the same samples, rate and gains: as two, they would show no noise."""
     pairs = zip(log.parts, other.parts, strict=False)
-    return (log.gains, len(log.parts)) == (other.gains, len(other.parts)) and all(
+    own, others = ((one.gains, one.sampling_Hz, len(one.parts)) for one in (log, other))
+    return own == others and all(
         one.keys() == two.keys()
         and all(np.array_equal(one[name], two[name]) for name in one if name != "time")
         for one, two in pairs
