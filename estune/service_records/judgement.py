@@ -139,7 +139,7 @@ def _too_still(loop: ServiceLoop, half_width: float) -> str:
         )
     # Of 7 starts under a drifting load Ms came out up to 15 % wrong, the static gain 40 000 times.
     # A start at a limit is driven in open loop, and right: Ms 1.59 and 2.34 for 1.59 and 2.35. So
-    # are 7 steps from a rest that shows the load: Ms 1.44 to 1.47 for 1.45.
+    # are 10 steps from a rest that shows the load: Ms 1.44 to 1.47 for 1.45.
     held = any(np.isfinite(record.limits).any() for record in loop.records)
     if loop.fit.noise.load and not (friction or held) and _starts_alone(loop):
         return "a load moves the measurement, and the setpoint moves once: they are not told apart"
