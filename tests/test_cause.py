@@ -8,13 +8,12 @@ import pytest
 
 from estune.cli import main
 from estune.recordings.loop_log import LoopLog
+from estune.service_records.cause.beside_loop import with_better, with_margins
 from estune.service_records.cause.judge import (
     between_limits,
     judge_cause,
     judge_signals,
     of_most,
-    with_better,
-    with_margins,
 )
 from estune.service_records.cause.loop_signals import LONGEST, JudgedSignals
 from estune.service_records.cause.sensor import frozen as sensor_frozen

@@ -20,14 +20,8 @@ from estune.loop_model.prediction import StepTrial
 from estune.recordings.loop_log import LoopLog
 from estune.service_records.actuator import may_stick
 from estune.service_records.advice import advise
-from estune.service_records.cause.judge import (
-    Cause,
-    judge_cause,
-    of_most,
-    of_others,
-    with_better,
-    with_margins,
-)
+from estune.service_records.cause.beside_loop import of_others, with_better, with_margins
+from estune.service_records.cause.judge import Cause, judge_cause, of_most
 from estune.service_records.cause.valve import Valve
 from estune.service_records.gain_sets import cut, gain_sets
 from estune.service_records.identification import (
