@@ -19,26 +19,13 @@ QUEUE_MAX = 100
 """Greatest number of events that wait for a hook; further ones are dropped, and that is logged."""
 
 _ERROR_OUTPUT_MAX = 500
-_LEVELS: dict[str, int] = {
-    EventKind.LOST: logging.WARNING,
-    EventKind.FAILED: logging.ERROR,
-    EventKind.DISK: logging.WARNING,
-    EventKind.TROUBLE: logging.ERROR,
-    EventKind.UNSAFE: logging.ERROR,
-    EventKind.DRIFTED: logging.WARNING,
-    EventKind.MARGINS: logging.WARNING,
-    EventKind.PLANT: logging.WARNING,
-    EventKind.DITHER: logging.WARNING,
-    EventKind.SUSPECT: logging.WARNING,
-    EventKind.OUTLIER: logging.WARNING,
-}
 _log = logging.getLogger("estune.daemon")
 
 
 def log_event(event: DaemonEvent) -> None:
     """Logs an event at the level of its kind; the rig and the facts stand beside the sentence."""
     _log.log(
-        _LEVELS.get(event.kind, logging.INFO),
+        EventKind(event.kind).level,
         "%s",
         event.sentence,
         extra={"rig": event.rig, "event": event.kind, "facts": event.facts or None},

@@ -28,7 +28,6 @@ from estune.daemon.supervisor_state import (
     SupervisorState,
     next_state,
 )
-from estune.daemon.told_events import KINDS, REPEATED, WITHOUT_DISK
 from estune.daemon.tuning_runs import RunDecision, TuningRuns
 from estune.errors import EstuneError, InvalidInput, JournalError
 from estune.remote.messages.daemon import (
@@ -45,6 +44,9 @@ from estune.run.session import Session
 
 EventListener = Callable[[DaemonEvent], None]
 """Callback after each committed event; must return at once."""
+
+# A rig may stay away for days: each try would run the hooks, and push other events out of store.
+_TOLD_ONCE = (SupervisorEvent.LOST, SupervisorEvent.FAILED, SupervisorEvent.TROUBLE)
 
 _log = logging.getLogger(__name__)
 
@@ -213,7 +215,7 @@ class SupervisedRig:
             except EstuneError as error:
                 _log.debug("%s", error)
                 raise Preempted from None
-            is_repeated = event in REPEATED and reason in (state.trouble, state.paused)
+            is_repeated = event in _TOLD_ONCE and reason in (state.trouble, state.paused)
             told = "" if is_repeated else sentence or reason
             self._change(event, reason, told, write, **facts)
 
@@ -344,7 +346,7 @@ class SupervisedRig:
         A full disk must not keep a rig from being made safe: such an event takes effect all the
         same, and the state is written with the next.
         """
-        before, logged, kind = self._state, None, KINDS.get(event)
+        before, logged, kind = self._state, None, event.kind
         after = next_state(before, event, reason)
         try:
             with self.store.transaction():
@@ -354,7 +356,7 @@ class SupervisedRig:
                 if kind is not None and sentence:
                     logged = self.store.add_event(kind, sentence, facts)
         except JournalError as error:
-            if event not in WITHOUT_DISK:
+            if event.needs_disk:
                 raise
             logged = self._unwritten(error, kind or EventKind.FAILED, sentence or reason, facts)
         self._state = after

@@ -12,10 +12,12 @@ is accepted. So at every instant the rig runs gains that the operator or the fil
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from enum import StrEnum
-from typing import Any
+from typing import Any, Self
 
 from estune.core.sentence_enum import SentenceEnum
+from estune.daemon.events import EventKind
 from estune.errors import EstuneError, InvalidInput
+from estune.remote.messages.daemon import DAEMON_VERBS
 from estune.support.state_table import IMPOSSIBLE, StateTable, TableRow, described
 
 
@@ -114,40 +116,53 @@ class SupervisorState:
         return SupervisorMode.PAUSED if self.paused else _MODE_OF_GOAL[self.goal]
 
 
+# A full disk must not keep a rig from being found lost, made safe or stopped. None of these events
+# makes other gains than stored ones live, or claims that any were accepted.
+_WITHOUT_DISK = "takes effect even if it cannot be written"
+
+
 class SupervisorEvent(StrEnum):
-    """Input of the state machine: the rows of the table."""
+    """Input of the state machine: the rows of the table.
+
+    Attributes:
+        kind: Its kind in the log, on the link and for hooks; None of one that is not told.
+        needs_disk: Whether it takes effect only once it is written.
+    """
+
+    kind: EventKind | None
+    needs_disk: bool
+
+    def __new__(cls, value: str, kind: EventKind | None = None, disk: str = "") -> Self:
+        """An event by its value, that of a command by its verb."""
+        member = str.__new__(cls, value)
+        member._value_ = value
+        member.kind, member.needs_disk = kind, disk != _WITHOUT_DISK
+        return member
 
     BOOT = "boot"
-    FOUND = "found"
-    INHERITED = "inherited"
-    READIED = "readied"
-    CHANGED = "changed"
-    LOST = "lost"
-    FAILED = "failed"
-    TROUBLE = "trouble"
-    UNSAFE = "unsafe"
-    SEARCHED = "searched"
-    PROPOSED = "proposed"
-    ADOPTED = "adopted"
-    KEPT = "kept"
-    DRIFTED = "drifted"
-    ENDED = "ended"
-    ACCEPT = "accept"
-    REJECT = "reject"
-    REVERT = "revert"
-    PAUSE = "pause"
-    RESUME = "resume"
-    STOP = "stop"
+    FOUND = "found", EventKind.FOUND, _WITHOUT_DISK
+    INHERITED = "inherited", EventKind.GAINS
+    READIED = "readied", None, _WITHOUT_DISK
+    CHANGED = "changed", EventKind.GAINS
+    LOST = "lost", EventKind.LOST, _WITHOUT_DISK
+    FAILED = "failed", EventKind.FAILED, _WITHOUT_DISK
+    TROUBLE = "trouble", EventKind.TROUBLE, _WITHOUT_DISK
+    UNSAFE = "unsafe", EventKind.UNSAFE, _WITHOUT_DISK
+    SEARCHED = "searched", EventKind.CONFIRMING
+    PROPOSED = "proposed", EventKind.BETTER
+    ADOPTED = "adopted", EventKind.BETTER
+    KEPT = "kept", EventKind.KEPT
+    DRIFTED = "drifted", EventKind.DRIFTED
+    ENDED = "ended", EventKind.STOPPED, _WITHOUT_DISK
+    ACCEPT = "accept", EventKind.COMMAND
+    REJECT = "reject", EventKind.COMMAND, _WITHOUT_DISK
+    REVERT = "revert", EventKind.COMMAND, _WITHOUT_DISK
+    PAUSE = "pause", EventKind.PAUSED, _WITHOUT_DISK
+    RESUME = "resume", EventKind.RESUMED
+    STOP = "stop", EventKind.STOPPING, _WITHOUT_DISK
 
 
-COMMANDS = (
-    SupervisorEvent.ACCEPT,
-    SupervisorEvent.REJECT,
-    SupervisorEvent.REVERT,
-    SupervisorEvent.PAUSE,
-    SupervisorEvent.RESUME,
-    SupervisorEvent.STOP,
-)
+COMMANDS = tuple(map(SupervisorEvent, DAEMON_VERBS))
 """Events that are verbs of the operator."""
 
 
@@ -173,11 +188,10 @@ def next_state(
 
 
 _Transition = Callable[[SupervisorState, str], SupervisorState]
+_Row = TableRow[SupervisorMode, _Transition]
 
 
 def _set(sentence: str, **changes: Any) -> _Transition:
-    """Transition that replaces these fields."""
-
     @described(sentence)
     def change(state: SupervisorState, _: str) -> SupervisorState:
         return replace(state, **changes)
@@ -279,86 +293,82 @@ def _end(state: SupervisorState, reason: str) -> SupervisorState:
 
 
 _STAY = _set("Change nothing.")
-_HOLD = _set("Hold the candidate until it is accepted or rejected.", goal=Goal.HOLD)
-_WATCH = _set("Keep the nominal gains, and watch them.", goal=Goal.WATCH)
-_TUNE = _set("Tune again.", goal=Goal.TUNE)
 _NO_CANDIDATE = "there are no candidate gains to decide on"
 _NOT_PAUSED = "it is not paused"
+_BEING_STOPPED = "it is being stopped"
+_HAS_ENDED = "it has ended; start the daemon again"
 
-_STOPPING = (SupervisorMode.STOPPING,)
+_STOPPING, _STOPPED = (SupervisorMode.STOPPING,), (SupervisorMode.STOPPED,)
+_TUNING, _CONFIRMING = (SupervisorMode.TUNING,), (SupervisorMode.CONFIRMING,)
+_READYING, _WATCHING = (SupervisorMode.READYING,), (SupervisorMode.WATCHING,)
 _ABSENT = (SupervisorMode.WAITING, SupervisorMode.RETRYING)
 _ACTIVE = tuple(_MODE_OF_GOAL.values())
-_RUNNING = (*_ABSENT, SupervisorMode.READYING, *_ACTIVE, SupervisorMode.PAUSED)
+_RUNNING = (*_ABSENT, *_READYING, *_ACTIVE, SupervisorMode.PAUSED)
 
 
-_RowOf = TableRow[SupervisorMode, _Transition]
-
-
-def _row(*cells: tuple[tuple[SupervisorMode, ...], _Transition]) -> _RowOf:
-    return TableRow(IMPOSSIBLE, *((cell, modes) for modes, cell in cells))
-
-
-def _command(
-    *cells: tuple[tuple[SupervisorMode, ...], _Transition | str],
-    stopping: _Transition | str = "it is being stopped",
-) -> _RowOf:
-    others = ((cell, modes) for modes, cell in (*cells, (_STOPPING, stopping)))
-    return TableRow("it has ended; start the daemon again", *others)
+def _command(running: _Transition, stopping: _Transition | str = _BEING_STOPPED) -> _Row:
+    return TableRow(_HAS_ENDED, (running, _RUNNING), (stopping, _STOPPING))
 
 
 TABLE: StateTable[SupervisorEvent, SupervisorMode, _Transition] = StateTable(
     SupervisorMode,
     {
-        SupervisorEvent.BOOT: _row((tuple(SupervisorMode), _boot)),
-        SupervisorEvent.FOUND: _row(
-            ((*_ABSENT, *_STOPPING), _set("Check the rig's gains.", link=RigLink.FOUND))
+        SupervisorEvent.BOOT: TableRow(_boot),
+        SupervisorEvent.FOUND: TableRow(
+            IMPOSSIBLE,
+            (_set("Check the rig's gains.", link=RigLink.FOUND), (*_ABSENT, *_STOPPING)),
         ),
         # Another daemon had the rig before, and left it other gains.
-        SupervisorEvent.INHERITED: _row(((SupervisorMode.READYING,), _inherit)),
-        SupervisorEvent.READIED: _row(
+        SupervisorEvent.INHERITED: TableRow(IMPOSSIBLE, (_inherit, _READYING)),
+        SupervisorEvent.READIED: TableRow(
+            IMPOSSIBLE,
             (
-                (SupervisorMode.READYING,),
                 _set("Go on with the goal.", link=RigLink.READY, failures=0, trouble=""),
-            )
+                _READYING,
+            ),
         ),
         # The rig runs other gains than the nominal ones: restarted, or changed by others.
-        SupervisorEvent.CHANGED: _row((_ACTIVE, _check_gains)),
-        SupervisorEvent.LOST: _row(((*_RUNNING, *_STOPPING), _failure(RigLink.AWAY))),
-        SupervisorEvent.FAILED: _row(((*_RUNNING, *_STOPPING), _failure(RigLink.FAILED))),
+        SupervisorEvent.CHANGED: TableRow(IMPOSSIBLE, (_check_gains, _ACTIVE)),
+        SupervisorEvent.LOST: TableRow(_failure(RigLink.AWAY), (IMPOSSIBLE, _STOPPED)),
+        SupervisorEvent.FAILED: TableRow(_failure(RigLink.FAILED), (IMPOSSIBLE, _STOPPED)),
         # Operator action is required. The rig keeps the nominal gains.
-        SupervisorEvent.TROUBLE: _row((_RUNNING, _pause), (_STOPPING, _STAY)),
+        SupervisorEvent.TROUBLE: TableRow(IMPOSSIBLE, (_pause, _RUNNING), (_STAY, _STOPPING)),
         # The nominal gains are no longer safe: the original ones are the best alternative.
-        SupervisorEvent.UNSAFE: _row(
-            ((SupervisorMode.TUNING, SupervisorMode.CONFIRMING, SupervisorMode.WATCHING), _revert),
+        SupervisorEvent.UNSAFE: TableRow(
+            IMPOSSIBLE, (_revert, (*_TUNING, *_CONFIRMING, *_WATCHING))
         ),
-        SupervisorEvent.SEARCHED: _row(
-            ((SupervisorMode.TUNING,), _set("Confirm the best gains.", goal=Goal.CONFIRM)),
-            ((SupervisorMode.CONFIRMING,), _STAY),
+        SupervisorEvent.SEARCHED: TableRow(
+            IMPOSSIBLE,
+            (_set("Confirm the best gains.", goal=Goal.CONFIRM), _TUNING),
+            (_STAY, _CONFIRMING),
         ),
-        SupervisorEvent.PROPOSED: _row(
+        SupervisorEvent.PROPOSED: TableRow(
+            IMPOSSIBLE,
             (
-                (SupervisorMode.CONFIRMING,),
-                _HOLD,
-            )
+                _set("Hold the candidate until it is accepted or rejected.", goal=Goal.HOLD),
+                _CONFIRMING,
+            ),
         ),
-        SupervisorEvent.ADOPTED: _row(((SupervisorMode.CONFIRMING,), _adopt)),
-        SupervisorEvent.KEPT: _row(
-            (
-                (SupervisorMode.CONFIRMING,),
-                _WATCH,
-            )
+        SupervisorEvent.ADOPTED: TableRow(IMPOSSIBLE, (_adopt, _CONFIRMING)),
+        SupervisorEvent.KEPT: TableRow(
+            IMPOSSIBLE,
+            (_set("Keep the nominal gains, and watch them.", goal=Goal.WATCH), _CONFIRMING),
         ),
-        SupervisorEvent.DRIFTED: _row(((SupervisorMode.WATCHING,), _TUNE)),
-        SupervisorEvent.ENDED: _row((_STOPPING, _end)),
-        SupervisorEvent.ACCEPT: _command((_RUNNING, _accept)),
-        SupervisorEvent.REJECT: _command((_RUNNING, _reject)),
-        SupervisorEvent.REVERT: _command((_RUNNING, _revert)),
-        SupervisorEvent.PAUSE: _command((_RUNNING, _pause_once)),
-        SupervisorEvent.RESUME: _command(
-            (_ABSENT, _resume),
-            ((SupervisorMode.READYING, SupervisorMode.PAUSED), _resume_if_paused),
-            (_ACTIVE, _NOT_PAUSED),
+        SupervisorEvent.DRIFTED: TableRow(
+            IMPOSSIBLE, (_set("Tune again.", goal=Goal.TUNE), _WATCHING)
         ),
-        SupervisorEvent.STOP: _command((_RUNNING, _stop), stopping=_STAY),
+        SupervisorEvent.ENDED: TableRow(IMPOSSIBLE, (_end, _STOPPING)),
+        SupervisorEvent.ACCEPT: _command(_accept),
+        SupervisorEvent.REJECT: _command(_reject),
+        SupervisorEvent.REVERT: _command(_revert),
+        SupervisorEvent.PAUSE: _command(_pause_once),
+        SupervisorEvent.RESUME: TableRow(
+            _HAS_ENDED,
+            (_resume, _ABSENT),
+            (_resume_if_paused, (*_READYING, SupervisorMode.PAUSED)),
+            (_NOT_PAUSED, _ACTIVE),
+            (_BEING_STOPPED, _STOPPING),
+        ),
+        SupervisorEvent.STOP: _command(_stop, stopping=_STAY),
     },
 )
