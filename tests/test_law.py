@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from estune.core.comparison import interval_factor
 from estune.core.gains import GAIN_NAMES, Gains
 from estune.errors import InvalidInput
 from estune.studies.law.law import fit_law
-from estune.studies.law.robust_regression import fit_weighted, interval_factor
+from estune.studies.law.robust_regression import fit_weighted
 from estune.studies.law.tuned import TunedGains
 
 LENGTHS = (0.5, 0.65, 0.8, 0.95, 1.1, 1.25, 1.4)
@@ -69,7 +70,7 @@ def test_slope_interval_has_its_nominal_coverage(told, repeats):
         own = rng.uniform(0.3, 1.5, length.size)
         gain = 52.0 - 18.5 * length + np.hypot(own, 0.7) * rng.normal(size=length.size)
         fit = fit_weighted(design, gain, own if told else np.zeros_like(own))
-        width = interval_factor(0.95, fit.degrees) * math.sqrt(fit.covariance[1, 1])
+        width = interval_factor(fit.degrees) * math.sqrt(fit.covariance[1, 1])
         hits += abs(fit.coefficients[1] + 18.5) <= width
     # Fewer hits of 95 % intervals have a probability below 0.001.
     assert hits >= stats.binom.ppf(0.001, n, 0.95)
@@ -90,7 +91,7 @@ def test_slope_interval_for_equal_errors_is_the_textbook_one():
     reference = stats.linregress(x, y)
     assert fit.coefficients[1] == pytest.approx(reference.slope, abs=reference.stderr)
     assert math.sqrt(fit.covariance[1, 1]) == pytest.approx(reference.stderr, rel=0.2)
-    assert interval_factor(0.95, fit.degrees) == pytest.approx(stats.t.ppf(0.975, 19))
+    assert interval_factor(fit.degrees) == pytest.approx(stats.t.ppf(0.975, 19))
 
 
 def test_tuning_with_large_errors_has_small_weight():

@@ -40,8 +40,10 @@ BOUNDED = [
     for table, group in {**TABLES, SearchTable: LIMITS}.items()
     for member in group.members
     if member.kind in (int, float)
-    for bounds in [member.setting.bounds]
-    for wrong in (bounds.above, bounds.below, _below(bounds.least), float("nan"))
+    for wrong in (
+        *(member.setting.above, member.setting.below),
+        *(_below(member.setting.least), float("nan")),
+    )
     if wrong is not None
 ]
 

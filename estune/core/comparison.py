@@ -47,6 +47,19 @@ class Change:
         )
 
 
+def interval_factor(degrees: float, level: float = 0.95) -> float:
+    """Student's t: half the width of a confidence interval, in standard errors.
+
+    Raises:
+        InvalidInput: the level does not lie between 0 and 1.
+    """
+    if not 0.0 < level < 1.0:
+        raise InvalidInput(f"confidence level is {level}; it must lie between 0 and 1")
+    from scipy.special import stdtrit  # noqa: PLC0415  slow to import
+
+    return float(stdtrit(degrees, 0.5 * (1.0 + level)))
+
+
 def compare_costs(
     before: Sequence[float], after: Sequence[float], confidence: float = 0.95
 ) -> Change:
@@ -74,8 +87,6 @@ def compare_costs(
         raise InvalidInput(
             "a cost is not above zero, or not finite; only safe repeats can be compared"
         )
-    from scipy.special import stdtrit  # noqa: PLC0415  slow to import
-
     old, new = ([math.log(cost) for cost in costs] for costs in (before, after))
     shares = [variance(logs) / len(logs) for logs in (old, new)]
     difference, error = fmean(new) - fmean(old), math.sqrt(sum(shares))
@@ -84,7 +95,7 @@ def compare_costs(
         return Change(change, change, change, confidence)
     per_share = zip(shares, (old, new), strict=True)
     freedom = sum(shares) ** 2 / sum(share**2 / (len(logs) - 1) for share, logs in per_share)
-    half_width = float(stdtrit(freedom, 0.5 * (1.0 + confidence))) * error
+    half_width = interval_factor(freedom, confidence) * error
     ends = (difference, difference - half_width, difference + half_width)
     estimate, low, high = map(math.expm1, ends)
     return Change(estimate, low, high, confidence)

@@ -15,7 +15,7 @@ import inspect
 import math
 import textwrap
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import MISSING, dataclass, fields, is_dataclass
+from dataclasses import KW_ONLY, MISSING, dataclass, fields, is_dataclass
 from functools import wraps
 from types import NoneType, UnionType
 from typing import (
@@ -42,7 +42,7 @@ _P = ParamSpec("_P")
 _LINE = 92
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Bounds:
     """Range of a number; None is no bound.
 
@@ -82,7 +82,8 @@ class Bounds:
         )
 
 
-class Setting:
+@dataclass(frozen=True, slots=True)
+class Setting(Bounds):
     """Meaning, unit and range of a field, for `Annotated`.
 
     Attributes:
@@ -96,33 +97,14 @@ class Setting:
         bare_most: Largest share that may be written without a per cent sign; None is any.
     """
 
-    __slots__ = ("bare_most", "bounds", "help", "none", "otherwise", "share", "unit", "younger")
-
-    def __init__(
-        self,
-        help: str,  # noqa: A002  as in argparse
-        unit: str = "",
-        *,
-        otherwise: str = "",
-        share: bool = False,
-        none: str = "",
-        bare_most: float | None = None,
-        younger: bool = False,
-        above: float | None = None,
-        least: float | None = None,
-        below: float | None = None,
-        most: float | None = None,
-        not_zero: bool = False,
-        infinite: bool = False,
-    ) -> None:
-        self.help = help
-        self.unit = unit
-        self.otherwise = otherwise
-        self.share = share
-        self.none = none
-        self.bare_most = bare_most
-        self.younger = younger
-        self.bounds = Bounds(above, least, below, most, not_zero, infinite)
+    help: str
+    unit: str = ""
+    _: KW_ONLY
+    otherwise: str = ""
+    younger: bool = False
+    share: bool = False
+    none: str = ""
+    bare_most: float | None = None
 
 
 class Declared(NamedTuple):
@@ -150,7 +132,7 @@ class Declared(NamedTuple):
         first, semicolon, rest = self.setting.help.partition(";")
         unit = self.setting.unit and f", {self.setting.unit}"
         text = f"{first}{unit}{semicolon}{rest}"
-        return "; ".join(filter(None, (text, self.setting.bounds.text)))
+        return "; ".join(filter(None, (text, self.setting.text)))
 
     @property
     def full_meaning(self) -> str:
@@ -187,29 +169,27 @@ class Declared(NamedTuple):
             return ""
         if not isinstance(value, SupportsFloat):
             return f"{self.name} is {value!r}; it must be a number{unit and ' of'}{unit}"
-        if self.setting.bounds.hold(float(value)):
+        if self.setting.hold(float(value)):
             return ""
-        bounds = self.setting.bounds
-        must = " and ".join(
-            filter(None, ("a number" if bounds.infinite else "finite", bounds.text))
-        )
+        kind = "a number" if self.setting.infinite else "finite"
+        must = " and ".join(filter(None, (kind, self.setting.text)))
         return f"{self.name} is {value}{unit}; it must be {must}"
 
     def to_json(self) -> dict[str, Any]:
         """The declaration as JSON values, for a form."""
-        bounds = self.setting.bounds
-        ranged = {name: getattr(bounds, name) for name in ("above", "least", "below", "most")}
+        setting = self.setting
+        ranged = {name: getattr(setting, name) for name in ("above", "least", "below", "most")}
         return {
             "name": self.name,
             "type": "choice" if self.choices else getattr(self.kind, "__name__", "text"),
             "choices": list(self.choices),
-            "unit": self.setting.unit,
-            "help": self.setting.help,
+            "unit": setting.unit,
+            "help": setting.help,
             "default": None if self.default is MISSING else self.default,
             "otherwise": self.default_text,
-            "share": self.setting.share,
-            "none": self.setting.none,
-            "not_zero": bounds.not_zero,
+            "share": setting.share,
+            "none": setting.none,
+            "not_zero": setting.not_zero,
             **ranged,
         }
 

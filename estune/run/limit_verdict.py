@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from estune.core.comparison import interval_factor
 from estune.core.gains import Gains
 from estune.loop_model.claim import Claim
 from estune.loop_model.intervals import Interval
@@ -97,9 +98,7 @@ def measured_overshoot(
     values, count = peaks[known], int(known.sum())
     mean, quantile = float(values.mean()), NORMAL_QUANTILE
     if count >= FEWEST_REPEATS:
-        from scipy.special import stdtrit  # noqa: PLC0415  slow to import
-
-        spread, quantile = float(values.std(ddof=1)), float(stdtrit(count - 1, 0.975))
+        spread, quantile = float(values.std(ddof=1)), interval_factor(count - 1)
     else:
         moves = [np.diff(r.tension_N) for r, is_known in zip(own, known, strict=True) if is_known]
         # By the median: the response itself moves in less than half of the samples.

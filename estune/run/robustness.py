@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from estune.core.comparison import Change
+from estune.core.comparison import Change, interval_factor
 from estune.core.gains import Gains
 from estune.core.metrics import BAND, NOISE_SIGMAS, steady_samples
 from estune.core.quantities import FloatArray
@@ -351,10 +351,8 @@ def _end_error(responses: FloatArray, final: float) -> tuple[float, float]:
     count = tail.shape[0]
     explained = NOISE_SIGMAS * _white_noise(tail) / math.sqrt(tail.size)
     if count > 1:
-        from scipy.special import stdtrit  # noqa: PLC0415  slow to import
-
         spread = float(np.std(tail.mean(axis=1), ddof=1)) / math.sqrt(count)
-        explained = max(explained, float(stdtrit(count - 1, 0.975)) * spread)
+        explained = max(explained, interval_factor(count - 1) * spread)
     return float(tail.mean()) - final, explained
 
 

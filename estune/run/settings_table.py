@@ -63,17 +63,17 @@ def given_settings(table: TomlTable, kind: type) -> dict[str, Any]:
 
 def _checked(member: Declared) -> Any:
     """Type of a key, with the range of its values."""
-    bounds, kind = member.setting.bounds, member.kind
+    setting, kind = member.setting, member.kind
     if kind in (float, int):
         kind = Annotated[
-            kind, Field(gt=bounds.above, ge=bounds.least, lt=bounds.below, le=bounds.most)
+            kind, Field(gt=setting.above, ge=setting.least, lt=setting.below, le=setting.most)
         ]
-        if bounds.not_zero:
+        if setting.not_zero:
             kind = Annotated[kind, AfterValidator(_not_zero)]
-    if member.setting.share:
-        from_share = partial(_share, bare_most=member.setting.bare_most)
+    if setting.share:
+        from_share = partial(_share, bare_most=setting.bare_most)
         kind = Annotated[kind, BeforeValidator(from_share)]
-    return kind | Literal["none"] if member.setting.none else kind
+    return kind | Literal["none"] if setting.none else kind
 
 
 def _share(value: Any, *, bare_most: float | None) -> Any:

@@ -183,7 +183,8 @@ def _value(member: Declared, text: str) -> Any:
     setting = member.setting
     if (text == "none" and setting.none) or member.choices or member.kind is str:
         return text
-    bounds, kind = setting.bounds, int if member.kind is int else float
+    bounds: Bounds = setting
+    kind = int if member.kind is int else float
     if setting.share:
         names = ("above", "least", "below", "most")
         ends = {name: getattr(bounds, name) for name in names}

@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from estune.core.comparison import interval_factor
 from estune.core.quantities import FloatArray
 from estune.core.schedule import GainCurve
 from estune.reel.calibration.regression import LackOfFit
@@ -17,12 +18,9 @@ from estune.studies.law.model_selection import (
     cross_validate,
     select_form,
 )
-from estune.studies.law.robust_regression import WeightedFit, interval_factor
+from estune.studies.law.robust_regression import WeightedFit
 from estune.studies.law.tuned import TunedColumns
 from estune.support.lazy_sequence import LazySequence
-
-CONFIDENCE = 0.95
-"""Level of the intervals in sentences and figures."""
 
 _OUTLIER = 0.1
 """Robust weight below which a tuning is reported as an outlier: 5 standard deviations."""
@@ -153,7 +151,7 @@ def _points(
 
 def _slope(fit: WeightedFit, column: int) -> Slope:
     error = float(np.sqrt(fit.covariance[column, column]))
-    return Slope(float(fit.coefficients[column]), interval_factor(CONFIDENCE, fit.degrees) * error)
+    return Slope(float(fit.coefficients[column]), interval_factor(fit.degrees) * error)
 
 
 def _explained(gain: FloatArray, fit: WeightedFit) -> float:

@@ -17,13 +17,13 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
+from estune.core.comparison import interval_factor
 from estune.core.gains import GAIN_NAMES, GAIN_UNITS
 from estune.core.quantities import BoolArray, FloatArray
 from estune.core.schedule import GainSchedule
 from estune.errors import InvalidInput
-from estune.studies.law.gain_fit import CONFIDENCE, GainFit, fit_gain
+from estune.studies.law.gain_fit import GainFit, fit_gain
 from estune.studies.law.model_selection import parse_form
-from estune.studies.law.robust_regression import interval_factor
 from estune.studies.law.tuned import TunedGains, tuned_columns
 from estune.support.lazy_sequence import LazySequence
 from estune.trial.signals import REEL, Signals
@@ -95,7 +95,7 @@ class GainLaw:
         length_m: ArrayLike,
         tension_N: float | None = None,
         *,
-        level: float = CONFIDENCE,
+        level: float = 0.95,
         extrapolate: bool = False,
     ) -> GainBand:
         """One gain over lengths, with its confidence and prediction bands.
@@ -130,7 +130,7 @@ class GainLaw:
         rows = form.design(length, tension)
         variance = np.einsum("...i,ij,...j", rows, fit.covariance, rows)
         new = variance + float(np.median(fit.deviations)) ** 2
-        t, value = interval_factor(level, fit.degrees), rows @ fit.coefficients
+        t, value = interval_factor(fit.degrees, level), rows @ fit.coefficients
         width, new_width = t * np.sqrt(variance), t * np.sqrt(new)
         return GainBand(
             value, value - width, value + width, value - new_width, value + new_width, outside

@@ -124,19 +124,6 @@ def fit_weighted(design: FloatArray, response: FloatArray, own_errors: FloatArra
     )
 
 
-def interval_factor(level: float, degrees: int) -> float:
-    """Student's t: half the width of a confidence interval, in standard errors.
-
-    Raises:
-        InvalidInput: the level does not lie between 0 and 1.
-    """
-    if not 0.0 < level < 1.0:
-        raise InvalidInput(f"confidence level is {level}; it must lie between 0 and 1")
-    from scipy.special import stdtrit  # noqa: PLC0415  slow to load
-
-    return float(stdtrit(degrees, 0.5 + 0.5 * level))
-
-
 def _solve(
     design: FloatArray, response: FloatArray, weights: FloatArray
 ) -> tuple[FloatArray, FloatArray]:

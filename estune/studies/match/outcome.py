@@ -8,6 +8,7 @@ from pathlib import Path
 from statistics import fmean, stdev
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from estune.core.comparison import interval_factor
 from estune.core.cost import StepCost
 from estune.core.gains import GAIN_NAMES, Gains
 from estune.studies.table import NOTHING, StudyRow, StudyTable
@@ -17,8 +18,6 @@ from estune.trial.signals import REEL, Signals
 
 if TYPE_CHECKING:
     import pandas as pd
-
-CONFIDENCE = 0.95
 
 
 class CostEstimate(NamedTuple):
@@ -56,9 +55,7 @@ def estimate_cost(costs: Sequence[float]) -> CostEstimate:
     mean = fmean(logs)
     if n < 2:
         return CostEstimate(math.exp(mean), 0.0, math.inf, n)
-    from scipy.special import stdtrit  # noqa: PLC0415  slow to import
-
-    half = float(stdtrit(n - 1, 0.5 + 0.5 * CONFIDENCE)) * stdev(logs) / math.sqrt(n)
+    half = interval_factor(n - 1) * stdev(logs) / math.sqrt(n)
     return CostEstimate(math.exp(mean), math.exp(mean - half), math.exp(mean + half), n)
 
 

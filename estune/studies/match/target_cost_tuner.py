@@ -20,6 +20,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from estune.core.comparison import interval_factor
 from estune.core.gains import Gains
 from estune.errors import InvalidInput
 from estune.tuners.interface import ConvergenceEstimate, CostPrediction
@@ -147,7 +148,7 @@ class TargetCostTuner:
         if fit is None or not self._bracketed(state):
             return None
         error = math.sqrt(fit.variance)
-        bound = _quantile(fit.degrees) * error
+        bound = interval_factor(fit.degrees) * error
         sides = bound / max(abs(fit.b), 1e-9)
         interval = self._point(u + sides)[0], self._point(u - sides)[0]
         return ConvergenceEstimate(fit.noise, bound, error, (interval,))
@@ -159,7 +160,7 @@ class TargetCostTuner:
         fit = _fit(state.distances, state.logs, u)
         if fit is None:
             return CostPrediction(math.nan, 0.0, math.inf, explored)
-        half = _quantile(fit.degrees) * math.sqrt(fit.variance)
+        half = interval_factor(fit.degrees) * math.sqrt(fit.variance)
         ends = math.exp(fit.a - half), math.exp(fit.a + half) if half < 1e2 else math.inf
         return CostPrediction(math.exp(fit.a), *ends, explored)
 
@@ -202,12 +203,6 @@ class TargetCostTuner:
     def _length(self) -> float:
         (low,), (high,) = self.space.coordinate_bounds
         return high - low
-
-
-def _quantile(degrees: float) -> float:
-    from scipy.special import stdtrit  # noqa: PLC0415  slow to import
-
-    return float(stdtrit(degrees, 0.975))
 
 
 def _crossing(fit: _Fit, log_target: float) -> float:
