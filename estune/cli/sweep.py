@@ -13,11 +13,12 @@ from estune.cli.values import Flag, check_folder_exists, command_line
 from estune.errors import EstuneError, InvalidInput
 from estune.run.loop import Stopped
 from estune.run.progress import duration
+from estune.studies.law.law import LISTED_MAX
 from estune.studies.law.tuned import CELLS
 from estune.studies.sweep import sweep as sweeping
 from estune.studies.sweep.cells import Cell, expand_cells
 from estune.studies.sweep.design import read_design
-from estune.studies.sweep.exclusions import LISTED_MAX, exclusion_sentences
+from estune.studies.sweep.exclusions import exclusion_sentences
 from estune.studies.sweep.result import SweepResult
 from estune.support.whole_file import write_file
 

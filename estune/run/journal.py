@@ -97,6 +97,21 @@ class CompletedTrial(NamedTuple):
     reason: str = ""
 
 
+class StoredSnapshot(NamedTuple):
+    """A snapshot of the session after so many trials.
+
+    Attributes:
+        version: `code_version` of the program that wrote it.
+        digest: Of the trials.
+        state: The session, pickled without its plan.
+    """
+
+    trials: int
+    version: str
+    digest: str
+    state: bytes
+
+
 RECORDS_LEAST = 1000
 """Fewest records that a run may keep; a resumed run may read as many."""
 
@@ -268,18 +283,16 @@ class Journal(Closing):
         )
         return [trial_id for (trial_id,) in rows]
 
-    def snapshot(self) -> tuple[int, str, str, bytes] | None:
+    def snapshot(self) -> StoredSnapshot | None:
         """The latest snapshot of the session; see `estune.run.snapshot`."""
         rows = self._file.rows("SELECT trials, version, digest, state FROM snapshot")
-        return rows[0] if rows else None
+        return StoredSnapshot(*rows[0]) if rows else None
 
-    def write_snapshot(self, trials: int, version: str, digest: str, state: bytes) -> None:
+    def write_snapshot(self, snapshot: StoredSnapshot) -> None:
         """Commits a snapshot in place of the earlier one."""
         with self._file.transaction():
             self._file.write("DELETE FROM snapshot")
-            self._file.write(
-                "INSERT INTO snapshot VALUES (?, ?, ?, ?)", trials, version, digest, state
-            )
+            self._file.write("INSERT INTO snapshot VALUES (?, ?, ?, ?)", *snapshot)
 
     def size_bytes(self) -> int:
         """Size of the file, without what SQLite has yet to move into it."""

@@ -14,9 +14,9 @@ from enum import Enum
 from functools import cache
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
-from estune.run.journal import Journal, JournalEntry
+from estune.run.journal import Journal, JournalEntry, StoredSnapshot
 from estune.run.plan import Plan
 from estune.run.session import Session
 
@@ -45,49 +45,34 @@ _ARRAYS = {
 """Functions by which pickle makes arrays of numbers."""
 
 
-class StoredSnapshot(NamedTuple):
-    """A snapshot as it is stored.
-
-    Attributes:
-        version: `code_version` of the program that wrote it.
-        state: The session, pickled without its plan.
-    """
-
-    trials: int
-    version: str
-    digest: str
-    state: bytes
-
-
 def write_if_due(journal: Journal, session: Session, entries: Sequence[JournalEntry]) -> None:
     """Stores a snapshot of the session after these trials, if their number is a multiple."""
     if not entries or len(entries) % INTERVAL:
         return
-    earlier = journal.snapshot()
-    known = StoredSnapshot(*earlier) if earlier else StoredSnapshot(0, "", "", b"")
-    if known.trials >= len(entries) or known.version != code_version():
-        known = StoredSnapshot(0, "", "", b"")
-    digest = _digest(entries[known.trials :], known.digest)
+    known = journal.snapshot()
+    if known is None or known.trials >= len(entries) or known.version != code_version():
+        digest = _digest(entries, "")
+    else:
+        digest = _digest(entries[known.trials :], known.digest)
     output = io.BytesIO()
     try:
         _Pickler(output, session.plan).dump(session)
         _Unpickler(io.BytesIO(output.getvalue()), session.plan).load()
     except (pickle.PickleError, TypeError, AttributeError):
         return  # a tuner of the user's own, whose state cannot be stored: its runs are replayed
-    journal.write_snapshot(
-        *StoredSnapshot(len(entries), code_version(), digest, output.getvalue())
-    )
+    state = output.getvalue()
+    journal.write_snapshot(StoredSnapshot(len(entries), code_version(), digest, state))
 
 
 def read(
     journal: Journal, plan: Plan, entries: Sequence[JournalEntry]
 ) -> tuple[int, Session | None]:
     """The latest session of a snapshot, and the number of trials before it; (0, None) if none."""
-    stored = journal.snapshot()
-    if stored is None:
+    snapshot = journal.snapshot()
+    if snapshot is None:
         return 0, None
-    snapshot = StoredSnapshot(*stored)
     unusable = snapshot.version != code_version() or snapshot.trials > len(entries)
+    # The trials of a journal that was changed are replayed, which finds the one that differs.
     if unusable or snapshot.digest != _digest(entries[: snapshot.trials], ""):
         return 0, None
     try:

@@ -47,16 +47,12 @@ def check_sampling(cost: StepCost, sampling_Hz: float) -> None:
         )
 
 
-def noise_share(record: TrialRecord, plan: Plan, rig: RigDescription, cost: float) -> float:
-    """Share of the noise's own moves of the effort in the cost of a trial; zero if unknown."""
-    return _shares(record, plan, rig, cost)[1]
-
-
 def _shares(
     record: TrialRecord, plan: Plan, rig: RigDescription, cost: float
 ) -> tuple[float, float]:
     """Shares in the cost of all moves of the effort as before the step, and of the noise's alone.
 
+    Zero where they are not known.
     The noise's are what the mean over seven moves leaves: the drift of a loop that is not at rest
     yet was called noise, 18 % of the cost of a trial without any.
     """
@@ -116,7 +112,7 @@ def quality_remarks(
         fit: The identified loop, or None.
     """
     remarks = []
-    share = 0.0 if first is None else noise_share(first, plan, rig, cost)
+    share = 0.0 if first is None else _shares(first, plan, rig, cost)[1]
     if share > NOISE_SHARE_HIGH:
         remarks.append(
             f"noise makes up {share:.0%} of the cost of the initial gains: a larger step gives "

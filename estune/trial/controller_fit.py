@@ -8,12 +8,12 @@ from typing import get_args, get_type_hints
 
 import numpy as np
 
-from estune.core.controller_equation import unlimited_effort
 from estune.core.controller_form import OWN_FORM, ControllerForm
 from estune.core.pidf import ControllerSettings
 from estune.core.quantities import FloatArray
 from estune.errors import InvalidInput
 from estune.trial.description import RigDescription
+from estune.trial.loop_records import recomputed_effort
 from estune.trial.outcome import Outcome
 from estune.trial.records import SATURATED, TrialRecord
 
@@ -63,14 +63,7 @@ def _residual(
     Without the samples in which the filter still knows what was before the record.
     """
     try:
-        effort = unlimited_effort(
-            rig.controller,
-            record.gains,
-            record.setpoint_N,
-            record.tension_N,
-            first_effort=0.0,
-            form=form,
-        )
+        effort = recomputed_effort(record, rig, 0.0, form)
     except InvalidInput:
         return math.inf
     known = known_samples(rig.controller, logged.size)

@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from estune.core.controller_equation import unlimited_effort
+from estune.core.controller_form import ControllerForm
 from estune.core.quantities import FloatArray
 from estune.loop_model.records import LoopRecord
 from estune.trial.description import RigDescription
@@ -61,13 +62,19 @@ def loop_signals(record: TrialRecord, step: StepProfile, rig: RigDescription) ->
     return LoopSignals(LoopRecord(*columns, record.gains, at_rest=True))
 
 
-def recomputed_effort(record: TrialRecord, rig: RigDescription, first_effort: float) -> FloatArray:
+def recomputed_effort(
+    record: TrialRecord,
+    rig: RigDescription,
+    first_effort: float,
+    form: ControllerForm | None = None,
+) -> FloatArray:
     """The controller's effort for the record's setpoint and measurement, shape (samples,).
 
     Args:
         record: A trial in which no limit acted.
         rig: Gives the fixed part of the controller.
         first_effort: Effort of the first sample.
+        form: Of the controller; the rig's own by default.
     """
     return unlimited_effort(
         rig.controller,
@@ -75,6 +82,7 @@ def recomputed_effort(record: TrialRecord, rig: RigDescription, first_effort: fl
         record.setpoint_N,
         record.tension_N,
         first_effort=first_effort,
+        form=form,
     )
 
 

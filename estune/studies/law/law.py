@@ -29,7 +29,7 @@ from estune.support.lazy_sequence import LazySequence
 from estune.trial.signals import REEL, Signals
 
 _NAMES = {"setpoint_filter_s": "the setpoint filter"}
-_LISTED_MAX = 10
+LISTED_MAX = 10
 """Excluded tunings that are named one by one; more of them are only counted."""
 
 _LACK_OF_FIT_P = 0.05
@@ -75,7 +75,7 @@ class GainLaw:
     def remarks(self) -> tuple[str, ...]:
         """Warnings: excluded tunings, outliers, and forms that do not fit."""
         remarks = [f"left out: {label}, {reason}" for label, reason in self.excluded]
-        if len(remarks) > _LISTED_MAX:
+        if len(remarks) > LISTED_MAX:
             counts = Counter(reason for _, reason in self.excluded)
             remarks = [f"left out: {count} tunings, {reason}" for reason, count in counts.items()]
         for fit in self.fits.values():

@@ -9,9 +9,6 @@ from estune.studies.sweep.outcome import CONVERGED_BELOW, CellOutcome
 from estune.support.lazy_sequence import LazySequence
 from estune.tuners import DEFAULT_TUNER
 
-LISTED_MAX = 10
-"""Excluded tunings that are named one by one; more of them are only counted."""
-
 _MESSAGES_MAX = 3
 """Different reasons of failure that are quoted."""
 

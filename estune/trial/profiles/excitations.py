@@ -58,13 +58,10 @@ class TriangleProfile(SymmetricExcitation):
                 f"triangle profile: shrink is {self.shrink}; it must be above zero, at most 1"
             )
 
-    def setpoint(self, sampling_Hz: float) -> FloatArray:
-        """The setpoint at each sample, shape (samples,)."""
-        s = self._since_start(sampling_Hz)
+    def _deviation(self, s: FloatArray, sampling_Hz: float) -> FloatArray:  # noqa: ARG002
         p = np.maximum(s, 0.0) / self.period_s
         triangle = 1.0 - np.abs(4.0 * np.mod(p + 0.25, 1.0) - 2.0)
-        amplitude = self.amplitude_N * self.shrink ** np.floor(p)
-        return np.where(s < 0.0, self.preload_N, self.preload_N + amplitude * triangle)
+        return self.amplitude_N * self.shrink ** np.floor(p) * triangle
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,22 +103,16 @@ class ChirpProfile(SymmetricExcitation):
                 "zero or above, not both zero"
             )
 
-    def setpoint(self, sampling_Hz: float) -> FloatArray:
-        """The setpoint at each sample, shape (samples,).
-
-        Raises:
-            InvalidInput: a frequency is half the sampling rate or above.
-        """
+    def _deviation(self, s: FloatArray, sampling_Hz: float) -> FloatArray:
         highest_Hz = max(self.first_Hz, self.last_Hz)
         if not highest_Hz < sampling_Hz / 2.0:
             raise InvalidInput(
                 f"chirp profile: it reaches {highest_Hz:g} Hz; it must stay below half the "
                 f"sampling rate, {sampling_Hz / 2.0:g} Hz"
             )
-        s = self._since_start(sampling_Hz)
         rate = (self.last_Hz - self.first_Hz) / (self.duration_s - self.start_s)  # Hz/s
         sine = np.sin(2.0 * np.pi * (self.first_Hz * s + 0.5 * rate * s**2))
-        return np.where(s < 0.0, self.preload_N, self.preload_N + self.amplitude_N * sine)
+        return np.asarray(self.amplitude_N * sine)
 
 
 @dataclass(frozen=True, slots=True)
@@ -167,9 +158,6 @@ class StaircaseProfile(Excitation):
         """Lowest and highest setpoint of a whole staircase."""
         return ordered(self.preload_N, self.preload_N + self.stairs * self.step_N)
 
-    def setpoint(self, sampling_Hz: float) -> FloatArray:
-        """The setpoint at each sample, shape (samples,)."""
-        s = self._since_start(sampling_Hz)
+    def _deviation(self, s: FloatArray, sampling_Hz: float) -> FloatArray:  # noqa: ARG002
         c = np.mod(np.floor(s / self.hold_s + ROUNDING) + 1.0, 2.0 * self.stairs)
-        level = np.minimum(c, 2.0 * self.stairs - c)
-        return np.where(s < 0.0, self.preload_N, self.preload_N + self.step_N * level)
+        return np.asarray(self.step_N * np.minimum(c, 2.0 * self.stairs - c))

@@ -109,26 +109,19 @@ class MultisineProfile(Excitation):
         )
         return self.preload_N - size, self.preload_N + size
 
-    def setpoint(self, sampling_Hz: float) -> FloatArray:
-        """The setpoint at each sample, shape (samples,).
-
-        Raises:
-            InvalidInput: the highest line is at half the sampling rate or above.
-        """
-        last_Hz = self.last_line / self.period_s
-        if not last_Hz < sampling_Hz / 2.0:
+    def _deviation(self, s: FloatArray, sampling_Hz: float) -> FloatArray:
+        if not self.last_Hz < sampling_Hz / 2.0:
             raise InvalidInput(
-                f"multisine profile: its highest line is at {last_Hz:g} Hz; it must lie below "
-                f"half the sampling rate, {sampling_Hz / 2.0:g} Hz"
+                f"multisine profile: its highest line is at {self.last_Hz:g} Hz; it must lie "
+                f"below half the sampling rate, {sampling_Hz / 2.0:g} Hz"
             )
-        s = self._since_start(sampling_Hz)
         amplitude, phase = _amplitudes_and_phases(
             self.excited, self.slope, self.corner_Hz * self.period_s
         )
         total = np.zeros(s.size)
         for l, a, phi in zip(self.excited, amplitude, phase, strict=True):
             total += a * np.sin(2.0 * np.pi * l / self.period_s * s + phi)
-        return np.where(s < 0.0, self.preload_N, self.preload_N + self.rms_N * total)
+        return np.asarray(self.rms_N * total)
 
 
 @lru_cache(maxsize=64)

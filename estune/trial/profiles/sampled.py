@@ -27,23 +27,32 @@ class Sampled:
 
 
 class Excitation(Sampled):
-    """A profile that begins at `start_s`."""
+    """A profile that holds the preload, and from `start_s` on deviates from it by a formula."""
 
     __slots__ = ()
+    preload_N: float
     start_s: float
 
-    def _since_start(self, sampling_Hz: float) -> FloatArray:
-        """The time s at each sample; a rounding error before the start counts as the start."""
+    def setpoint(self, sampling_Hz: float) -> FloatArray:
+        """The setpoint at each sample, shape (samples,).
+
+        Raises:
+            InvalidInput: its highest frequency is half the sampling rate or above.
+        """
         s = np.arange(self.samples(sampling_Hz)) / sampling_Hz - self.start_s
+        # The sample of the start itself, which rounding may put a little before it.
         s[np.abs(s) * sampling_Hz < ROUNDING * max(1.0, self.start_s * sampling_Hz)] = 0.0
-        return s
+        return np.where(s < 0.0, self.preload_N, self.preload_N + self._deviation(s, sampling_Hz))
+
+    def _deviation(self, s: FloatArray, sampling_Hz: float) -> FloatArray:
+        """Deviation from the preload at the times s after the start; those before do not count."""
+        raise NotImplementedError
 
 
 class SymmetricExcitation(Excitation):
     """An excitation between preload_N - |amplitude_N| and preload_N + |amplitude_N|."""
 
     __slots__ = ()
-    preload_N: float
     amplitude_N: float
 
     @property
