@@ -38,12 +38,12 @@ from experiments.diagnosis_numbers.numbers import (
     scaled,
 )
 from experiments.results import command_line, print_results
+from plants.diagnosis.data.noise_floor import noise_floor
+from plants.diagnosis.data.records import read
 from plants.diagnosis.models.diagnosed_model import diagnosed
 from plants.diagnosis.pipeline.check import check
 from plants.diagnosis.pipeline.compare import compare
 from plants.diagnosis.pipeline.fit import fit
-from plants.diagnosis.pipeline.noise import noise
-from plants.diagnosis.pipeline.read import read
 from plants.diagnosis.pipeline.screen import screen
 from plants.diagnosis.progress import silent
 from plants.diagnosis.search import least_squares, model_fitter, validation
@@ -85,7 +85,7 @@ def diagnose(
 
     logged = step("read", lambda: read(case.records, case.model, case.columns))
     usable = step("check", lambda: check(logged, case.model))
-    sensors = step("noise", lambda: noise(usable.measurements))
+    sensors = step("noise", lambda: noise_floor(usable.measurements))
     if stop("noise", values):
         return None
     plant = step("plant", lambda: diagnosed(case.model, usable.measurements))

@@ -6,13 +6,13 @@ from typing import Any
 from estune.recordings.column_map import AS_NAMED, ColumnMap
 from estune.support.blas import one_blas_thread
 from estune.trial import RigDescription
+from plants.diagnosis.data.noise_floor import noise_floor
+from plants.diagnosis.data.records import Records, read
 from plants.diagnosis.models.diagnosed_model import diagnosed
 from plants.diagnosis.pipeline.check import check
 from plants.diagnosis.pipeline.compare import compare
 from plants.diagnosis.pipeline.fit import fit
 from plants.diagnosis.pipeline.intervals import intervals
-from plants.diagnosis.pipeline.noise import noise
-from plants.diagnosis.pipeline.read import Records, read
 from plants.diagnosis.pipeline.report import report
 from plants.diagnosis.pipeline.screen import screen
 from plants.diagnosis.progress import Progress, portion, silent
@@ -59,7 +59,7 @@ def explain(
         aside = () if logged_aside is None else check(logged_aside, model).measurements
 
         progress("estimating the noise", 0.05)
-        sensor_noise = noise(usable.measurements)
+        sensor_noise = noise_floor(usable.measurements)
 
         progress("fitting the model as given", 0.08)
         plant = diagnosed(model, usable.measurements)

@@ -1,5 +1,7 @@
 """Result of a diagnosis as plain values: verdict, effects found, evidence."""
 
+import csv
+import io
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -8,11 +10,11 @@ from typing import Any, Literal, NamedTuple
 
 from estune.core.gains import Gains
 from estune.core.quantities import FloatArray
+from estune.errors import InvalidInput
 from estune.recordings.issue import DataIssue
 from estune.run.trial_file import SUFFIX, TrialFile
 from plants.diagnosis.data.noise_floor import NoiseFloor
 from plants.diagnosis.interval import Interval
-from plants.diagnosis.recording_plan import NextRecording
 from plants.diagnosis.residual.localisation import ResidualLocation
 from plants.effects import Effect
 from plants.effects.plant_scale import written_unit
@@ -28,6 +30,11 @@ LIMITED, FAULTY = 9, 10
 have faults to be corrected first."""
 
 Slugs = frozenset[str]
+
+
+def family_of(effect: type[Effect]) -> str:
+    """Name of an effect's family, or its own."""
+    return effect.family or effect.name
 
 
 def explained_share(before: float, after: float) -> float:
@@ -255,6 +262,40 @@ class NextExperiment:
             InvalidInput: it cannot be written there.
         """
         return self.trial.write(folder)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class NextRecording:
+    """A motion, or a command, to be recorded next.
+
+    Attributes:
+        columns: The table by its heads, shape (rows,) each; empty where the words say it all.
+    """
+
+    sentence: str
+    columns: Mapping[str, FloatArray]
+
+    file_name = "next_recording.csv"
+
+    def write(self, folder: Path) -> Path | None:
+        """Writes the table into a folder; None where there is none.
+
+        Raises:
+            InvalidInput: it cannot be written there.
+        """
+        if not self.columns:
+            return None
+        written = io.StringIO()
+        table = csv.writer(written, lineterminator="\n")
+        table.writerow(self.columns)
+        rows = zip(*self.columns.values(), strict=True)
+        table.writerows([f"{value:.7g}" for value in row] for row in rows)
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            (folder / self.file_name).write_text(written.getvalue(), "utf-8")
+        except OSError as error:
+            raise InvalidInput(f"{folder}: it cannot be written: {error.strerror}") from error
+        return folder / self.file_name
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)

@@ -209,7 +209,6 @@ def _channels(data: Path) -> list[dict[str, str]]:
 
 
 def _curve(m: MeasuredRecord) -> dict[str, Any]:
-    """Columns of a record over time, thinned."""
     every = max(1, -(-m.samples // POINTS_MAX))
     named = {"time_s": m.time_s} | {name: m.channel(name) for name in CHANNELS}
     columns = {name: column for name, column in named.items() if column is not None}

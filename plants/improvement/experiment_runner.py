@@ -169,7 +169,6 @@ def begin(rig: Rig, folder: Path, model: str, say: Say) -> ExperimentRunner:
 
 
 def _continued(file: Path, model: str) -> dict[str, Any]:
-    """The plan of an improvement that can be continued."""
     if (file.parent / RESULT).exists():
         raise InvalidInput(f"{file.parent} holds a finished improvement; give a new folder")
     try:

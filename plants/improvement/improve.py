@@ -116,7 +116,6 @@ def improve(
 
 
 def _as_text(model: Any, effects: Sequence[type[Effect] | str] | None) -> str:
-    """The model as a model file, and the effects to choose from, for comparison."""
     try:
         text = to_toml(model)
     except InvalidInput:  # a function cannot be written

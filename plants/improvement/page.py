@@ -4,6 +4,7 @@ from estune.run.results import report as tuning_report
 from estune.support.html_page import Page, Paragraph, Section, Table, Warnings
 from plants.diagnosis.report import page as diagnosis_page
 from plants.improvement.result import COLUMNS, Improvement
+from plants.remedies.text import full_sentence
 
 
 def page(improvement: Improvement) -> Page:
@@ -15,7 +16,7 @@ def page(improvement: Improvement) -> Page:
     ]
     costs = [
         Table(COLUMNS, improvement.rows(), numeric=(1, 2, 3)),
-        Paragraph(f"{improvement.conclusion[:1].upper()}{improvement.conclusion[1:]}."),
+        Paragraph(full_sentence(improvement.conclusion)),
     ]
     sections = [
         Section("Diagnoses", (Table(("Experiments", "Verdict of all records so far"), rounds),)),
@@ -36,5 +37,4 @@ def page(improvement: Improvement) -> Page:
 
 
 def _chapter(title: str, page: Page) -> list[Section]:
-    """A page as sections of another."""
     return [Section(title, (page.headline, *page.summary)), *page.sections]

@@ -141,7 +141,6 @@ class Improvement:
         )
 
     def __repr__(self) -> str:
-        """Heading, rounds, table and remarks as plain text."""
         lines = [self.heading()]
         for n, round_ in enumerate(self.rounds, 1):
             names = ", ".join(round_.experiments) or "all records anew"

@@ -1,6 +1,8 @@
-"""Behaviour of a simulated loop, with the compensations of a remedy or without."""
+"""Behaviour and sensitivity of a simulated loop, with the compensations of a remedy or without."""
 
-from collections.abc import Callable
+import json
+import math
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
@@ -8,7 +10,11 @@ import numpy as np
 from estune.core.cost import default_cost
 from estune.core.gains import Gains
 from estune.core.quantities import FloatArray
+from estune.loop_model.fitting import fit_loop
+from estune.loop_model.margins import robustness
+from estune.trial import TrialRequest
 from estune.trial.description import RigLimits
+from estune.trial.loop_records import loop_signals
 from estune.trial.profiles import AnyProfile
 from estune.trial.tracking import rest_of, resting_profile, tracking_of, tracking_profile
 from plants.simulation.batch import divergence_limit_N, simulate_drive
@@ -17,6 +23,8 @@ from plants.simulation.plant import drive_of
 
 MEASURES = ("cost", "tracking", "reversal", "rest")
 """What a loop is judged by; see `estune.trial.tracking`."""
+RECORDS = 3
+"""Steps that are identified together, as of a short run."""
 
 
 def behaviour(
@@ -75,3 +83,22 @@ def _run(
     done = simulate_drive(plant, gains, drive, noise, divergence_limit_N(profile))
     outside = done.tension_N if done.reference_N is None else done.reference_N
     return done.tension_N, done.effort_N, outside
+
+
+def sensitivity(plant: Any, gains: Gains, tables: Mapping[str, Mapping[str, Any]]) -> float:
+    """Ms of the loop identified from simulated steps; infinite where they do not identify it.
+
+    A notch is part of the loop that the gains see, as it is in the records of a rig.
+    """
+    rig = plant.rig(gains=gains)
+    about = rig.describe()
+    text = json.dumps({name: dict(one) for name, one in tables.items()}) if tables else ""
+    records = []
+    for number in range(RECORDS):
+        request = TrialRequest("margins", number, gains, about.step, compensation=text)
+        signals = loop_signals(rig.run(request), about.step, about)
+        if signals.record is None:
+            return math.inf
+        records.append(signals.record)
+    fit = fit_loop(records, about.controller.sampling_Hz, about.settling_time_s)
+    return robustness(fit.model, gains, about.controller).sensitivity

@@ -24,9 +24,8 @@ from plants.effects import Effect, Port, Site
 from plants.effects.parameter import Role
 from plants.effects.plant_scale import PlantScale
 from plants.effects.remedy import SAFE_FRACTION, Place, Remedy
-from plants.remedies.behaviour import MEASURES, behaviour
+from plants.remedies.behaviour import MEASURES, behaviour, sensitivity
 from plants.remedies.calibration import OFFSET_NOISES, has_moved
-from plants.remedies.margins import sensitivity
 from plants.simulation.compensation import TrialCompensation, compensation_of
 
 DRAWS = 16
@@ -134,13 +133,11 @@ def _calibrations(diagnosis: Any) -> tuple[Offer, ...]:
 
 
 def _remedies(found: Found, model: Any) -> tuple[Remedy, ...]:
-    """The remedies that an effect declares, with its fitted numbers."""
     values = SimpleNamespace(**{name: i.value for name, i in found.parameters.items()})
     return type(found.effect).remedies(values, PlantScale.of(model))
 
 
 def _offer(diagnosis: Any, found: Found, remedy: Remedy, gains: Gains | None) -> Offer:
-    """One row, predicted where it can be."""
     row = Offer(found.name, remedy.place, remedy.title, remedy.effort, remedy.harm)
     bounds: Any = found.parameters.get(remedy.sized_by)
     if bounds is None:
@@ -322,7 +319,6 @@ def _intervals(
 
 
 def _draws(found: Found) -> list[Effect]:
-    """The effect with numbers drawn from their intervals."""
     random = np.random.default_rng(0)
     drawn = []
     for _ in range(DRAWS):

@@ -46,7 +46,7 @@ def sentences(diagnosis: Any, offers: Sequence[Offer]) -> tuple[str, ...]:
         told = "What is not named cannot be remedied."
         if diagnosis.verdict == "ambiguous" and offers:
             told = "The records allow another effect, whose remedy is another."
-        found.append(f"{told} {_sentence(next_one.sentence)}")
+        found.append(f"{told} {full_sentence(next_one.sentence)}")
     if diagnosis.verdict == "none":
         hidden = ", ".join(diagnosis.hidden)
         told = f"; these records cannot show {hidden}" if hidden else ""
@@ -79,5 +79,6 @@ def _ratio(ratio: PredictedRatio | None) -> str:
     return f"{ratio.value:.2f} [{ratio.low:.2f}, {ratio.high:.2f}]"
 
 
-def _sentence(text: str) -> str:
+def full_sentence(text: str) -> str:
+    """The text with a capital and a full stop."""
     return f"{text[:1].upper()}{text[1:].rstrip('.')}."

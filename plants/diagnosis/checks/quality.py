@@ -72,7 +72,6 @@ def _too_short(m: MeasuredRecord, b: BaseNumbers) -> Iterator[DataIssue]:
 
 
 def _too_slow(m: MeasuredRecord, b: BaseNumbers) -> Iterator[DataIssue]:
-    """Samples so far apart that every motion of the model is over within one of them."""
     sample_s = 1.0 / m.sampling_Hz
     if not b.is_free and b.natural_rad_s * sample_s > CONSTANTS.clear:
         yield DataIssue(
@@ -146,7 +145,6 @@ def _static(m: MeasuredRecord) -> Iterator[DataIssue]:
 
 
 def _mislabelled(m: MeasuredRecord, b: BaseNumbers) -> Iterator[DataIssue]:
-    """The label of the loop contradicts the record."""
     if m.setpoint_N is None or m.current_A is None:
         return
     command = m.setpoint_N / b.newtons_per_ampere

@@ -1,6 +1,6 @@
 """Reads a folder of records: files of any format that is known, or a run's journal."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
@@ -16,7 +16,10 @@ from estune.recordings.recording import FEWEST_SAMPLES, RATE, Recording, read_re
 from estune.recordings.timing import Columns
 from estune.recordings.units import NO_DRUM, Drum
 from estune.run.journal import FILE_NAME, Journal
+from estune.trial import TrialRecord
 from plants.diagnosis.data.measured_record import CHANNELS, OUTPUTS, MeasuredRecord, is_multiple
+
+Records = Path | str | Sequence[MeasuredRecord] | Sequence[TrialRecord]
 
 
 class ColumnSource(NamedTuple):
@@ -35,6 +38,14 @@ class FolderContents(NamedTuple):
     measurements: tuple[MeasuredRecord, ...]
     findings: tuple[DataIssue, ...]
     sources: tuple[ColumnSource, ...] = ()
+
+
+def read(records: Records, model: Any, columns: ColumnMap) -> FolderContents:
+    """The measurements of a folder, or of the records themselves, with the issues of the files."""
+    if isinstance(records, Path | str):
+        return read_measurements(records, columns, drum_of(model))
+    measured = (r if isinstance(r, MeasuredRecord) else MeasuredRecord.of(r) for r in records)
+    return FolderContents(tuple(measured), ())
 
 
 def read_measurements(
@@ -92,7 +103,6 @@ def _same(first: MeasuredRecord, second: MeasuredRecord) -> bool:
 def _read_all(
     folder: Path, column_map: ColumnMap, drum: Drum
 ) -> Iterator[MeasuredRecord | DataIssue | ColumnSource]:
-    """Every record below the folder, or the issue that cost it."""
     for path in [folder] if folder.is_file() else sorted(folder.rglob("*")):
         inside = path.relative_to(folder)
         if any(part.startswith(".") for part in inside.parts):
@@ -156,7 +166,6 @@ def _read_trial(journal: Journal, trial_id: str, source: str) -> MeasuredRecord 
 
 
 def _measurements(recording: Recording, stem: str, source: str) -> list[MeasuredRecord]:
-    """A record for each part of a recording."""
     about, parts = recording.metadata, recording.parts
     name = about.text("trial_id") or stem
     loop = _loop(about, parts[0])

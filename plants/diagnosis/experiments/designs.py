@@ -135,7 +135,6 @@ class RigScale:
         return made if self.allows(profile) else None
 
     def _extremes_N(self, profile: AnyProfile) -> tuple[float, float]:
-        """Extremes of the setpoint and of the predicted tension."""
         model, (low, high) = self.rig.linear_model, profile.extremes
         if model is None or self.open_only:
             return low, high
@@ -169,8 +168,6 @@ def _triangle(period: float, cycles: float, shrink: float = 1.0) -> Make:
 
 
 def _stairs(stairs: int, hold: float, cycles: int) -> Make:
-    """Stairs up and down over the range."""
-
     def make(rig: RigScale, at: float, size: float) -> AnyProfile:
         start, span = rig.start_s, rig.seconds(hold)
         end = start + 2 * stairs * cycles * span

@@ -160,7 +160,6 @@ def _exploring(
 def _best(
     experiments: Sequence[Experiment], score: FloatArray, least: float, why: str
 ) -> NextExperiment | None:
-    """The experiment with the greatest score, if that is above the least."""
     n = int(np.argmax(score))
     if not score[n] > least:
         return None
@@ -173,7 +172,6 @@ def _best(
 def _placeholder(
     experiment: Experiment, like: Sequence[MeasuredRecord], rig: RigDescription
 ) -> MeasuredRecord:
-    """The record of an experiment before it is run: outputs are zero."""
     profile, rate = experiment.profile, rig.controller.sampling_Hz
     setpoint = profile.setpoint(rate)
     blank: list[FloatArray | None] = [
@@ -276,7 +274,6 @@ def _excited(regime: str, m: MeasuredRecord) -> float:
 
 
 def _output(m: MeasuredRecord) -> FloatArray:
-    """The first output there is, shape (samples,)."""
     return next(c for name in OUTPUTS if (c := m.channel(name)) is not None)
 
 

@@ -156,7 +156,6 @@ class DiagnosedModel(ABC):
     # The same for all kinds.
 
     def _with_readings(self, sizes: RecordScale) -> RecordScale:
-        """The sizes, with those of the readings and of the cable as the effects see them."""
         read = [np.nanmax(m.tension_N) for m in self.measurements if m.tension_N is not None]
         most = float(np.max(read, initial=0.0)) / abs(self.reading_unit)
         numbers = [BaseNumbers.of(self.model, m) for m in self.measurements]
@@ -272,7 +271,6 @@ class DiagnosedModel(ABC):
         return effects if calibration == Calibration.neutral() else (*effects, calibration)
 
     def _current_sensor(self) -> list[Slot]:
-        """Gain and offset of a current that is measured."""
         per_ampere = self.newtons_per_ampere
         if all(m.measured_current_A(per_ampere) is None for m in self.measurements):
             return []

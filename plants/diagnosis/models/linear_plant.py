@@ -186,7 +186,6 @@ class DiagnosedLinear(DiagnosedPlant):
 
 
 def _free(name: str, value: float) -> Free:
-    """A gain, mode or time constant."""
     unit = "Hz" if name.endswith("_Hz") else "s" if name.endswith("_s") else ""
     if "damping" in name and value > 0.0:
         low = min(1e-5, value)

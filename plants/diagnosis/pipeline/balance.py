@@ -10,8 +10,9 @@ from plants.diagnosis.data.measured_record import MeasuredRecord
 from plants.diagnosis.models.base import BaseNumbers
 from plants.diagnosis.models.free_parameters import BASE
 from plants.diagnosis.pipeline.fit import BaseFit
+from plants.diagnosis.result import family_of
 from plants.diagnosis.search.model_fitter import CandidateFit, ModelFitter
-from plants.diagnosis.torque_balance.agreement import VISIBLE, family_of
+from plants.diagnosis.torque_balance.agreement import VISIBLE
 from plants.diagnosis.torque_balance.balance import INERTIA, OFFSET, VISCOUS, torque_balance
 from plants.diagnosis.torque_balance.judge import TorqueJudgement, judge
 from plants.diagnosis.torque_balance.laws import CHANGING
@@ -116,7 +117,6 @@ def _stretches(m: MeasuredRecord, cut: MeasuredRecord, newtons_per_ampere: float
 
 
 def _limited(m: MeasuredRecord, b: BaseNumbers, most: float, *, slewing: bool) -> MeasuredRecord:
-    """A record whose command is cut at a limit, or changes by no more in a sample."""
     command = m.command_A(b.newtons_per_ampere)
     if not slewing:
         return replace(m, loop="closed", current_A=np.clip(command, -most, most))

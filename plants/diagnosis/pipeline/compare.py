@@ -19,7 +19,7 @@ from plants.diagnosis.pipeline.fit import BaseFit
 from plants.diagnosis.progress import Progress, portion
 from plants.diagnosis.residual.localisation import ResidualLocation
 from plants.diagnosis.residual.torque_waves import TorqueWaves, torque_waves
-from plants.diagnosis.result import SearchStep, Slugs, Verdict, explained_share
+from plants.diagnosis.result import SearchStep, Slugs, Verdict, explained_share, family_of
 from plants.diagnosis.search.conclusion import Conclusion, conclude
 from plants.diagnosis.search.fitted_models import FittedModels, summarise
 from plants.diagnosis.search.limitations import most_refused
@@ -35,7 +35,6 @@ from plants.diagnosis.torque_balance.agreement import (
     VISIBLE,
     Agreement,
     agreement,
-    family_of,
 )
 from plants.diagnosis.torque_balance.judge import TorqueJudgement
 from plants.diagnosis.torque_balance.laws import CHANGING
@@ -181,7 +180,6 @@ def _undisputed(
     fitted: BaseFit,
     judged: TorqueJudgement,
 ) -> tuple[Conclusion, tuple[ModelStage, ...]]:
-    """The conclusion without effects that the balance of torques disputes."""
     last = stages[-1]
     wrong = disputed(fitted, judged, last.fit)
     if not wrong and (judged.changes_Nm is None or conclusion.verdict != "unknown"):
@@ -207,7 +205,6 @@ def _undisputed(
 
 
 def _without(last: ModelStage, rest: Slugs) -> CandidateFit:
-    """A model with some of the effects of another, fitted from its values."""
     effects = tuple(e for e in last.fit.effects if e.name in rest)
     free = {f.name for f in last.fitter.predictor(effects).free}
     values = {name: value for name, value in last.fit.values.items() if name in free}
@@ -221,7 +218,6 @@ def _weighed(
     judged: TorqueJudgement,
     together: Agreement,
 ) -> tuple[Conclusion, tuple[ModelStage, ...]]:
-    """The conclusion with what the balance of torques says."""
     last = stages[-1]
     if together.weight == "tie":
         fit = models.with_effects[frozenset({together.effects[0].name})]
@@ -246,7 +242,6 @@ def _weighed(
 
 
 def _stages(every: AllRecords, fits: Sequence[CandidateFit]) -> tuple[ModelStage, ...]:
-    """The models from the base on, with their errors on data left out."""
     stages = []
     if every.recorded is not None:
         stages.append(stage(*every.recorded, None))
@@ -327,7 +322,6 @@ def _with_rounding(steps: tuple[SearchStep, ...], step_N: float) -> tuple[Search
 
 
 def _waves(fitted: BaseFit, held_out: Sequence[MeasuredRecord]) -> TorqueWaves | None:
-    """The waves over the angle in the torque, where they explain enough of it."""
     plant, noise = fitted.plant, fitted.noise.channels.get("current_A")
     numbers = [BaseNumbers.of(plant.model, m) for m in plant.measurements]
     if noise is None:

@@ -61,7 +61,6 @@ def _of_both(
 
 
 def _of_balance(compared: EffectComparison) -> Mapping[str, Interval]:
-    """Those of a model whose values are those of the torque balance."""
     judged = compared.judged
     if judged is None:
         return {}
@@ -113,7 +112,6 @@ def _where_first_reads_zero(
 
 
 def _beside_the_fit(compared: EffectComparison) -> dict[str, Interval]:
-    """Those of effects found in the noise and in the torque."""
     read = abs(compared.fitter.model.reading_unit)  # a phase has the sign, of each record its own
     values_of: dict[str, dict[str, Interval]] = {}
     if compared.line is not None:

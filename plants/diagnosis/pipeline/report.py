@@ -20,7 +20,6 @@ from plants.diagnosis.models.free_parameters import BASE
 from plants.diagnosis.pipeline.compare import EffectComparison
 from plants.diagnosis.pipeline.intervals import StatedIntervals
 from plants.diagnosis.prediction.prediction import Prediction
-from plants.diagnosis.recording_plan import NextRecording
 from plants.diagnosis.report.diagnosis import Diagnosis
 from plants.diagnosis.report.plant_units import in_own_units, located_in_own_units
 from plants.diagnosis.residual.localisation import ResidualLocation, localise
@@ -30,6 +29,7 @@ from plants.diagnosis.result import (
     ModelErrors,
     NamedEffect,
     NextExperiment,
+    NextRecording,
     SearchStep,
     Trace,
 )
@@ -120,7 +120,6 @@ def _sentence(
     limits: Sequence[Limitation],
     stated: StatedIntervals,
 ) -> str:
-    """Limits of the records, then the verdict."""
     plant = compared.fitter.model
     scale, unit = PlantScale.of(plant.model), written_unit(plant.output, plant.model)
     judged, together = compared.judged, compared.together
@@ -174,7 +173,6 @@ def _numbers_corrected(compared: EffectComparison, stated: StatedIntervals) -> s
 
 
 def _moved(compared: EffectComparison, stated: StatedIntervals) -> dict[str, Interval]:
-    """Numbers of the base model that are clearly others than those given."""
     moved = {}
     for f in compared.fitter.base.free:
         now = stated.believed.get(f.name)
@@ -186,7 +184,6 @@ def _moved(compared: EffectComparison, stated: StatedIntervals) -> dict[str, Int
 
 
 def _named(effect: type[Effect], believed: Mapping[str, Interval], model: Any) -> NamedEffect:
-    """An effect by its fitted values, in the plant's own names and units."""
     keys = {n: f"{effect.name}.{n}" for n in effect.parameters()}
     fitted = {n: believed[key] for n, key in keys.items() if key in believed}
     parameters = {name: in_own_units(effect, name, at, model) for name, at in fitted.items()}
@@ -196,7 +193,6 @@ def _named(effect: type[Effect], believed: Mapping[str, Interval], model: Any) -
 
 
 def _errors(step: SearchStep, stage: ModelStage) -> ModelErrors:
-    """Errors of a model: on data left out, and in free run."""
     return ModelErrors(step.gap, step.ratio, free_run_rms(stage.fitter, stage.fit))
 
 
@@ -216,14 +212,12 @@ def _next(compared: EffectComparison, rig: RigDescription | None) -> NextExperim
 
 
 def _live_gains(compared: EffectComparison) -> Gains | None:
-    """Gains of the last record in closed loop that states them."""
     records = compared.fitted.plant.measurements
     stated = [m.gains for m in records if m.loop == "closed" and m.gains is not None]
     return stated[-1] if stated else None
 
 
 def _recording(compared: EffectComparison) -> NextRecording | None:
-    """What to record next where something is left open."""
     if compared.verdict not in ("ambiguous", "unknown", "incomplete"):
         return None
     model, measurements = compared.fitter.model.model, compared.fitter.measurements
@@ -234,7 +228,6 @@ def _recording(compared: EffectComparison) -> NextRecording | None:
 def _calibrations(
     base: CandidateFit, stated: StatedIntervals, scale: PlantScale
 ) -> tuple[BaseParameter, ...]:
-    """The base model's numbers as given, as fitted, and as fitted with the effects."""
     listed = []
     for free in base.fitted.predictor.free:
         if free.owner == "base" and free.name in stated.base:
@@ -248,7 +241,6 @@ def _calibrations(
 def _unexplained(
     last: ModelStage, runs: Sequence[Prediction], noise: NoiseFloor
 ) -> ResidualLocation:
-    """Where the model with the effects leaves something."""
     model = last.fitter.model.calibrated(last.fit.values)
     records = last.fitter.measurements
     numbers = [BaseNumbers.of(model, m) for m in records]

@@ -277,7 +277,6 @@ def _entries(
 def _columns(
     m: MeasuredRecord, model: DiagnosedModel, noise: NoiseFloor
 ) -> dict[int, tuple[FloatArray, float]]:
-    """The measured channels that the model predicts, with sigma_eff."""
     columns = {}
     for number, name in enumerate(CHANNELS):
         column = m.channel(name) if name in model.outputs else None

@@ -89,7 +89,6 @@ def library(structure: PathStructure | TracedStructure) -> Library:
 
 
 def _source(plant: Equations, delay: int) -> str:
-    """The C file: sizes, generated functions, loop."""
     functions = _functions(plant)
     late, prepare, settle, _, place, *_ = functions
     sizes = {

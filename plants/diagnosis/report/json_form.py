@@ -5,7 +5,6 @@ from collections.abc import Mapping
 from dataclasses import fields, is_dataclass
 from typing import Any
 
-from plants.diagnosis.recording_plan import NextRecording
 from plants.diagnosis.report import summary
 from plants.diagnosis.report.plant_units import own_names
 from plants.diagnosis.result import (
@@ -15,6 +14,7 @@ from plants.diagnosis.result import (
     HoldOut,
     NamedEffect,
     NextExperiment,
+    NextRecording,
     SearchStep,
 )
 from plants.effects import Effect

@@ -165,12 +165,12 @@ def _calibrations(d: DiagnosisResult) -> list[Block]:
 def _next_experiment(d: DiagnosisResult) -> list[Block]:
     if d.next_recording is not None:
         table = "`estune explain` with `--next` writes it as a table."
-        paragraphs = [Paragraph(summary.full_sentence(d.next_recording.sentence))]
+        paragraphs = [Paragraph(remedies.full_sentence(d.next_recording.sentence))]
         return [*paragraphs, *([Paragraph(table)] if d.next_recording.columns else [])]
     if d.next_experiment is None:
         return []
     return [
-        Paragraph(summary.full_sentence(d.next_experiment.sentence)),
+        Paragraph(remedies.full_sentence(d.next_experiment.sentence)),
         Paragraph("`estune explain` with `--next` writes its trial file; then"),
         Paragraph(d.next_experiment.command, "code"),
         Paragraph("runs it on the rig, and its record joins the data."),

@@ -13,6 +13,7 @@ from plants.diagnosis.report.plant_units import own_names
 from plants.diagnosis.result import DiagnosisResult, Trace
 from plants.effects import EFFECTS
 from plants.effects.plant_scale import PlantScale, digits, si
+from plants.remedies.text import full_sentence
 
 _HEADINGS = {
     "named": "IDENTIFIED",
@@ -78,13 +79,7 @@ def sentences(d: DiagnosisResult) -> tuple[str, ...]:
     return tuple(full_sentence(text) for text in texts if text)
 
 
-def full_sentence(text: str) -> str:
-    """The text with a capital and a full stop."""
-    return f"{text[:1].upper()}{text[1:].rstrip('.')}."
-
-
 def _title(d: DiagnosisResult, name: str) -> str:
-    """The name of an effect in plain words, by its slug."""
     titles = {n: e.title for n, e in EFFECTS.items()} | {e.name: e.title for e in d.effects}
     return titles.get(name, name.replace("_", " "))
 
@@ -270,7 +265,6 @@ def _interval(fitted: Interval) -> tuple[str, str, str]:
 
 
 def _with_half_width(fitted: Interval) -> str:
-    """A value with the half width of its interval."""
     places = _places(fitted)
     half = max(abs(fitted.high - fitted.value), abs(fitted.value - fitted.low))
     value = _rounded(fitted.value, places)

@@ -227,7 +227,6 @@ def _dependence(
     inside: NDArray[np.bool_],
     ends: NDArray[np.int64],
 ) -> Fit:
-    """The residual for the dependence on variables, of many samples some."""
     stride = max(1, int(inside.sum() // CONSTANTS.screened))
     chosen = np.flatnonzero(inside)[::stride]
     sizes = np.diff([0, *ends, fitted.residual.size])
@@ -322,7 +321,6 @@ _VARIABLES = {
 
 
 def _of_blocks(blocks: Sequence[Block], model: str) -> str:
-    """Where the residual is, in words."""
     if not blocks:
         return "The model's equations cannot be balanced against these channels."
     first = blocks[0]

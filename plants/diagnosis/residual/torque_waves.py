@@ -196,7 +196,6 @@ def _best(orders: tuple[float, ...], parts: list[TorqueMotion]) -> tuple[float, 
 
 
 def _motions(measurements: Sequence[MeasuredRecord], b: BaseNumbers) -> list[TorqueMotion]:
-    """The motion of each record that is longer than what smooths it."""
     angles = [(m, m.angle_rad) for m in measurements if m.angle_rad is not None]
     motions = [_motion(m, angle, b) for m, angle in angles]
     return [motion for motion in motions if motion.angle_rad.size]
@@ -266,7 +265,6 @@ def _power(residual: FloatArray) -> float:
 def _parameters(
     orders: Sequence[float], fitted: FloatArray, error: FloatArray
 ) -> dict[str, Interval]:
-    """Amplitudes, orders and phases of the waves with their intervals."""
     parameters: dict[str, Interval] = {}
     for k, order in enumerate(orders):
         sine, cosine = fitted[1 + 2 * k], fitted[2 + 2 * k]

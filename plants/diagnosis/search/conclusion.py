@@ -15,10 +15,11 @@ from plants.diagnosis.result import (
     Slugs,
     Verdict,
     explained_share,
+    family_of,
 )
 from plants.diagnosis.search.decide import Decision, decide, probabilities, summed
 from plants.diagnosis.search.fitted_models import FittedModels, is_named
-from plants.diagnosis.search.model_fitter import CandidateFit, ModelFitter, family_of
+from plants.diagnosis.search.model_fitter import CandidateFit, ModelFitter
 from plants.diagnosis.search.nameless_laws import NAMELESS
 from plants.diagnosis.search.screening import Screening
 from plants.effects import Effect
@@ -107,7 +108,6 @@ def apart_of(first: CandidateFit, second: CandidateFit | None = None) -> float:
 def _reason(
     models: FittedModels, decision: Decision, base: ModelSummary, others: Sequence[ModelSummary]
 ) -> str:
-    """A sentence on the share that the best named model explains, where it is not believed."""
     if not decision.leading:
         return ""
     leading = next(m for m in others if m.names == decision.leading)
@@ -161,7 +161,6 @@ def candidates(
 
 
 def _why(fit: CandidateFit, share: float, conclusion: Conclusion) -> str:
-    """Why an effect that was fitted is believed or not."""
     effect, best = fit.effects[0], conclusion.stages[-1].effects
     what = f"{effect.title} explains {_percent(max(share, 0.0))} of the error power"
     if effect in best:

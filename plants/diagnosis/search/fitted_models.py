@@ -5,10 +5,10 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 
 from plants.diagnosis.constants import CONSTANTS
-from plants.diagnosis.result import ModelSummary, Slugs
+from plants.diagnosis.result import ModelSummary, Slugs, family_of
 from plants.diagnosis.search.decide import beats
 from plants.diagnosis.search.intervals import intervals
-from plants.diagnosis.search.model_fitter import CandidateFit, ModelFitter, family_of
+from plants.diagnosis.search.model_fitter import CandidateFit, ModelFitter
 from plants.diagnosis.search.nameless_laws import NAMELESS
 from plants.effects import RecordScale
 

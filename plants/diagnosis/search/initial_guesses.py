@@ -41,7 +41,6 @@ def _spectral_peaks(block: Block) -> list[float]:
 def _per_turn(
     measurements: Sequence[MeasuredRecord], where: ResidualLocation, values: Mapping[str, float]
 ) -> list[float]:
-    """Periods per turn that the torque balance's residual follows."""
     block = next((b for b in where.blocks if b.name in ("force", "plant")), None)
     if block is None:
         return []

@@ -29,7 +29,7 @@ errors of form as lengths l and c^2 the usual ratio of s^2 to (H^-1)_ii.
 
 import math
 from collections.abc import Mapping
-from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -61,6 +61,60 @@ def intervals(
             wrong value where their laws are unlike the machine's.
         along: Whether to go along values at bounds and shapes of frictions.
     """
+    at = _about(fitter, model)
+    explained, unexplained = (
+        math.sqrt(max(power, 0.0) * at.columns.shape[1])
+        for power in (base.J - model.J, model.J - 1.0)
+    )
+    unexplained *= CONSTANTS.form_taken_up if model.effects else CONSTANTS.form_lacking
+    form = {e.name: max(e.form_error, CONSTANTS.form_least) for e in model.effects}
+    # The hysteresis of a gauge shifts base parameters, above all the torque's gain.
+    has_gauge = "tension_N" in fitter.floor.channels
+    base_least = CONSTANTS.form_least if has_gauge else CONSTANTS.base_least
+    shifts = greatest_shifts(at.columns)
+    lengths = {slug: math.hypot(f * explained, unexplained) for slug, f in form.items()}
+    alike = _along(model, at, shifts, lengths) if along else at.values[None]
+    stated = {}
+    for n, f in enumerate(at.free):
+        if record_of(f.owner) is not None:
+            continue
+        value, prior = float(at.values[n]), float(at.prior[n])
+        # A limit is neutral far up, a ratio at one: what counts is the nearer of that and zero.
+        size = min(abs(value - (f.neutral or 0.0)), abs(value)) / prior
+        most, calibrated = (1.0, base_least * size) if f.owner == BASE else (size, 0.0)
+        if f.owner == BASE or f.owner in form:
+            law = form.get(f.owner, max(form.values(), default=0.0))
+            by_law = law * min(explained * shifts[n], most)
+        else:  # an effect that the model declares: how much it explains is not known
+            by_law = CONSTANTS.form_least * size
+        by_rest = min(unexplained * shifts[n], most)
+        error = prior * math.hypot(at.noise[n], by_law, by_rest, calibrated)
+        low, high = _ends(f, value, CONSTANTS.quantile * error)
+        low, high = min(low, *alike[:, n].tolist()), max(high, *alike[:, n].tolist())
+        stated[f.name] = Interval(value, low, high, f.unit)
+    return stated
+
+
+class _Local(NamedTuple):
+    """A fit's values and its residuals about them; all of shape (values,) but `columns`.
+
+    Attributes:
+        moves: Numbers of the values.
+        prior: Their prior deviations, in which `noise` and `columns` are.
+        noise: Their standard errors by noise.
+        columns: Derivative of the residuals, shape (values, entries).
+    """
+
+    moves: NDArray[np.int64]
+    free: list[Free]
+    values: FloatArray
+    prior: FloatArray
+    noise: FloatArray
+    columns: FloatArray
+
+
+def _about(fitter: ModelFitter, model: CandidateFit) -> _Local:
+    """What is known of the values of a fit, by derivatives over differences as large as errors."""
     fitted = model.fitted
     moves = fitter.moves(fitted.predictor)
     # A number that is wrong as an effect says is not wrong besides: both are one.
@@ -71,115 +125,90 @@ def intervals(
     free = [fitted.predictor.free[n] for n in moves]
     values = fitted.values[moves]
     prior = np.array([prior_deviation(f, v) for f, v in zip(free, values.tolist(), strict=True)])
-    record = fitted.predictor.index.measurement[fitted.entries]
     leaping = {effect.name for effect in model.effects if not effect.smooth}
-    least = np.array([CONSTANTS.leaping if f.owner in leaping else 0.0 for f in free]) * prior
-    widest = spread = 0.1 * prior
+    least = np.array([CONSTANTS.leaping if f.owner in leaping else 0.0 for f in free])
+    record = fitted.predictor.index.measurement[fitted.entries]
+    widest = 0.1
+    noise = np.full(values.size, widest)
     for _ in range(3):
         residuals, jacobian = fitted.predictor.linearise(
             fitted.values,
             moves,
             fitted.entries,
             fitted.residuals,
-            np.maximum(np.minimum(spread, widest), least),
+            prior * np.clip(noise, least, widest),
         )
         columns = jacobian.T * prior[:, None]
-        spread = prior * np.maximum(
+        noise = np.maximum(
             jackknife(columns, residuals, fitter.group[fitted.entries]),
             jackknife(columns, residuals, record, unequal=True),
         )
-    explained, unexplained_length = (
-        math.sqrt(max(power, 0.0) * residuals.size) for power in (base.J - model.J, model.J - 1.0)
-    )
-    unexplained = unexplained_length * (
-        CONSTANTS.form_taken_up if model.effects else CONSTANTS.form_lacking
-    )
-    form = {e.name: max(e.form_error, CONSTANTS.form_least) for e in model.effects}
-    shapes = {f"{e.name}.{n}" for e in model.effects if e.resists for n in e.named(Role.SHAPE)}
-    # The hysteresis of a gauge shifts base parameters, above all the torque's gain.
-    has_gauge = "tension_N" in fitter.floor.channels
-    base_least = CONSTANTS.form_least if has_gauge else CONSTANTS.base_least
-    shifts = greatest_shifts(columns)
-    colour = float(np.median(np.square(spread / prior / shifts)))
-    alike = [values]
-    for n, f in enumerate(free if along else ()):
-        if f.owner in form and (f.name in shapes or edges(f, float(values[n]))):
-            lengths = colour + (form[f.owner] * explained) ** 2 + unexplained**2
-            more = CONSTANTS.quantile**2 * lengths
-            alike += list(_consistent(model, moves, columns, n, more))
-    lows, highs = np.min(alike, axis=0).tolist(), np.max(alike, axis=0).tolist()
-    stated = {}
-    listed = zip(free, values.tolist(), spread, prior, shifts, lows, highs, strict=True)
-    for f, value, s, unit, shift, low, high in listed:
-        if record_of(f.owner) is not None:
-            continue
-        # A limit is neutral far up, a ratio at one: what counts is the nearer of that and zero.
-        size = min(abs(value - (f.neutral or 0.0)), abs(value))
-        most = unit if f.owner == BASE else size
-        if f.owner in form or f.owner == BASE:
-            law = form.get(f.owner, max(form.values(), default=0.0))
-            by_law = law * min(explained * shift * unit, most)
-        else:  # an effect that the model declares: how much it explains is not known
-            by_law = CONSTANTS.form_least * size
-        calibrated = base_least * size if f.owner == BASE else 0.0
-        by_rest = min(unexplained * shift * unit, most)
-        at = _interval(f, value, math.hypot(s, by_law, by_rest, calibrated))
-        at = replace(at, low=min(at.low, low), high=max(at.high, high))
-        stated[f.name] = at
-    return stated
+    return _Local(moves, free, values, prior, noise, columns)
 
 
-def _consistent(
-    model: CandidateFit, moves: NDArray[np.int64], columns: FloatArray, n: int, more: float
+def _along(
+    model: CandidateFit, at: _Local, shifts: FloatArray, lengths: Mapping[str, float]
 ) -> FloatArray:
-    """Values that leave no more than so much above the least sum of squares, along one of them.
+    """Rows of values, shape (some, values), that the records allow where a derivative says little.
 
     Args:
         model: The fit.
-        moves: Numbers of the values.
-        columns: Derivative of the residuals by the values in prior deviations, (values, entries).
-        n: Which of the values is moved, from bound to bound, the others following it.
-        more: Growth of the sum of squares.
+        at: Its values.
+        shifts: Changes of the values per length of an error.
+        lengths: Lengths of the errors of form, by the slugs of the model's effects.
+    """
+    colour = float(np.median(np.square(at.noise / shifts)))
+    shapes = {f"{e.name}.{n}" for e in model.effects if e.resists for n in e.named(Role.SHAPE)}
+    alike = [at.values[None]]
+    for n, f in enumerate(at.free):
+        if f.owner in lengths and (f.name in shapes or edges(f, float(at.values[n]))):
+            more = CONSTANTS.quantile**2 * (colour + lengths[f.owner] ** 2)
+            alike.append(_consistent(model, at, n, more))
+    return np.concatenate(alike)
+
+
+def _consistent(model: CandidateFit, at: _Local, n: int, more: float) -> FloatArray:
+    """Values that leave no more than so much above the least sum of squares, along the nth.
+
+    It is moved from bound to bound, alone and with the others following it by one step of least
+    squares, which may go too far where residuals jump.
 
     Returns:
         Rows of all values, shape (some, values); the fit is one.
     """
-    fitted, free = model.fitted, model.fitted.predictor.free
-    f, value = free[moves[n]], float(fitted.values[moves[n]])
+    fitted, free, moved = model.fitted, model.fitted.predictor.free, at.moves[n]
+    f, value = at.free[n], float(at.values[n])
     away = np.geomspace(1e-6, 1.0, 24)  # values from the fit to a bound
-    ends = [e for e in (f.low, f.high) if not math.isclose(e, value, rel_tol=1e-6)]
     tried = [
-        np.geomspace(value, e, away.size + 1)[1:]
+        np.geomspace(value, end, away.size + 1)[1:]
         if f.scale == "log"
-        else value + (e - value) * away
-        for e in ends
+        else value + (end - value) * away
+        for end in (f.low, f.high)
+        if not math.isclose(end, value, rel_tol=1e-6)
     ]
-    rows = np.tile(fitted.values, (1 + away.size * len(ends), 1))
-    rows[1:, moves[n]] = np.concatenate(tried)
-    residuals = fitted.predictor.residuals(rows, fitted.entries)
-    others = np.delete(columns, n, axis=0)
-    steps = np.linalg.solve(others @ others.T + np.eye(len(others)), others @ residuals.T).T
-    places = np.delete(moves, n)
-    unit = np.array([prior_deviation(free[m], float(fitted.values[m])) for m in places])
+    column = np.concatenate([[value], *tried])
+    rows = np.tile(fitted.values, (column.size, 1))
+    rows[:, moved] = column
+    alone = fitted.predictor.residuals(rows, fitted.entries)
+    others, places = np.delete(at.columns, n, axis=0), np.delete(at.moves, n)
+    steps = np.linalg.solve(others @ others.T + np.eye(len(others)), others @ alone.T).T
     followed = rows.copy()
-    followed[:, places] -= (steps - steps[0]) * unit
+    followed[:, places] -= (steps - steps[0]) * np.delete(at.prior, n)
     followed = np.clip(followed, [one.low for one in free], [one.high for one in free])
-    again = np.square(fitted.predictor.residuals(followed, fitted.entries)).sum(1)
-    least = np.square(residuals).sum(1)
-    most = least[0] + more
-    found: FloatArray = np.concatenate([rows[least <= most], followed[again <= most]])[:, moves]
-    return found
+    after = fitted.predictor.residuals(followed, fitted.entries)
+    squares = np.square(np.concatenate([alone, after])).sum(axis=1)
+    alike: FloatArray = np.concatenate([rows, followed])[squares <= squares[0] + more]
+    return alike[:, at.moves]
 
 
-def _interval(free: Free, value: float, error: float) -> Interval:
-    """The interval of a value with a standard error, within its bounds."""
-    half = CONSTANTS.quantile * error
+def _ends(free: Free, value: float, half: float) -> tuple[float, float]:
+    """Both ends of an interval of so much half a width, within the value's bounds."""
     if free.scale == "log" and value > 0.0:
-        factor = math.exp(min(half / value, 50.0))
+        factor = math.exp(min(half / value, 50.0))  # a value of nearly zero may have any factor
         low, high = value / factor, value * factor
     else:
         low, high = value - half, value + half
-    return Interval(value, max(low, free.low), min(high, free.high), free.unit)
+    return max(low, free.low), min(high, free.high)
 
 
 def greatest_shifts(columns: FloatArray) -> FloatArray:

@@ -45,7 +45,6 @@ def limitations(
 
 
 def _refused(findings: Sequence[DataIssue]) -> set[str]:
-    """Files, or records, that were refused."""
     return {f.source for f in findings if f.level == "refused"}
 
 
@@ -55,7 +54,6 @@ def most_refused(measurements: Sequence[MeasuredRecord], findings: Sequence[Data
 
 
 def _of_tension(measurements: Sequence[MeasuredRecord]) -> list[Limitation]:
-    """A cable that seems to push."""
     tensions = [m.tension_N for m in measurements if m.tension_N is not None]
     if not tensions:
         return []
@@ -87,7 +85,6 @@ def _of_base(base: CandidateFit, scale: PlantScale) -> list[Limitation]:
 
 
 def _of_parameter(f: Free, value: float, name: str) -> Limitation | None:
-    """A number that moved further from the one given than is believed."""
     factor = value / f.start
     moved = f"{name} moved to {factor:.2g} times what was given"
     if f.scale == "log" and edges(f, value):

@@ -287,8 +287,3 @@ def _squares(
 def record_of(owner: str) -> int | None:
     """Number of the record that a free value belongs to, or None."""
     return int(owner.removeprefix("record ")) if owner.startswith("record ") else None
-
-
-def family_of(effect: type[Effect]) -> str:
-    """Name of an effect's family, or its own."""
-    return effect.family or effect.name

@@ -8,10 +8,10 @@ from collections.abc import Iterable, Mapping, Sequence
 
 from plants.diagnosis.constants import CONSTANTS
 from plants.diagnosis.progress import Progress, portion, silent
-from plants.diagnosis.result import explained_share
+from plants.diagnosis.result import explained_share, family_of
 from plants.diagnosis.search.decide import best_of, relative
 from plants.diagnosis.search.fitted_models import FittedModels, is_named, summarise
-from plants.diagnosis.search.model_fitter import CandidateFit, ModelFitter, family_of
+from plants.diagnosis.search.model_fitter import CandidateFit, ModelFitter
 from plants.diagnosis.search.nameless_laws import NAMELESS
 from plants.diagnosis.search.score_context import ScoreContext
 from plants.diagnosis.search.screening import Directions, Screening, ScreeningResult
@@ -149,7 +149,6 @@ def _depth(effect: type[Effect]) -> int:
 
 
 def _simpler(effect: type[Effect], fits: Sequence[CandidateFit]) -> CandidateFit | None:
-    """The fit that an effect's begins with, if there is."""
     return next((f for f in fits if effect.extends in f.effects), None)
 
 
@@ -162,7 +161,6 @@ def _least(fitter: ModelFitter, fits: Iterable[CandidateFit]) -> float:
 def _finished(
     fitter: ModelFitter, fits: Sequence[CandidateFit], least: float = math.inf
 ) -> list[CandidateFit]:
-    """The fits, those that lead fitted to the end."""
     ranked = sorted(fits, key=lambda f: f.J)
     finished: list[CandidateFit] = []
     for fit in ranked:

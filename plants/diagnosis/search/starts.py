@@ -104,7 +104,6 @@ def halved(
 
 
 def _suggested(current: CandidateFit, screened: ScreeningResult) -> list[dict[str, float]]:
-    """Values of the starts that the screening found."""
     suggestions = []
     for row in screened.starts:
         values = screened.predictor.values(row)

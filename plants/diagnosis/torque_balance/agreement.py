@@ -10,7 +10,7 @@ could see and does not, nothing is believed, and both are shown.
 from collections.abc import Sequence
 from typing import Literal, NamedTuple
 
-from plants.diagnosis.result import Slugs, Verdict
+from plants.diagnosis.result import Slugs, Verdict, family_of
 from plants.diagnosis.torque_balance.judge import TorqueJudgement
 from plants.effects import Effect
 from plants.effects.plant_scale import PlantScale
@@ -81,11 +81,6 @@ def _certain(judged: TorqueJudgement, foreseen: frozenset[str]) -> tuple[type[Ef
     if judged.rivals and not {e.name for e in named[-1:]} & foreseen:
         return named[:-1]
     return named
-
-
-def family_of(effect: type[Effect]) -> str:
-    """Name of an effect's family, or its own."""
-    return effect.family or effect.name
 
 
 VISIBLE = frozenset(

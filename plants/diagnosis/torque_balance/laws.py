@@ -6,6 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from plants.diagnosis.constants import CONSTANTS
+from plants.diagnosis.result import family_of
 from plants.diagnosis.torque_balance.balance import (
     COSINE,
     COULOMB,
@@ -81,8 +82,8 @@ def _law(
     *,
     positive: bool = False,
 ) -> TorqueLaw:
-    family = effect.family or effect.name
     above = columns if positive else ()
+    family = family_of(effect)
     return TorqueLaw(effect, effect.title, family, variable, columns, above, values)
 
 
