@@ -16,7 +16,7 @@ import pytest
 import estune
 import plants
 from estune.core.gains import Gains
-from estune.errors import InvalidInput, RigError
+from estune.errors import Interrupted, InvalidInput, RigError
 from estune.remote import zenoh
 from estune.remote.state_machine.state import Mode
 from estune.remote.state_machine.trials import TrialState
@@ -230,6 +230,7 @@ def test_trial_interrupted_by_a_restart_is_reported_not_repeated(kind, tmp_path)
 @pytest.mark.slow
 def test_trial_on_a_moving_rig_without_its_ledger_is_not_repeated(tmp_path):
     with run_across_a_restart("moving scripted", tmp_path / "1", tmp_path / "2") as (_, error):
+        assert isinstance(error, Interrupted)  # so that a daemon pauses
         assert "with another ledger" in str(error)
         assert "trial run-00000 may have run" in str(error)
 

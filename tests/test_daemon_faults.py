@@ -13,6 +13,7 @@ import pytest
 from estune.cli.faults import faults
 from estune.core.gains import Gains
 from estune.daemon.config import config_from
+from estune.daemon.faults import FaultCode
 from estune.daemon.rig_access import (
     VOID_TRIALS_MAX,
     VoidTrialCounter,
@@ -86,7 +87,8 @@ def test_trial_cut_off_on_a_real_rig_pauses(tmp_path):
         zenoh.serve(rig, ledger=tmp_path / "ledger") as server,
         daemon(tmp_path, rig_table("drum", server.endpoint)) as it,
     ):
-        assert "interrupted (power)" in it.until_mode("paused").paused
+        paused = it.until_mode("paused").paused
+        assert paused.endswith("was interrupted (power); check the rig, then resume")
         it.command("resume")
         it.until_mode("holding")
 
@@ -137,9 +139,16 @@ def test_repeated_failures_are_retried_at_growing_intervals(tmp_path, monkeypatc
 
 def test_settings_that_do_not_suit_the_rig_pause(tmp_path):
     table = rig_table("drum", "{}") + "step = {step_N = 1000.0}\n"
-    with rig_served() as (rig, where), daemon(tmp_path, table.replace("{}", where)) as it:
-        assert "setpoint 1010 is outside" in it.until_mode("paused").paused
-        assert not rig.requests
+    with rig_served() as (rig, where):
+        with daemon(tmp_path, table.replace("{}", where)) as it:
+            assert "setpoint 1010 is outside" in it.until_mode("paused").paused
+            assert not rig.requests
+        # As the remedy says, the corrected file alone does not end the pause.
+        with daemon(tmp_path, rig_table("drum", where)) as it:
+            it.until_mode("paused")
+            it.command("resume")
+            it.until(lambda s: s.trials > 0)
+    assert "resume if it is paused" in FaultCode.SETTINGS.sentence
 
 
 FAULTS = {

@@ -1,7 +1,9 @@
 """The client of the link; its exchange with a rig over a network that loses and repeats."""
 
+import threading
 from dataclasses import dataclass, field
 from itertools import product
+from types import SimpleNamespace
 
 import pytest
 from hypothesis import settings
@@ -13,13 +15,19 @@ from hypothesis.stateful import (
     run_state_machine_as_test,
 )
 
-from estune.errors import ProtocolError
+from estune.core.gains import Gains
+from estune.errors import Interrupted, ProtocolError, RigError
+from estune.remote.messages import Answer, encode
 from estune.remote.state_machine import client, events, rig, trials
 from estune.remote.state_machine.client import Action, ClientInput, ClientStage
 from estune.remote.state_machine.events import RigAction
 from estune.remote.state_machine.reply_codes import OF_TRIAL, ReplyCode
 from estune.remote.state_machine.state import LEASE_S, Mode, RigState
 from estune.remote.state_machine.trials import TrialEvent, TrialState
+from estune.remote.zenoh.rig_connection import LinkStatus
+from estune.remote.zenoh.trial_exchange import TrialExchange
+from estune.trial import TrialRequest
+from estune.trial.profiles import StepProfile
 
 
 @pytest.mark.parametrize(
@@ -67,6 +75,52 @@ def test_busy_with_another_trial_is_a_refusal():
         client.next_transition(ClientStage.SENT, ReplyCode.BUSY, own=False).action is Action.FAIL
     )
     assert client.next_transition(ClientStage.SENT, ReplyCode.BUSY).action is Action.WAIT
+
+
+class Silent:
+    """A connection to a rig that accepts a trial, and then no longer answers for it."""
+
+    name = "reel"
+
+    def __init__(self, after: LinkStatus | bytes, *, simulated: bool) -> None:
+        self.after = after
+        self.about = SimpleNamespace(rig=SimpleNamespace(simulated=simulated))
+        self.keys = SimpleNamespace(result=lambda _: "result")
+        self.replies = iter([encode(Answer(ReplyCode.ACCEPTED))])
+
+    def command_key(self, _command):
+        return "submit"
+
+    def ask(self, _key, _payload):
+        return next(self.replies, None if isinstance(self.after, LinkStatus) else self.after)
+
+    def check_liveliness(self, _silent_since_s):
+        return self.after
+
+
+@pytest.mark.parametrize(
+    ("after", "simulated", "kind", "words"),
+    [
+        (
+            LinkStatus(ClientInput.GONE, "it is gone"),
+            False,
+            RigError,
+            "ledger says whether it has",
+        ),
+        (LinkStatus(ClientInput.REPLACED, "another"), False, Interrupted, "inspect the rig, then"),
+        (encode(Answer(ReplyCode.UNKNOWN)), False, Interrupted, "inspect the rig, then resume"),
+        (encode(Answer(ReplyCode.UNKNOWN)), True, RigError, "ledger says whether it has"),
+    ],
+)
+def test_operator_is_called_only_where_no_ledger_can_tell_whether_a_real_trial_ran(
+    after, simulated, kind, words
+):
+    lease = SimpleNamespace(hold=lambda: "0" * 16, release=lambda: None)
+    request = TrialRequest("run", 0, Gains(1.0, 1.0, 0.1, 0.1), StepProfile(15.0, 1.0, 0.1, 1.0))
+    silent = Silent(after, simulated=simulated)
+    with pytest.raises(RigError, match=words) as raised:
+        TrialExchange(silent, lease, request, threading.Event(), 0.0).run()
+    assert raised.type is kind
 
 
 # --- both, over a network that loses, repeats and reorders ---

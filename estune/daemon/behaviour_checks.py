@@ -11,14 +11,15 @@ from typing import Any
 
 import numpy as np
 
+from estune.daemon.check_trials import check_cut_off
 from estune.daemon.config import RigTable
 from estune.daemon.store import DaemonStore, age_s, now
-from estune.errors import Interrupted, InvalidInput
+from estune.errors import InvalidInput
 from estune.proof.patch import Patch, read_proven
 from estune.proof.service import Gain, gain_of
 from estune.proof.trials import MEASURES, EndedEarly, Stop, measured, measured_pair
 from estune.run.behaviour import LoopBehaviour
-from estune.trial import CompensatedRig, Outcome, Rig, RigDescription
+from estune.trial import CompensatedRig, Rig, RigDescription
 
 PAIRS_KEPT = 100
 """Newest pairs of a remedy that are kept."""
@@ -102,8 +103,7 @@ class BehaviourChecks:
                 suspect, reports = self._pair(rig, description, place, watched)
         except EndedEarly as error:
             self._store.set_fact("behaviour_trials", number + _TRIALS)
-            if error.record.outcome is Outcome.INTERRUPTED and not description.simulated:
-                raise Interrupted(f"{error.record.reason}; check the rig, then resume") from error
+            check_cut_off(error.record, description)
             if error.record.outcome.is_void:
                 return []
             self.said["behaviour"] = str(error)

@@ -15,6 +15,21 @@ from estune.trial import Outcome, Rig, RigDescription, TrialRecord, TrialRequest
 from estune.trial.scoring import cost_of
 
 
+def check_cut_off(record: TrialRecord, description: RigDescription) -> None:
+    """Has an operator look at a rig that moves, after a trial that was cut off on it.
+
+    Raises:
+        Interrupted: that is so.
+    """
+    # After a fault nobody knows how the machine stands; a late computer is none of its faults.
+    is_fault = record.outcome is Outcome.INTERRUPTED and not record.ended_late
+    if is_fault and not description.simulated:
+        raise Interrupted(
+            f"trial {record.trial_id} was interrupted ({record.reason}); "
+            "check the rig, then resume"
+        )
+
+
 class CheckTrialResult(NamedTuple):
     """Result of a check trial.
 
@@ -94,11 +109,7 @@ class CheckTrials:
         alarm = self._alarm_costs(state)
         if record.outcome.is_void:
             self._store.finish_check(request, record, math.nan, None, alarm)
-            if record.outcome is Outcome.INTERRUPTED and not description.simulated:
-                raise Interrupted(
-                    f"check trial {record.trial_id} was interrupted ({record.reason}); "
-                    "check the rig, then resume"
-                )
+            check_cut_off(record, description)
             return CheckTrialResult(record, math.nan, None)
         eta = cost_of(record, step, cost, description.newtons_per_ampere)
         eta_max = self._settings.tuning.search["eta_max"] or UNSAFE_RATIO * math.exp(state.mean)

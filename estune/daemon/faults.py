@@ -10,7 +10,7 @@ class FaultCode(SentenceEnum):
 
     RIG_LOST = "rig-lost", "the rig is retried; check its power, its program and the network"
     RIG_HELD = "rig-held", "another daemon has the rig; stop one, or set shared = true in both"
-    OTHER_RIG = "other-rig", "connect the rig that the folder belongs to, or give this one its own"
+    OTHER_RIG = "other-rig", "connect the folder's own rig, then resume; or give this one its own"
     FOREIGN_GAINS = "foreign-gains", "decide whose gains are right: resume, or revert"
     EMERGENCY_STOP = "emergency-stop", "check the rig, estune clear, then resume"
     TRIAL_CUT_OFF = "trial-cut-off", "the reel may have moved unrecorded; check it, then resume"
@@ -18,7 +18,10 @@ class FaultCode(SentenceEnum):
     UNSAFE_GAINS = "unsafe-gains", "the original gains are live; check the machine, then resume"
     DRIFT = "drift", "it is tuned again by itself; look for wear if that happens often"
     REMEDY_LOST = "remedy-lost", "explain new records, then write and prove the remedy anew"
-    SETTINGS = "settings", "correct the daemon's file for this rig, then start the daemon again"
+    SETTINGS = (
+        "settings",
+        "correct the daemon's file, start the daemon again, and resume if it is paused",
+    )
     STORAGE = "storage", "make room on the disk, or restore its permissions; it is retried"
     DISK_LOW = "disk-low", "make room on the disk within a day"
     NOT_RESTORED = "not-restored", "start the daemon again, or set the gains by estune apply"

@@ -321,7 +321,7 @@ def _identity_mismatch(rig: SupervisedRig, description: RigDescription) -> str:
         f"the rig reports name {description.name!r} and {description.newtons_per_ampere:g} N/A, "
         f"the one stored in {rig.store.folder} has name {stored['name']!r} and "
         f"{stored['newtons_per_ampere']:g} N/A; "
-        "connect that one, or give this one a name and a folder of its own"
+        "connect that one, then resume; or give this one a name and a folder of its own"
     )
 
 

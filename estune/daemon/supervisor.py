@@ -9,6 +9,7 @@ from contextlib import suppress
 from estune.core.control_chart import ChartSignal
 from estune.core.gains import Gains
 from estune.daemon import rig_access
+from estune.daemon.check_trials import check_cut_off
 from estune.daemon.config import RigTable
 from estune.daemon.events import EventKind
 from estune.daemon.faults import EventFacts, FaultCode
@@ -260,6 +261,8 @@ class RigSupervisor:
             self._rig.apply_event(SupervisorEvent.SEARCHED, sentence)
         if self._rig.mode not in (SupervisorMode.TUNING, SupervisorMode.CONFIRMING):
             raise Preempted
+        # Before the run says it, which would name `estune resume`: the verb is the daemon's here.
+        check_cut_off(progress.record, self._connection.required().description)
 
     def _warn_of_the_disk(self, trials_left: int) -> None:
         """Logs once in a run that its disk will be full within a day."""

@@ -299,7 +299,7 @@ def _record_trial(
     if fault:
         raise RigError(
             f"the record of trial {request.trial_id} of rig {record.rig} is not of the trial that "
-            f"was asked for: {fault}; check the rig's limits and its software, then resume"
+            f"was asked for: {fault}; check the rig's limits and its software"
         )
     plan, before = tuning.plan, tuning.session
     phase, cost, reason = before.phase or Phase.CONFIRM, math.nan, record.reason

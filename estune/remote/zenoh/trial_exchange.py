@@ -7,7 +7,7 @@ import threading
 import time
 from typing import NamedTuple
 
-from estune.errors import ProtocolError, RigError
+from estune.errors import Interrupted, ProtocolError, RigError
 from estune.remote import messages
 from estune.remote.messages import Answer, Inquire, Part
 from estune.remote.messages.commands import Submit
@@ -51,6 +51,7 @@ class TrialExchange:
         self._at_rest = at_rest
         self._step = machine.START
         self._answer = Answer(ReplyCode.UNKNOWN)
+        self._heard: ReplyCode | ClientInput | None = None
         self._record: TrialRecord | None = None
         self._silent_since_s: float | None = None
         self._explanation = ""
@@ -153,6 +154,7 @@ class TrialExchange:
         time.sleep(AGAIN_S)
 
     def _advance(self, heard: ReplyCode | ClientInput, *, own: bool = True) -> None:
+        self._heard = heard
         self._step = machine.next_transition(self._step.stage, heard, own=own)
 
     def _result(self) -> TrialRecord | NoRecord:
@@ -167,9 +169,15 @@ class TrialExchange:
         if action is Action.FAIL:
             self._answer.check()
             raise ProtocolError(f"{rig} replies {self._answer.verdict} to a trial")
-        outcome = (
-            f"{trial} may have run: inspect the rig, then resume the run"
-            if action is Action.AMBIGUOUS
-            else f"{trial} did not run"
-        )
-        raise RigError(f"{self._explanation or f'{rig} has no entry of {trial}'}; {outcome}")
+        why = self._explanation or f"{rig} has no entry of {trial}"
+        if action is Action.GONE:
+            raise RigError(f"{why}; {trial} did not run")
+        about = self._connection.about
+        if self._heard is ClientInput.GONE or about is None or about.rig.simulated:
+            # No order to inspect: whoever asks again by itself, as a daemon does, learns it then.
+            raise RigError(
+                f"{why}; {trial} may have run: when the run is resumed, the rig's ledger says "
+                "whether it has"
+            )
+        # A ledger without the trial would let it run again: a person must look before.
+        raise Interrupted(f"{why}; {trial} may have run: inspect the rig, then resume")
