@@ -41,6 +41,7 @@ AREAS: dict[str, Area] = {
             "score",
             "profiles",
             "limit_verdict",
+            "rig_limits",
             "cost_presets",
             "gain_bounds",
             "daemon_service",
