@@ -7,7 +7,7 @@ import casadi as ca
 from plants.effects.effect import Effect, Port, Response, Signal, Site, Values
 from plants.effects.parameter import Share, parameter
 from plants.effects.plant_scale import PlantScale
-from plants.effects.remedy import Remedy, limit
+from plants.effects.remedy import limit
 
 
 @dataclass(frozen=True)
@@ -46,6 +46,9 @@ class Backlash(Effect):
     states = 2
     divides = True
     form_error = 0.1
+    plain_remedies = (
+        limit("keep the tension above zero (limits.tension_min_N): play costs nothing while taut"),
+    )
 
     play_rad: float = parameter(
         0.003, low=0.0, unit="rad", neutral=0.0, least=(Share(3.0, "angle_noise_rad"),)
@@ -54,19 +57,9 @@ class Backlash(Effect):
 
     @classmethod
     def describe(cls, p: Values, plant: PlantScale) -> str:
-        """Sentence with the fitted values."""
         return (
             f"has backlash of {plant.travel(p.play_rad)} between motor and drum; the motor is "
             f"{100.0 * p.motor_share:.0f} % of what turns and moves alone where the teeth part"
-        )
-
-    @classmethod
-    def remedies(cls, _p: Values, _plant: PlantScale) -> tuple[Remedy, ...]:
-        """What can be done about it."""
-        return (
-            limit(
-                "keep the tension above zero (limits.tension_min_N): play costs nothing while taut"
-            ),
         )
 
     @staticmethod

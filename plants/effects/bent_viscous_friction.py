@@ -8,7 +8,7 @@ import casadi as ca
 from plants.effects.effect import Effect, Port, Response, Signal, Site, Values
 from plants.effects.parameter import Share, parameter
 from plants.effects.plant_scale import PlantScale, digits
-from plants.effects.remedy import Remedy, limit
+from plants.effects.remedy import limit
 
 
 @dataclass(frozen=True)
@@ -32,6 +32,7 @@ class BentViscousFriction(Effect):
     )
     excitation = "motion at several speeds in both directions"
     port = Port.DRUM
+    plain_remedies = (limit("tune at the speed that matters: the damping differs with it"),)
 
     bend_Nms2: float = parameter(
         1e-3,
@@ -44,7 +45,6 @@ class BentViscousFriction(Effect):
 
     @classmethod
     def describe(cls, p: Values, plant: PlantScale) -> str:
-        """Sentence with the fitted values."""
         way = "more" if p.bend_Nms2 > 0.0 else "less"
         size = abs(p.bend_Nms2)
         unit = "the input's unit per square of the output's rate"
@@ -53,11 +53,6 @@ class BentViscousFriction(Effect):
             f"has viscous friction that grows {way} than in proportion to the speed: the torque "
             f"against the motion has a quadratic part of {digits(size)} {unit}"
         )
-
-    @classmethod
-    def remedies(cls, _p: Values, _plant: PlantScale) -> tuple[Remedy, ...]:
-        """What can be done about it."""
-        return (limit("tune at the speed that matters: the damping differs with it"),)
 
     @staticmethod
     def prepare(p: Values, reel: Values) -> dict[str, Signal]:  # noqa: ARG004  nothing of its own

@@ -7,7 +7,7 @@ import casadi as ca
 from plants.effects.effect import Effect, Port, Response, Signal, Site, Values
 from plants.effects.parameter import ABOVE_ZERO, Share, parameter
 from plants.effects.plant_scale import PlantScale, share, si
-from plants.effects.remedy import Remedy, limit
+from plants.effects.remedy import limit
 
 
 @dataclass(frozen=True)
@@ -33,6 +33,9 @@ class CableCreep(Effect):
     excitation = "long holds after large steps"
     port = Port.CABLE
     states = 1
+    plain_remedies = (
+        limit("wait until the cable has crept, or pre-stretch it; gains change nothing"),
+    )
 
     share: float = parameter(0.1, low=0.0, high=2.0, neutral=0.0)
     # Shorter than some samples it is stiffness, longer than the records it is another length.
@@ -46,16 +49,10 @@ class CableCreep(Effect):
 
     @classmethod
     def describe(cls, p: Values, _plant: PlantScale) -> str:
-        """Sentence with the fitted values."""
         return (
             f"has a cable that creeps: after each change it gives another {share(p.share)} of "
             f"what it gave at once, with a time constant of {si(p.time_s, 's')}"
         )
-
-    @classmethod
-    def remedies(cls, _p: Values, _plant: PlantScale) -> tuple[Remedy, ...]:
-        """What can be done about it."""
-        return (limit("wait until the cable has crept, or pre-stretch it; gains change nothing"),)
 
     @staticmethod
     def prepare(p: Values, reel: Values) -> dict[str, Signal]:
@@ -65,12 +62,10 @@ class CableCreep(Effect):
 
     @staticmethod
     def respond(p: Values, state: Signal, signal: Signal, _site: Site) -> Response:
-        """The tension left."""
         goal = p.settled * ca.fmax(signal, state)  # with T = max(0, l - e), T + e is max(l, e)
         return goal + (state - goal) * p.kept, signal - state
 
     @staticmethod
     def rest(p: Values, _state: Signal, signal: Signal, _site: Site) -> Response:
-        """The slow stretch at its end."""
         stretch = p.share * signal
         return stretch, signal + stretch

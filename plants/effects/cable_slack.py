@@ -9,7 +9,7 @@ import casadi as ca
 from plants.effects.effect import Effect, Port, Response, Signal, Site, Values
 from plants.effects.parameter import Share, parameter
 from plants.effects.plant_scale import PlantScale, si
-from plants.effects.remedy import Remedy, limit
+from plants.effects.remedy import limit
 
 TINY_N = 1e-30
 """Slack that no tension feels, so that none at zero tension is not 0/0."""
@@ -75,6 +75,9 @@ class CableSlack(Effect):
     excitation = "slow ramps to zero tension and back"
     port = Port.CABLE
     by_tension = True
+    plain_remedies = (
+        limit("keep the tension above zero (limits.tension_min_N): it costs nothing while taut"),
+    )
 
     # A cable that never comes taut is one that stiffens.
     slack_m: float = parameter(
@@ -89,20 +92,10 @@ class CableSlack(Effect):
 
     @classmethod
     def describe(cls, p: Values, plant: PlantScale) -> str:
-        """Sentence with the fitted values."""
         until = 2.0 * plant.stiffness_N_m * p.slack_m
         firm = "" if math.isnan(until) else f"; from {si(until, 'N')} on it is as stiff as ever"
         return (
             f"has {plant.cable(p.slack_m)} of slack that is taken up before the cable holds{firm}"
-        )
-
-    @classmethod
-    def remedies(cls, _p: Values, _plant: PlantScale) -> tuple[Remedy, ...]:
-        """What can be done about it."""
-        return (
-            limit(
-                "keep the tension above zero (limits.tension_min_N): it costs nothing while taut"
-            ),
         )
 
     @staticmethod
@@ -126,6 +119,5 @@ class CableSlack(Effect):
 
     @staticmethod
     def rest(p: Values, state: Signal, signal: Signal, _site: Site) -> Response:
-        """The linear law's tension."""
         linear = stretched(signal, p.slack_N) - p.slack_N
         return state, linear + p.done * (signal - linear)

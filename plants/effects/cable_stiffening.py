@@ -54,7 +54,6 @@ class CableStiffening(Effect):
 
     @classmethod
     def describe(cls, p: Values, plant: PlantScale) -> str:
-        """Sentence with the fitted values."""
         square, cubic = p.stiffening_per_N, p.cubic_per_N2
         if plant.is_plant:
             pulled = f"{digits(square)} u² more where it is pulled" if square else ""
@@ -74,7 +73,6 @@ class CableStiffening(Effect):
 
     @classmethod
     def remedies(cls, _p: Values, plant: PlantScale) -> tuple[Remedy, ...]:
-        """What can be done about it."""
         load = "tension" if plant.has_cable else "measurement"
         return (limit(f"schedule the gains over {load}: the loop's gain grows with it"),)
 

@@ -44,6 +44,14 @@ class CableWeight(Effect):
     states = 2
     by_tension = True
     form_error = 0.005
+    plain_remedies = (
+        Remedy(
+            Place.LOOP,
+            "take the whole cable's weight, the model's and this, off the gauge's reading "
+            "(compensation.gravity)",
+            harm="needs the height of the far end above the reel",
+        ),
+    )
 
     density_kg_m: float = parameter(
         0.03,
@@ -56,25 +64,12 @@ class CableWeight(Effect):
 
     @classmethod
     def describe(cls, p: Values, plant: PlantScale) -> str:
-        """Sentence with the fitted values."""
         sag = 9.81 * p.density_kg_m * plant.length_m**2 / (8.0 * plant.tension_N)
         place = f"on {si(plant.length_m, 'm')} at {si(plant.tension_N, 'N')}"
         seen = "" if math.isnan(sag) else f": {place} it sags {si(sag, 'm')} more"
         return (
             f"has a cable {1e3 * p.density_kg_m:.3g} g/m heavier than the model's{seen}, and is "
             "softer at low tension"
-        )
-
-    @classmethod
-    def remedies(cls, _p: Values, _plant: PlantScale) -> tuple[Remedy, ...]:
-        """What can be done about it."""
-        return (
-            Remedy(
-                Place.LOOP,
-                "take the whole cable's weight, the model's and this, off the gauge's reading "
-                "(compensation.gravity)",
-                harm="needs the height of the far end above the reel",
-            ),
         )
 
     @staticmethod
@@ -110,7 +105,6 @@ class CableWeight(Effect):
 
     @staticmethod
     def rest(p: Values, _state: Signal, signal: Signal, _site: Site) -> Response:
-        """The linear law's tension."""
         tension = ca.fmax(signal, 0.1 * p.root)
         linear = tension - 0.5 * p.twice / tension**2 + p.shift
         return ca.vertcat(tension, tension), linear + p.done * (signal - linear)

@@ -1,12 +1,11 @@
 """Torque that depends on the drum's angle in several waves."""
 
-from collections.abc import Callable
+from collections.abc import Sequence
 from dataclasses import dataclass
 
-import casadi as ca
-
 from plants.effects import angle_phase
-from plants.effects.effect import Effect, Port, Response, Signal, Site, Values
+from plants.effects.angle_waves import AngleWaves, Wave
+from plants.effects.effect import Values
 from plants.effects.parameter import ABOVE_ZERO, PHASE_MAX_rad, Role, parameter, phase
 from plants.effects.plant_scale import PlantScale
 from plants.effects.remedy import Remedy, angle_map, workshop
@@ -38,7 +37,7 @@ def _further_phase() -> float:
 
 
 @dataclass(frozen=True)
-class Cogging(Effect):
+class Cogging(AngleWaves):
     """Cogging of a motor in several waves: `tau = -sum A_k sin(N_k theta + phi_k)`.
 
     Slots and poles of a motor attract each other as often in a turn as their least common
@@ -67,7 +66,6 @@ class Cogging(Effect):
     title = "cogging of several orders"
     appearance = "the current over the angle is a curve that is the same at each passage"
     excitation = "slow motion over a turn or more, at a constant velocity"
-    port = Port.DRUM
     in_torque = True
     without_cable = True
     states = WAVES * angle_phase.STATES
@@ -90,8 +88,7 @@ class Cogging(Effect):
 
     @classmethod
     def describe(cls, p: Values, plant: PlantScale) -> str:
-        """Sentence with the fitted values."""
-        waves = sorted(_waves(p), key=lambda wave: -wave[0])
+        waves = sorted(cls.waves(p), key=lambda wave: -wave[0])
         listed = ", ".join(
             f"{plant.torque(size)} {plant.periods(order)}"
             for size, order, _ in waves
@@ -101,48 +98,18 @@ class Cogging(Effect):
 
     @classmethod
     def remedies(cls, p: Values, plant: PlantScale) -> tuple[Remedy, ...]:
-        """What can be done about it."""
         waves = [
             {"orders": order, "torque_Nm": size, "phase_rad": phi}
-            for size, order, phi in _waves(p)
+            for size, order, phi in cls.waves(p)
         ]
         change = workshop("change the motor for one that cogs less")
         return (*angle_map(plant, "amplitude_1_Nm", waves), change)
 
     @staticmethod
-    def respond(p: Values, state: Signal, _signal: Signal, site: Site) -> Response:
-        """The torque at this angle."""
-        return _torque(p, state, site.angle_rad, angle_phase.advance_angle)
-
-    @staticmethod
-    def rest(p: Values, state: Signal, _signal: Signal, site: Site) -> Response:
-        """The same at the angle of rest."""
-        return _torque(p, state, site.angle_rad, lambda _, angle: angle_phase.encode_angle(angle))
-
-    @staticmethod
-    def put(p: Values, _state: Signal, angle_rad: Signal) -> Signal:
-        """The phases there."""
-        phases = [angle_phase.encode_angle(n * angle_rad + phi) for _, n, phi in _waves(p)]
-        return ca.vertcat(*phases)
-
-
-def _waves(p: Values) -> list[tuple[Signal, Signal, Signal]]:
-    """Amplitude, periods and phase of each wave that there is."""
-    own = vars(p)
-    return [
-        (own[f"amplitude_{k}_Nm"], own[f"per_turn_{k}"], own[f"phase_{k}_rad"])
-        for k in range(1, WAVES + 1)
-        if f"amplitude_{k}_Nm" in own
-    ]
-
-
-def _torque(
-    p: Values, state: Signal, angle_rad: Signal, moved: Callable[[Signal, Signal], Signal]
-) -> Response:
-    """The phases after the motion to an angle, and the torque there."""
-    after, torque, each = [], 0.0, angle_phase.STATES
-    for n, (size, order, phi) in enumerate(_waves(p)):
-        phases = moved(state[n * each : (n + 1) * each], order * angle_rad + phi)
-        after.append(phases)
-        torque = torque - size * phases[0]
-    return ca.vertcat(*after), torque
+    def waves(p: Values) -> Sequence[Wave]:
+        own = vars(p)
+        return [
+            (own[f"amplitude_{k}_Nm"], own[f"per_turn_{k}"], own[f"phase_{k}_rad"])
+            for k in range(1, WAVES + 1)
+            if f"amplitude_{k}_Nm" in own
+        ]

@@ -44,7 +44,6 @@ class CoulombFriction(Effect):
 
     @classmethod
     def describe(cls, p: Values, plant: PlantScale) -> str:
-        """Sentence with the fitted values."""
         return (
             f"has dry friction{plant.at_drum}: {plant.torque(p.torque_Nm)} against the motion, "
             "at any speed. A smaller change of the command causes no motion"
@@ -52,7 +51,6 @@ class CoulombFriction(Effect):
 
     @classmethod
     def remedies(cls, p: Values, plant: PlantScale) -> tuple[Remedy, ...]:
-        """What can be done about it."""
         return friction_feed_forward(
             plant,
             "torque_Nm",

@@ -7,7 +7,7 @@ import casadi as ca
 from plants.effects.effect import Effect, Port, Response, Signal, Site, Values
 from plants.effects.parameter import Share, parameter
 from plants.effects.plant_scale import PlantScale, digits, si
-from plants.effects.remedy import Remedy, workshop
+from plants.effects.remedy import workshop
 
 TINY_s = 1e-15
 """Keeps a quotient finite where there is no lag."""
@@ -34,6 +34,9 @@ class CurrentLag(Effect):
     family = "delay of the drive"
     port = Port.ACTUATOR
     states = 1
+    plain_remedies = (
+        workshop("raise the bandwidth of the amplifier's current loop", "lag_s", 1.0),
+    )
 
     lag_s: float = parameter(
         2e-3,
@@ -47,17 +50,11 @@ class CurrentLag(Effect):
 
     @classmethod
     def describe(cls, p: Values, plant: PlantScale) -> str:  # noqa: ARG003  a time
-        """Sentence with the fitted values."""
         corner_Hz = 1.0 / (2.0 * ca.pi * max(p.lag_s, TINY_s))
         return (
             f"has a drive whose current follows its command with a lag of {si(p.lag_s, 's')}: it "
             f"gives 0.71 of what is commanded at {digits(corner_Hz)} Hz"
         )
-
-    @classmethod
-    def remedies(cls, _p: Values, _plant: PlantScale) -> tuple[Remedy, ...]:
-        """What can be done about it."""
-        return (workshop("raise the bandwidth of the amplifier's current loop", "lag_s", 1.0),)
 
     @staticmethod
     def respond(p: Values, state: Signal, signal: Signal, site: Site) -> Response:
@@ -69,5 +66,4 @@ class CurrentLag(Effect):
 
     @staticmethod
     def rest(_p: Values, _state: Signal, signal: Signal, _site: Site) -> Response:
-        """The current held."""
         return signal, signal

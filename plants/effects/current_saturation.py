@@ -49,7 +49,6 @@ class CurrentSaturation(Effect):
 
     @classmethod
     def describe(cls, p: Values, plant: PlantScale) -> str:
-        """Sentence with the fitted values."""
         return (
             f"has a drive that gives no more than {plant.current(p.limit_A)}, however much is "
             "commanded; beyond it the controller's integral winds up"
@@ -57,7 +56,6 @@ class CurrentSaturation(Effect):
 
     @classmethod
     def remedies(cls, p: Values, plant: PlantScale) -> tuple[Remedy, ...]:
-        """What can be done about it."""
         harm = "told too low, it withholds tension: ask for 97 % of it at most"
         # The command from which on it gives no more: told the limit alone, it would keep the
         # bend's last part back.
@@ -70,7 +68,6 @@ class CurrentSaturation(Effect):
 
     @staticmethod
     def respond(p: Values, state: Signal, signal: Signal, _site: Site) -> Response:
-        """The current within the limit."""
         half = p.bend * p.limit_A
         size = ca.fmin(ca.fabs(signal), p.limit_A + half)
         into = ca.fmax(size - p.limit_A + half, 0.0)

@@ -61,7 +61,6 @@ class DahlHysteresis(Effect):
 
     @classmethod
     def describe(cls, p: Values, plant: PlantScale) -> str:
-        """Sentence with the fitted values."""
         return (
             f"has dry friction that gives before it slips: {plant.torque(p.torque_Nm)}, built up "
             f"over {plant.travel(p.presliding_rad)} after each reversal, so that small motions "
@@ -70,7 +69,6 @@ class DahlHysteresis(Effect):
 
     @classmethod
     def remedies(cls, p: Values, plant: PlantScale) -> tuple[Remedy, ...]:
-        """What can be done about it."""
         return friction_feed_forward(
             plant,
             "torque_Nm",
@@ -94,6 +92,5 @@ class DahlHysteresis(Effect):
 
     @staticmethod
     def respond(p: Values, state: Signal, _signal: Signal, site: Site) -> Response:
-        """The mean torque of the bristles over the substep."""
         bent = both_bent(state, site, p.slowing, (p.bend_1, p.bend_2))
         return bent.after, -p.torque_Nm * bent.held

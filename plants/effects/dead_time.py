@@ -7,7 +7,7 @@ from typing import Any
 from plants.effects.effect import Effect, Port, Values
 from plants.effects.parameter import Share, parameter
 from plants.effects.plant_scale import PlantScale, digits, si
-from plants.effects.remedy import Remedy, limit, workshop
+from plants.effects.remedy import limit, workshop
 
 
 @dataclass(frozen=True)
@@ -30,6 +30,10 @@ class DeadTime(Effect):
     excitation = "fast changes of the command, as in a multisine"
     family = "delay of the drive"
     port = Port.ACTUATOR
+    plain_remedies = (
+        workshop("shorten the exchange with drive and gauge", "delay_s", 1.0),
+        limit("each sample of dead time costs bandwidth, whatever the gains"),
+    )
 
     delay_s: float = parameter(
         1e-3,
@@ -43,7 +47,6 @@ class DeadTime(Effect):
 
     @classmethod
     def describe(cls, p: Values, plant: PlantScale) -> str:
-        """Sentence with the fitted values."""
         d, samples = p.delay_s, p.delay_s * plant.sampling_Hz
         counted = "" if math.isnan(samples) else f", {samples:.3g} samples,"
         return (
@@ -51,15 +54,6 @@ class DeadTime(Effect):
             f"which takes {digits(3600.0 * d)} degrees of phase at 10 Hz"
         )
 
-    @classmethod
-    def remedies(cls, _p: Values, _plant: PlantScale) -> tuple[Remedy, ...]:
-        """What can be done about it."""
-        return (
-            workshop("shorten the exchange with drive and gauge", "delay_s", 1.0),
-            limit("each sample of dead time costs bandwidth, whatever the gains"),
-        )
-
     @staticmethod
     def amend(p: Values, reel: Values) -> dict[str, Any]:
-        """The dead time of reel and effect together."""
         return {"dead_time_s": reel.dead_time_s + p.delay_s}

@@ -8,7 +8,7 @@ import casadi as ca
 from plants.effects.effect import Effect, Port, Response, Signal, Site, Values
 from plants.effects.parameter import Share, parameter
 from plants.effects.plant_scale import PlantScale
-from plants.effects.remedy import Remedy, limit, workshop
+from plants.effects.remedy import limit, workshop
 
 
 @dataclass(frozen=True)
@@ -33,6 +33,10 @@ class DirectionalFriction(Effect):
     )
     excitation = "motion at several speeds in both directions"
     port = Port.DRUM
+    plain_remedies = (
+        limit("the loop is tuned with the mean of both directions"),
+        workshop("look for a seal or a bearing that drags in one direction"),
+    )
 
     difference_Nms: float = parameter(
         0.01,
@@ -44,19 +48,10 @@ class DirectionalFriction(Effect):
 
     @classmethod
     def describe(cls, p: Values, plant: PlantScale) -> str:
-        """Sentence with the fitted values."""
         way, other = ("forward", "backward") if p.difference_Nms > 0.0 else ("backward", "forward")
         return (
             f"has {plant.damping(abs(p.difference_Nms))} more viscous friction when it moves "
             f"{way} than {other}"
-        )
-
-    @classmethod
-    def remedies(cls, _p: Values, _plant: PlantScale) -> tuple[Remedy, ...]:
-        """What can be done about it."""
-        return (
-            limit("the loop is tuned with the mean of both directions"),
-            workshop("look for a seal or a bearing that drags in one direction"),
         )
 
     @staticmethod

@@ -46,7 +46,6 @@ class DrumEccentricity(Effect):
 
     @classmethod
     def describe(cls, p: Values, plant: PlantScale) -> str:
-        """Sentence with the fitted values."""
         return (
             f"has a drum that is not round: its radius varies by {share(p.eccentricity)}"
             f"{also(p.eccentricity * plant.radius_m, 'm')} either way, once a turn"
@@ -87,5 +86,4 @@ class DrumEccentricity(Effect):
 
     @staticmethod
     def put(p: Values, _state: Signal, angle_rad: Signal) -> Signal:
-        """The angle there."""
         return angle_phase.encode_angle(angle_rad + p.phase_rad)

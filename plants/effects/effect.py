@@ -6,7 +6,7 @@ experiments want to know they read from its class:
 - its law: `port`, `also`, `states`, `respond`, `rest`, `amend`, `prepare`, `put`;
 - its words: `name` (the slug), `title`, `appearance` (what it looks like in data), `excitation`
   (what experiment shows it), `describe` (a sentence with its fitted numbers);
-- its remedies, with their numbers: `remedies`, see `plants.effects.remedy`;
+- its remedies: `plain_remedies`, or with its numbers `remedies`; see `plants.effects.remedy`;
 - its parameters, each with unit, bounds, role (size, limit, shape, frequency, periods, phase),
   where a fit begins, and the least size that matters: see `Parameter`;
 - its relations: `family` and `extends` (simpler laws that do a part of it), `base_parameter` (a
@@ -116,6 +116,7 @@ class Effect(ABC):
         in_noise: Whether it is part of the noise model, not found by fitting predictions.
         known_apart: Whether its size is known without the machine, by a scale say: of two
             effects that explain as much, the other is likelier.
+        plain_remedies: What can be done about it whatever its numbers, the first one first.
         port: Where it sits.
         also: Further ports it is visited at; `respond` distinguishes them by `site.port`.
         states: Number of its states.
@@ -147,6 +148,7 @@ class Effect(ABC):
     base_parameter: ClassVar[str] = ""
     in_noise: ClassVar[bool] = False
     known_apart: ClassVar[bool] = False
+    plain_remedies: ClassVar[tuple[Remedy, ...]] = ()
     port: ClassVar[Port]
     also: ClassVar[tuple[Port, ...]] = ()
     states: ClassVar[int] = 0
@@ -275,16 +277,16 @@ class Effect(ABC):
     @classmethod
     def remedies(
         cls,
-        p: Values,  # noqa: ARG003  an effect without remedies
+        p: Values,  # noqa: ARG003  remedies without numbers
         plant: PlantScale,  # noqa: ARG003
     ) -> tuple[Remedy, ...]:
-        """What can be done about it, the first one first; see `plants.effects.remedy`.
+        """What can be done about it, the first one first; `plain_remedies` unless overridden.
 
         Args:
             p: The fitted parameters by name, in the plant's own units.
             plant: Words and sizes of the plant.
         """
-        return ()
+        return cls.plain_remedies
 
     @staticmethod
     def amend(p: Values, reel: Values) -> dict[str, Any]:  # noqa: ARG004  most effects amend nothing

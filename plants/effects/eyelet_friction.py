@@ -95,7 +95,6 @@ class EyeletFriction(Effect):
 
     @classmethod
     def describe(cls, p: Values, plant: PlantScale) -> str:
-        """Sentence with the fitted values."""
         B, lost = p.attenuation, (1.0 - p.attenuation) * plant.tension_N
         less = (
             ""
@@ -111,7 +110,6 @@ class EyeletFriction(Effect):
 
     @classmethod
     def remedies(cls, p: Values, plant: PlantScale) -> tuple[Remedy, ...]:
-        """What can be done about it."""
         # From one end to the other z turns over the length that gives 2 c ln(1/B) of the tension:
         # by 63 % over half of it.
         stiffness = plant.stiffness_N_m * plant.radius_m

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from plants.effects.effect import Effect, Port, Response, Signal, Site, Values
 from plants.effects.parameter import Share, parameter
 from plants.effects.plant_scale import PlantScale, share
-from plants.effects.remedy import Remedy, recalibrate
+from plants.effects.remedy import recalibrate
 
 
 @dataclass(frozen=True)
@@ -25,34 +25,27 @@ class GainError(Effect):
     excitation = "rest at several levels"
     base_parameter = "torque_gain"
     port = Port.ACTUATOR
+    plain_remedies = (
+        recalibrate(
+            "correct C1, or the torque constant by a weight that the motor just holds", "error"
+        ),
+    )
 
     # Uncertainty of any drive's torque constant.
     error: float = parameter(0.05, low=-0.5, high=1.0, neutral=0.0, least=(Share(0.04),))
 
     @classmethod
     def describe(cls, p: Values, _plant: PlantScale) -> str:
-        """Sentence with the fitted values."""
         more = "more" if p.error > 0.0 else "less"
         return (
             f"has a drive that gives {share(abs(p.error))} {more} torque than the model says, at "
             "rest as well as in motion"
         )
 
-    @classmethod
-    def remedies(cls, _p: Values, _plant: PlantScale) -> tuple[Remedy, ...]:
-        """What can be done about it."""
-        return (
-            recalibrate(
-                "correct C1, or the torque constant by a weight that the motor just holds", "error"
-            ),
-        )
-
     @staticmethod
     def respond(p: Values, state: Signal, signal: Signal, _site: Site) -> Response:
-        """The current given."""
         return state, (1.0 + p.error) * signal
 
     @staticmethod
     def rest(p: Values, state: Signal, signal: Signal, _site: Site) -> Response:
-        """The current to be commanded."""
         return state, signal / (1.0 + p.error)

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from plants.effects.effect import Effect, Port, Response, Signal, Site, Values
 from plants.effects.parameter import Share, parameter
 from plants.effects.plant_scale import PlantScale
-from plants.effects.remedy import Remedy, workshop
+from plants.effects.remedy import workshop
 
 
 @dataclass(frozen=True)
@@ -26,6 +26,9 @@ class GaugeDrift(Effect):
     excitation = "a long record that begins and ends at rest"
     port = Port.GAUGE
     states = 1
+    plain_remedies = (
+        workshop("let the gauge warm up, and tare it before each trial", "rate_N_per_s", 1.0),
+    )
 
     rate_N_per_s: float = parameter(
         0.1,
@@ -38,18 +41,10 @@ class GaugeDrift(Effect):
 
     @classmethod
     def describe(cls, p: Values, plant: PlantScale) -> str:
-        """Sentence with the fitted values."""
         rate = p.rate_N_per_s
         return (
             f"has a gauge whose zero wanders {'up' if rate > 0.0 else 'down'} from the start of a "
             f"record: {plant.reading(abs(rate))} in a second"
-        )
-
-    @classmethod
-    def remedies(cls, _p: Values, _plant: PlantScale) -> tuple[Remedy, ...]:
-        """What can be done about it."""
-        return (
-            workshop("let the gauge warm up, and tare it before each trial", "rate_N_per_s", 1.0),
         )
 
     @staticmethod

@@ -8,7 +8,7 @@ import casadi as ca
 from plants.effects.effect import Effect, Port, Response, Signal, Site, Values
 from plants.effects.parameter import Share, parameter
 from plants.effects.plant_scale import PlantScale, digits
-from plants.effects.remedy import Remedy, recalibrate
+from plants.effects.remedy import recalibrate
 
 
 @dataclass(frozen=True)
@@ -31,6 +31,7 @@ class GaugeNonlinearity(Effect):
     excitation = "slow ramps over the whole range of tension"
     port = Port.GAUGE
     form_error = 0.05
+    plain_remedies = (recalibrate("hang weights and fit C2 with its curve", "curvature_per_N"),)
 
     curvature_per_N: float = parameter(
         1e-3,
@@ -43,7 +44,6 @@ class GaugeNonlinearity(Effect):
 
     @classmethod
     def describe(cls, p: Values, plant: PlantScale) -> str:
-        """Sentence with the fitted values."""
         c = p.curvature_per_N
         if plant.is_plant:
             return (
@@ -57,14 +57,8 @@ class GaugeNonlinearity(Effect):
             f"{plant.reading(4.0 * abs(c) * T * T)} (curvature {c:.3g} 1/N)"
         )
 
-    @classmethod
-    def remedies(cls, _p: Values, _plant: PlantScale) -> tuple[Remedy, ...]:
-        """What can be done about it."""
-        return (recalibrate("hang weights and fit C2 with its curve", "curvature_per_N"),)
-
     @staticmethod
     def respond(p: Values, state: Signal, signal: Signal, _site: Site) -> Response:
-        """The tension read."""
         return state, signal * (1.0 + p.curvature_per_N * signal)
 
     @staticmethod

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from plants.effects.effect import Effect, Port, Response, Signal, Site, Values
 from plants.effects.parameter import Share, parameter
 from plants.effects.plant_scale import PlantScale
-from plants.effects.remedy import Remedy, recalibrate
+from plants.effects.remedy import recalibrate
 
 
 @dataclass(frozen=True)
@@ -26,6 +26,7 @@ class GaugeOffset(Effect):
     excitation = "rest with a slack cable"
     base_parameter = "gauge_offset_N"
     port = Port.GAUGE
+    plain_remedies = (recalibrate("tare the gauge: C2 without tension", "offset_N"),)
 
     # Uncertainty of any gauge's zero: a hundredth of its readings.
     offset_N: float = parameter(
@@ -40,21 +41,13 @@ class GaugeOffset(Effect):
 
     @classmethod
     def describe(cls, p: Values, plant: PlantScale) -> str:
-        """Sentence with the fitted values."""
         more = "much" if p.offset_N > 0.0 else "little"
         return f"has a gauge that reads {plant.reading(abs(p.offset_N))} too {more} at any tension"
 
-    @classmethod
-    def remedies(cls, _p: Values, _plant: PlantScale) -> tuple[Remedy, ...]:
-        """What can be done about it."""
-        return (recalibrate("tare the gauge: C2 without tension", "offset_N"),)
-
     @staticmethod
     def respond(p: Values, state: Signal, signal: Signal, _site: Site) -> Response:
-        """The tension read."""
         return state, signal + p.offset_N
 
     @staticmethod
     def rest(p: Values, state: Signal, signal: Signal, _site: Site) -> Response:
-        """The tension that reads so."""
         return state, signal - p.offset_N

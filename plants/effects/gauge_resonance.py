@@ -8,7 +8,7 @@ import casadi as ca
 from plants.effects.effect import Effect, Port, Response, Signal, Site, Values
 from plants.effects.parameter import ABOVE_ZERO, Share, parameter
 from plants.effects.plant_scale import PlantScale, digits, share
-from plants.effects.remedy import Remedy, workshop
+from plants.effects.remedy import workshop
 from plants.simulation.equations import held_input
 
 SQUARINGS = 7
@@ -37,6 +37,7 @@ class GaugeResonance(Effect):
     excitation = "a chirp or small steps"
     port = Port.GAUGE
     states = 3
+    plain_remedies = (workshop("mount the gauge stiffer, or filter the converter less"),)
 
     share: float = parameter(0.2, low=0.0, high=1.0, neutral=0.0)
     frequency_Hz: float = parameter(
@@ -49,17 +50,11 @@ class GaugeResonance(Effect):
 
     @classmethod
     def describe(cls, p: Values, _plant: PlantScale) -> str:
-        """Sentence with the fitted values."""
         return (
             f"has a gauge with a second resonance, at {digits(p.frequency_Hz)} Hz with a damping "
             f"ratio of {p.damping:.2g}: {share(p.share)} of the reading goes through it and "
             "rings after each blow, while angle and current do not"
         )
-
-    @classmethod
-    def remedies(cls, _p: Values, _plant: PlantScale) -> tuple[Remedy, ...]:
-        """What can be done about it."""
-        return (workshop("mount the gauge stiffer, or filter the converter less"),)
 
     @staticmethod
     def prepare(p: Values, reel: Values) -> dict[str, Signal]:
@@ -74,7 +69,6 @@ class GaugeResonance(Effect):
 
     @staticmethod
     def respond(p: Values, state: Signal, signal: Signal, _site: Site) -> Response:
-        """The tension read."""
         behind, rate, change = state[0], state[1], signal - state[2]
         following = p.a00 * behind + p.a01 * rate + p.b0 * change
         rate = p.a10 * behind + p.a11 * rate + p.b1 * change

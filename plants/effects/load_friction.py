@@ -37,7 +37,6 @@ class LoadFriction(Effect):
 
     @classmethod
     def describe(cls, p: Values, plant: PlantScale) -> str:
-        """Sentence with the fitted values."""
         tension, at = plant.usual_tension_N, ""
         if plant.has_cable:
             at = f": {plant.reading(p.load_share * tension)} at {plant.reading(tension)}"
@@ -48,7 +47,6 @@ class LoadFriction(Effect):
 
     @classmethod
     def remedies(cls, p: Values, plant: PlantScale) -> tuple[Remedy, ...]:
-        """What can be done about it."""
         return friction_feed_forward(
             plant,
             "load_share",

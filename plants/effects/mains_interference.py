@@ -39,7 +39,6 @@ class MainsInterference(Effect):
 
     @classmethod
     def describe(cls, p: Values, plant: PlantScale) -> str:
-        """Sentence with the fitted values."""
         return (
             f"has mains interference in the gauge's signal: {plant.reading(p.amplitude_N)} at "
             f"{p.frequency_Hz:.4g} Hz, at rest as well as in motion"
@@ -47,7 +46,6 @@ class MainsInterference(Effect):
 
     @classmethod
     def remedies(cls, p: Values, plant: PlantScale) -> tuple[Remedy, ...]:
-        """What can be done about it."""
         shield = workshop("shield the gauge's cable, ground it at one end", "amplitude_N", 1.0)
         table = {"frequency_Hz": p.frequency_Hz, "width_Hz": WIDTH_Hz}
         title = "put a notch at the line in the measurement"

@@ -7,7 +7,7 @@ import casadi as ca
 from plants.effects.effect import Effect, Port, Response, Signal, Site, Values
 from plants.effects.parameter import parameter
 from plants.effects.plant_scale import PlantScale
-from plants.effects.remedy import Remedy, workshop
+from plants.effects.remedy import workshop
 
 FINEST_N = 1e-12
 
@@ -27,18 +27,15 @@ class Quantisation(Effect):
     in_noise = True
     port = Port.GAUGE
     smooth = False
+    plain_remedies = (
+        workshop("use a converter of more bits, or less of its range", "step_N", 1.0),
+    )
 
     step_N: float = parameter(0.1, low=0.0, unit="N", neutral=0.0)
 
     @classmethod
     def describe(cls, p: Values, plant: PlantScale) -> str:
-        """Sentence with the fitted values."""
         return f"has a gauge that reads in steps of {plant.reading(p.step_N)}"
-
-    @classmethod
-    def remedies(cls, _p: Values, _plant: PlantScale) -> tuple[Remedy, ...]:
-        """What can be done about it."""
-        return (workshop("use a converter of more bits, or less of its range", "step_N", 1.0),)
 
     @staticmethod
     def prepare(p: Values, _reel: Values) -> dict[str, Signal]:
@@ -48,5 +45,4 @@ class Quantisation(Effect):
 
     @staticmethod
     def respond(p: Values, state: Signal, signal: Signal, _site: Site) -> Response:
-        """The nearest step."""
         return state, p.step * ca.floor(signal * p.per_N + 0.5)

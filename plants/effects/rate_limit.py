@@ -7,7 +7,7 @@ import casadi as ca
 from plants.effects.effect import Effect, Port, Response, Signal, Site, Values
 from plants.effects.parameter import ABOVE_ZERO, NEVER, Role, Share, parameter
 from plants.effects.plant_scale import PlantScale
-from plants.effects.remedy import Remedy, limit, workshop
+from plants.effects.remedy import limit, workshop
 
 
 @dataclass(frozen=True)
@@ -31,6 +31,10 @@ class RateLimit(Effect):
     excitation = "large steps"
     port = Port.ACTUATOR
     states = 1
+    plain_remedies = (
+        limit("ask for no steeper setpoints than the drive's rate allows"),
+        workshop("raise the rate limit of the amplifier"),
+    )
 
     rate_A_per_s: float = parameter(
         50.0,
@@ -43,18 +47,9 @@ class RateLimit(Effect):
 
     @classmethod
     def describe(cls, p: Values, plant: PlantScale) -> str:
-        """Sentence with the fitted values."""
         return (
             "has a drive whose current changes no faster than "
             f"{plant.current(p.rate_A_per_s, '/s')}: large steps become ramps, small ones pass"
-        )
-
-    @classmethod
-    def remedies(cls, _p: Values, _plant: PlantScale) -> tuple[Remedy, ...]:
-        """What can be done about it."""
-        return (
-            limit("ask for no steeper setpoints than the drive's rate allows"),
-            workshop("raise the rate limit of the amplifier"),
         )
 
     @staticmethod
@@ -66,5 +61,4 @@ class RateLimit(Effect):
 
     @staticmethod
     def rest(_p: Values, _state: Signal, signal: Signal, _site: Site) -> Response:
-        """The current held."""
         return signal, signal

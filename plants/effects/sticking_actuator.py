@@ -8,7 +8,7 @@ import casadi as ca
 from plants.effects.effect import Effect, Port, Response, Signal, Site, Values
 from plants.effects.parameter import ABOVE_ZERO, RecordScale, Share, parameter
 from plants.effects.plant_scale import PlantScale, share
-from plants.effects.remedy import Remedy, limit, workshop
+from plants.effects.remedy import limit, workshop
 
 
 def _bands(records: RecordScale) -> Sequence[float]:
@@ -50,6 +50,10 @@ class StickingActuator(Effect):
     states = 1
     of_process = True
     smooth = False
+    plain_remedies = (
+        workshop("free the actuator: packing, linkage, or a positioner", "weight", 1.0),
+        limit("no gains end a cycle that the band makes; lower ones make it slower"),
+    )
 
     # A smaller band of more weight loses as much travel: fits went to half of it and 1.9.
     weight: float = parameter(1.0, low=0.0, high=1.2, neutral=0.0)
@@ -65,20 +69,11 @@ class StickingActuator(Effect):
 
     @classmethod
     def describe(cls, p: Values, plant: PlantScale) -> str:
-        """Sentence with the fitted values."""
         return (
             f"has an actuator that sticks: after a reversal the command moves by "
             f"{plant.current(p.band_A)} before it does, which then slips by "
             f"{share(p.slip)} of it, {plant.current(p.slip * p.band_A)}; the "
             f"records show {share(p.weight)} of that"
-        )
-
-    @classmethod
-    def remedies(cls, _p: Values, _plant: PlantScale) -> tuple[Remedy, ...]:
-        """What can be done about it."""
-        return (
-            workshop("free the actuator: packing, linkage, or a positioner", "weight", 1.0),
-            limit("no gains end a cycle that the band makes; lower ones make it slower"),
         )
 
     @staticmethod

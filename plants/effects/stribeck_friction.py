@@ -76,7 +76,6 @@ class StribeckFriction(Effect):
 
     @classmethod
     def describe(cls, p: Values, plant: PlantScale) -> str:
-        """Sentence with the fitted values."""
         return (
             f"has dry friction that is largest at rest: {plant.torque(p.coulomb_Nm)} in motion "
             f"and {plant.torque(p.excess_Nm)} more at rest, which fades over "
@@ -86,7 +85,6 @@ class StribeckFriction(Effect):
 
     @classmethod
     def remedies(cls, p: Values, plant: PlantScale) -> tuple[Remedy, ...]:
-        """What can be done about it."""
         return friction_feed_forward(
             plant,
             "coulomb_Nm",
@@ -112,7 +110,6 @@ class StribeckFriction(Effect):
 
     @staticmethod
     def respond(p: Values, state: Signal, _signal: Signal, site: Site) -> Response:
-        """The mean torque of the bristles over the substep."""
         start = site.start_velocity_rad_s
         size = p.coulomb_Nm + p.excess_Nm * faded(p.per_square * start**2)
         bent = both_bent(state, site, size * p.slowing, (p.bend_1, p.bend_2))

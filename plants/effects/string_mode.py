@@ -12,7 +12,7 @@ from plants.effects.effect import Effect, Port, Response, Signal, Site, Values
 from plants.effects.oscillator import stepping
 from plants.effects.parameter import ABOVE_ZERO, RecordScale, Share, parameter
 from plants.effects.plant_scale import PlantScale, share, si
-from plants.effects.remedy import Remedy, limit
+from plants.effects.remedy import limit
 
 
 def _ringing_densities(records: RecordScale) -> list[float]:
@@ -56,6 +56,9 @@ class StringMode(Effect):
     port = Port.CABLE
     states = 2
     form_error = 0.01
+    plain_remedies = (
+        limit("the cable's own vibration bounds the bandwidth; shorten or tighten it"),
+    )
 
     coupling: float = parameter(1.0, low=0.0, high=2.0, neutral=0.0)
     density_kg_m: float = parameter(
@@ -69,7 +72,6 @@ class StringMode(Effect):
 
     @classmethod
     def describe(cls, p: Values, plant: PlantScale) -> str:
-        """Sentence with the fitted values."""
         frequency = math.sqrt(plant.tension_N / p.density_kg_m) / (2.0 * plant.length_m)  # (31)
         where = (
             "" if math.isnan(frequency) else f" at {frequency:.3g} Hz ({si(plant.tension_N, 'N')})"
@@ -78,11 +80,6 @@ class StringMode(Effect):
             f"has a cable of {1e3 * p.density_kg_m:.3g} g/m that swings like a string{where}: "
             f"faster than that, {share(p.coupling)} of its sag's give is lost"
         )
-
-    @classmethod
-    def remedies(cls, _p: Values, _plant: PlantScale) -> tuple[Remedy, ...]:
-        """What can be done about it."""
-        return (limit("the cable's own vibration bounds the bandwidth; shorten or tighten it"),)
 
     @staticmethod
     def prepare(p: Values, reel: Values) -> dict[str, Signal]:
@@ -101,7 +98,6 @@ class StringMode(Effect):
 
     @staticmethod
     def respond(p: Values, state: Signal, signal: Signal, _site: Site) -> Response:
-        """The tension with what the string adds."""
         v, last = state[0], state[1]
         tension = signal + p.given_N * (v * v - 1.0)
         step = p.keep * last + p.pull * (1.0 - v * (ca.fmax(tension, 0.0) * p.per_preload))

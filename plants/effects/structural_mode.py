@@ -69,7 +69,6 @@ class StructuralMode(Effect):
 
     @classmethod
     def describe(cls, p: Values, plant: PlantScale) -> str:
-        """Sentence with the fitted values."""
         T = plant.usual_tension_N
         stiffer = "" if plant.is_plant else (
             f" and is {share(p.stiffening_per_N * T)} stiffer at {plant.reading(T)}"
@@ -81,7 +80,6 @@ class StructuralMode(Effect):
 
     @classmethod
     def remedies(cls, p: Values, plant: PlantScale) -> tuple[Remedy, ...]:
-        """What can be done about it."""
         title = "put a notch at the mode in the measurement"
         table = {
             "frequency_Hz": p.frequency_Hz,
@@ -110,7 +108,6 @@ class StructuralMode(Effect):
 
     @staticmethod
     def respond(p: Values, state: Signal, signal: Signal, _site: Site) -> Response:
-        """The tension left."""
         q, last = state[0], state[1]
         rest = (1.0 + p.share) * signal
         # With T = max(0, rest - q), T + q is max(rest, q).

@@ -1,17 +1,18 @@
 """Torque that depends on the drum's angle."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from plants.effects import angle_phase
-from plants.effects.effect import Effect, Port, Response, Signal, Site, Values
+from plants.effects.angle_waves import AngleWaves, Wave
+from plants.effects.effect import Values
 from plants.effects.parameter import ABOVE_ZERO, RecordScale, Role, Share, parameter, phase
 from plants.effects.plant_scale import PlantScale
 from plants.effects.remedy import Remedy, angle_map, workshop
 
 
 @dataclass(frozen=True)
-class TorqueRipple(Effect):
+class TorqueRipple(AngleWaves):
     """Cogging of the motor: `tau = -A sin(N theta + phi)`.
 
     Attributes:
@@ -27,7 +28,6 @@ class TorqueRipple(Effect):
         "any velocity"
     )
     excitation = "slow motion over many periods"
-    port = Port.DRUM
     states = angle_phase.STATES
 
     amplitude_Nm: float = parameter(0.01, low=0.0, unit="N m", neutral=0.0)
@@ -56,7 +56,6 @@ class TorqueRipple(Effect):
 
     @classmethod
     def describe(cls, p: Values, plant: PlantScale) -> str:
-        """Sentence with the fitted values."""
         return (
             f"has a motor that cogs: its effort varies by {plant.torque(p.amplitude_Nm)} either "
             f"way, {plant.periods(p.per_turn)}, the same at each passage"
@@ -64,7 +63,6 @@ class TorqueRipple(Effect):
 
     @classmethod
     def remedies(cls, p: Values, plant: PlantScale) -> tuple[Remedy, ...]:
-        """What can be done about it."""
         wave = {"orders": p.per_turn, "torque_Nm": p.amplitude_Nm, "phase_rad": p.phase_rad}
         return (
             *angle_map(plant, "amplitude_Nm", (wave,)),
@@ -72,18 +70,5 @@ class TorqueRipple(Effect):
         )
 
     @staticmethod
-    def respond(p: Values, state: Signal, _signal: Signal, site: Site) -> Response:
-        """The torque at this angle."""
-        phase = angle_phase.advance_angle(state, p.per_turn * site.angle_rad + p.phase_rad)
-        return phase, -p.amplitude_Nm * phase[0]
-
-    @staticmethod
-    def rest(p: Values, _state: Signal, _signal: Signal, site: Site) -> Response:
-        """The same at the angle of rest."""
-        phase = angle_phase.encode_angle(p.per_turn * site.angle_rad + p.phase_rad)
-        return phase, -p.amplitude_Nm * phase[0]
-
-    @staticmethod
-    def put(p: Values, _state: Signal, angle_rad: Signal) -> Signal:
-        """The phase there."""
-        return angle_phase.encode_angle(p.per_turn * angle_rad + p.phase_rad)
+    def waves(p: Values) -> Sequence[Wave]:
+        return ((p.amplitude_Nm, p.per_turn, p.phase_rad),)

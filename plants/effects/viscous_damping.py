@@ -6,7 +6,7 @@ from typing import Any
 from plants.effects.effect import Effect, Port, Values
 from plants.effects.parameter import parameter
 from plants.effects.plant_scale import PlantScale
-from plants.effects.remedy import Remedy, limit
+from plants.effects.remedy import limit
 
 
 @dataclass(frozen=True)
@@ -28,23 +28,17 @@ class ViscousDamping(Effect):
     excitation = "fast motion in both directions"
     base_parameter = "viscous_friction_Nms"
     port = Port.DRUM
+    plain_remedies = (limit("the loop is tuned with it; it damps, and costs nothing in tracking"),)
 
     damping_Nms: float = parameter(0.01, low=0.0, unit="N m s/rad", neutral=0.0)
 
     @classmethod
     def describe(cls, p: Values, plant: PlantScale) -> str:
-        """Sentence with the fitted values."""
         return (
             f"has more viscous friction than the model: {plant.damping(p.damping_Nms)}, in "
             "proportion to the speed"
         )
 
-    @classmethod
-    def remedies(cls, _p: Values, _plant: PlantScale) -> tuple[Remedy, ...]:
-        """What can be done about it."""
-        return (limit("the loop is tuned with it; it damps, and costs nothing in tracking"),)
-
     @staticmethod
     def amend(p: Values, reel: Values) -> dict[str, Any]:
-        """The friction of reel and effect together."""
         return {"viscous_friction_Nms": reel.viscous_friction_Nms + p.damping_Nms}

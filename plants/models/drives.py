@@ -40,7 +40,6 @@ class Servo(UnloadedReel):
 
     @property
     def limits(self) -> RigLimits:
-        """Limits of its trials, with those of its motion."""
         return replace(
             super().limits,
             speed_max_rad_s=self.speed_max_rad_s,
@@ -49,7 +48,6 @@ class Servo(UnloadedReel):
 
     @property
     def scale(self) -> PlantScale:
-        """Words that sentences on the servo refer to."""
         names = {"drum_inertia_kg_m2": "inertia_kg_m2"}
         return super().scale._replace(subject=self.title, names=names)
 
@@ -83,7 +81,6 @@ class Stage(Servo):
 
     @property
     def scale(self) -> PlantScale:
-        """Words and units that sentences on the stage refer to."""
         units = {
             "N m": "N",
             "rad": "m",
@@ -104,7 +101,6 @@ class Stage(Servo):
 
     @property
     def own_values(self) -> dict[str, float]:
-        """The values of the model file's keys."""
         return super().own_values | {"encoder_step_m": 2.0 * math.pi / self.encoder_counts}
 
 

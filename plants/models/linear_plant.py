@@ -19,7 +19,7 @@ from estune.trial.description import UNLIMITED_N
 from estune.trial.profiles import StepProfile
 from plants.models.effect_applicability import unavailable
 from plants.models.linear_with_effects import LinearEffectStructure
-from plants.models.mounting import MountedModel, Mounting
+from plants.models.mounting import MountedModel, Mounting, unit_step, wide_limits
 from plants.models.path_structure import squarings_for
 from plants.models.pole_zero_form import PoleZeroForm, factorise
 from plants.models.sampled_structure import SampledStructure
@@ -101,7 +101,6 @@ class LinearPlant(MountedModel):
 
     @cached_property
     def structure(self) -> SampledStructure | LinearEffectStructure:
-        """Structure of the equations."""
         if not self.effects:
             return SampledStructure(max(1, self.sampled.C.size), bool(self.sampled.before.any()))
         rate = self.controller.sampling_Hz
@@ -111,7 +110,6 @@ class LinearPlant(MountedModel):
 
     @property
     def delay_samples(self) -> int:
-        """Whole samples of the dead time, with that of the effects."""
         return super().delay_samples if self.effects else self.sampled.delay
 
     @cached_property
@@ -151,7 +149,6 @@ class LinearPlant(MountedModel):
         return drive
 
     def describe(self, name: str, gains: Gains | None) -> RigDescription:
-        """Description of a rig that runs this plant."""
         safe = gains or self.mounting.gains or self._safe_gains()
         return self.mounting.describe(name, safe, self.model)
 
@@ -240,17 +237,16 @@ def linear_plant(
             sample_s=1.0 / sampling_Hz,
         )
     settings = ControllerSettings(sampling_Hz, derivative_filter_s, output_min_N, output_max_N)
-    mounting = Mounting.with_defaults(
+    mounting = Mounting(
         settings,
+        profile or unit_step(0.0, settling_time_s),
         settling_time_s,
-        preload_N=0.0,
-        profile=profile,
-        limits=limits,
-        noise_rms_N=noise_rms_N,
-        gains=gains,
-        newtons_per_ampere=newtons_per_ampere,
-        measurement=measurement,
-        command=command,
+        limits or wide_limits(sampling_Hz),
+        noise_rms_N,
+        gains,
+        newtons_per_ampere,
+        measurement,
+        command,
     )
     return LinearPlant(mounting, sampled, model)
 

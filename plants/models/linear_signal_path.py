@@ -26,13 +26,11 @@ class LinearPath(NamedTuple):
     rounded: bool
 
     def drive(self, x: Expression, effort: Expression) -> list[Expression]:
-        """Actuator: effort to drive, within its limit."""
         site = self._site(Port.ACTUATOR, x)
         x, drive = self.stages.forward(x, effort * self.c.drive_per_effort, site)
         return [x, ca.fmin(ca.fmax(drive, -self.c.limit), self.c.limit)]
 
     def substep(self, x: Expression, driven: Expression) -> Expression:
-        """State one substep later; `driven` is the drive's contribution to it."""
         c, n = self.c, self.base.order
         free = c.transition @ x[:n] + driven
         if not c.V.nnz():  # the output jumps with the input: effects give a constant torque only
@@ -72,11 +70,9 @@ class LinearPath(NamedTuple):
         return [x, reading + noise, ca.SX(0.0)]
 
     def outside(self, _x: Expression) -> Expression | None:
-        """There is no gauge outside."""
         return None
 
     def rest(self, reading: Expression) -> tuple[Expression, Expression]:
-        """State and effort at rest at a reading."""
         c, n = self.c, self.base.order
         x = ca.SX.zeros(self.stages.states)
         if not self.base.can_rest:

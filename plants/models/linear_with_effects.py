@@ -57,7 +57,6 @@ class LinearEffectStructure(PathStructure):
 
     @property
     def own_names(self) -> tuple[str, ...]:
-        """Names of the plant's own parameters."""
         return (*self.base.own, *self.COMMON)
 
     @property

@@ -44,37 +44,6 @@ class Mounting:
         check_not_negative("measurement noise", self.noise_rms_N, "N rms")
         check_positive("effort per ampere", self.newtons_per_ampere, "N/A")
 
-    @classmethod
-    def with_defaults(
-        cls,
-        controller: ControllerSettings,
-        settling_time_s: float,
-        *,
-        preload_N: float,
-        profile: StepProfile | None,
-        limits: RigLimits | None,
-        noise_rms_N: float,
-        gains: Gains | None,
-        newtons_per_ampere: float = 1.0,
-        measurement: str = "measurement",
-        command: str = "control effort",
-    ) -> "Mounting":
-        """A mounting with a unit step from the preload and wide limits, where none are given."""
-        start = 0.5 * settling_time_s
-        duration_s = start + SETTLING_TIMES_AFTER_STEP * settling_time_s
-        longest_s = TRIAL_MAX_samples / controller.sampling_Hz
-        return cls(
-            controller=controller,
-            profile=profile or StepProfile(preload_N, 1.0, start, duration_s),
-            settling_time_s=settling_time_s,
-            limits=limits or RigLimits(-UNLIMITED_N, UNLIMITED_N, longest_s),
-            noise_rms_N=noise_rms_N,
-            gains=gains,
-            newtons_per_ampere=newtons_per_ampere,
-            measurement=measurement,
-            command=command,
-        )
-
     def describe(
         self, name: str, gains: Gains | None, linear_model: LinearModel | None
     ) -> RigDescription:
@@ -104,6 +73,17 @@ class Mounting:
         )
 
 
+def unit_step(preload_N: float, settling_time_s: float) -> StepProfile:
+    """A step of one, followed for five settling times, of a plant that comes without a profile."""
+    after_s = SETTLING_TIMES_AFTER_STEP * settling_time_s
+    return StepProfile(preload_N, 1.0, 0.5 * settling_time_s, 0.5 * settling_time_s + after_s)
+
+
+def wide_limits(sampling_Hz: float) -> RigLimits:
+    """Limits that are practically none, of a plant that comes without any."""
+    return RigLimits(-UNLIMITED_N, UNLIMITED_N, TRIAL_MAX_samples / sampling_Hz)
+
+
 @dataclass(frozen=True, repr=False)
 class MountedModel(PlantModel):
     """A plant model that carries a `Mounting`, in units of its own."""
@@ -114,12 +94,10 @@ class MountedModel(PlantModel):
 
     @property
     def signals(self) -> Signals:
-        """The plant's measured and commanded signals."""
         return Signals(self.mounting.measurement, self.mounting.command)
 
     @property
     def scale(self) -> PlantScale:
-        """Units that sentences on the plant refer to."""
         signals = self.signals
         return super().scale._replace(
             input_unit=signals.command_unit,
@@ -132,20 +110,16 @@ class MountedModel(PlantModel):
 
     @property
     def newtons_per_ampere(self) -> float:
-        """Effort per motor current, N/A."""
         return self.mounting.newtons_per_ampere
 
     @property
     def controller(self) -> ControllerSettings:
-        """The fixed part of the controller."""
         return self.mounting.controller
 
     @property
     def profile(self) -> StepProfile:
-        """A step trial that suits the model."""
         return self.mounting.profile
 
     @property
     def noise_rms_N(self) -> float:
-        """Root mean square of the measurement noise, N."""
         return self.mounting.noise_rms_N

@@ -16,6 +16,7 @@ from plants.models.parameters import Parameters, ParametricStructure
 from plants.simulation.equations import (
     Equations,
     Expression,
+    dense_function,
     held_input,
     pack_constants,
 )
@@ -99,24 +100,23 @@ class PathStructure(ParametricStructure):
         moved = path.substep(x, self._driven(c, n, before, after))
         outside = path.outside(x)
 
-        def function(name: str, inputs: list[Expression], *outputs: Expression) -> Expression:
-            return ca.Function(name, inputs, [ca.densify(output) for output in outputs])
-
         return Equations(
-            prepare=function("prepare", [parameters, preload], column, rest, rest_effort),
-            observe=function(
+            prepare=dense_function("prepare", [parameters, preload], column, rest, rest_effort),
+            observe=dense_function(
                 "observe", [constants, x, before, noise], *path.observe(x, before, noise)
             ),
-            drive=function("drive", [constants, x, effort], *path.drive(x, effort)),
-            substep=function("substep", [constants, x, before, after, n], moved),
+            drive=dense_function("drive", [constants, x, effort], *path.drive(x, effort)),
+            substep=dense_function("substep", [constants, x, before, after, n], moved),
             substeps=SUBSTEPS,
-            dead_time_samples=function(
+            dead_time_samples=dense_function(
                 "dead_time_samples", [parameters], self.dead_time_samples(parameters)
             ),
-            settle=function("settle", [constants, reading], settled, settled_effort),
-            locate=function("locate", [constants, x], path.locate(x)),
-            place=function("place", [constants, x, placed], path.place(x, placed)),
-            outside=None if outside is None else function("outside", [constants, x], outside),
+            settle=dense_function("settle", [constants, reading], settled, settled_effort),
+            locate=dense_function("locate", [constants, x], path.locate(x)),
+            place=dense_function("place", [constants, x, placed], path.place(x, placed)),
+            outside=None
+            if outside is None
+            else dense_function("outside", [constants, x], outside),
         )
 
     def _driven(self, c: Any, n: Expression, before: Expression, after: Expression) -> Expression:

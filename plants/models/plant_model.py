@@ -142,7 +142,6 @@ class PlantModel(Plant, ABC):
         noise_N: FloatArray | None,
         bound_N: float,
     ) -> Columns:
-        """Runs a batch of trials; see `Plant.respond`."""
         drive = self.admissible(drive)
         batch = Batch(
             parameters=self.parameter_values,

@@ -18,7 +18,7 @@ from estune.trial import SATURATED, RigDescription, RigLimits
 from estune.trial.description import UNLIMITED_N
 from estune.trial.profiles import StepProfile
 from plants.effects import Effect
-from plants.models.mounting import MountedModel, Mounting
+from plants.models.mounting import MountedModel, Mounting, unit_step, wide_limits
 from plants.models.start_gains import identified_gains
 from plants.models.state_shape import StateShape
 from plants.models.symbolic_plant import TracedStructure, unavailable
@@ -84,7 +84,6 @@ class PythonPlant(MountedModel):
 
     @property
     def own_numbers(self) -> dict[str, float]:
-        """The plant's own parameters by name."""
         flat = StateShape.of(self.initial_state).flatten(self.initial_state)
         return {
             "sampling_Hz": self.controller.sampling_Hz,
@@ -116,7 +115,6 @@ class PythonPlant(MountedModel):
         noise_N: FloatArray | None,
         bound_N: float,
     ) -> Columns:
-        """Runs a batch of trials; see `Plant.respond`."""
         if self.effects:
             return super().respond(coefficients, drive, noise_N, bound_N)
         samples = len(drive.setpoint_N)
@@ -192,7 +190,6 @@ class PythonPlant(MountedModel):
         return next_state, measurement
 
     def describe(self, name: str, gains: Gains | None) -> RigDescription:
-        """Description of a rig that runs this plant."""
         live = gains or self.mounting.gains or self._identified_gains
         return self.mounting.describe(name, live, None)
 
@@ -264,14 +261,13 @@ def python_plant(
     check_positive("settling time", settling_time_s, "s")
     check_not_negative("dead time", dead_time_s, "s")
     controller = ControllerSettings(sampling_Hz, derivative_filter_s, output_min_N, output_max_N)
-    mounting = Mounting.with_defaults(
+    mounting = Mounting(
         controller,
+        profile or unit_step(initial_measurement_N, settling_time_s),
         settling_time_s,
-        preload_N=initial_measurement_N,
-        profile=profile,
-        limits=limits,
-        noise_rms_N=noise_rms_N,
-        gains=gains,
+        limits or wide_limits(sampling_Hz),
+        noise_rms_N,
+        gains,
         measurement=measurement,
         command=command,
     )

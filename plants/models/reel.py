@@ -118,7 +118,6 @@ class Reel(PlantModel):
 
     @property
     def scale(self) -> PlantScale:
-        """Words and sizes that sentences on the reel refer to."""
         softness = 1.0 / self.structure_stiffness_N_m + self.cable_length_m / self.cable_EA_N
         return PlantScale(
             subject="reel",
@@ -171,7 +170,6 @@ class Reel(PlantModel):
         )
 
     def describe(self, name: str, gains: Gains | None) -> RigDescription:
-        """Description of a rig that runs this reel."""
         return RigDescription(
             name=name,
             gains=gains or SAFE_GAINS,
@@ -187,7 +185,6 @@ class Reel(PlantModel):
 
     @property
     def own_numbers(self) -> dict[str, float]:
-        """The reel's own parameters by name."""
         return {name: getattr(self, name) for name in ReelStructure.OWN}
 
     def summary(self) -> str:
@@ -196,7 +193,6 @@ class Reel(PlantModel):
 
     @cached_property
     def structure(self) -> ReelStructure:
-        """Structure of the equations."""
         p = self.amended_numbers
         amended = {n for e in self.effects for n in e.amend(SimpleNamespace(**vars(e)), p)}
         kappa = drum_stiffness_Nm_rad(p, self.tension_max_N)

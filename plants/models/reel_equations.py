@@ -97,7 +97,6 @@ class ReelStructure(PathStructure):
 
     @property
     def own_names(self) -> tuple[str, ...]:
-        """Names of the reel's own parameters."""
         return self.OWN
 
     @property

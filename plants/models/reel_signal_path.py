@@ -36,14 +36,12 @@ class ReelPath(NamedTuple):
     by_gauge: bool
 
     def drive(self, x: Expression, effort: Expression) -> list[Expression]:
-        """Actuator: effort to current, within its limit."""
         site = self._site(Port.ACTUATOR, x)
         x, current = self.stages.forward(x, effort * self.c.amperes_per_newton, site)
         limit = self.c.current_limit_A
         return [x, ca.fmin(ca.fmax(current, -limit), limit)]
 
     def substep(self, x: Expression, driven: Expression) -> Expression:
-        """State one substep later; `driven` is the motor current's contribution to it."""
         c = self.c
         linear = c.tension_per_angle * x[THETA] + c.tension_per_velocity * x[OMEGA]
         site = Site(
@@ -85,7 +83,6 @@ class ReelPath(NamedTuple):
         return ca.fmax(self.c.tension_per_angle * x[THETA] + x[STATES], 0.0)
 
     def rest(self, reading: Expression) -> tuple[Expression, Expression]:
-        """State and effort of the reel at rest at a reading of the gauge."""
         c, stages = self.c, self.stages
         x = ca.SX.zeros(stages.states)
         x, tension = stages.inverse(x, reading, self._site(Port.GAUGE, x))

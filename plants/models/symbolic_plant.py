@@ -18,7 +18,7 @@ from plants.models.linear_signal_path import READINGS_PER_ANGLE
 from plants.models.parameters import ParametricStructure
 from plants.models.path_structure import prepare_effects
 from plants.models.state_shape import StateShape, bare
-from plants.simulation.equations import Equations, Expression
+from plants.simulation.equations import Equations, Expression, dense_function
 
 STEP_MIN = 1e-9
 """Shortest step as a fraction of a sample; the function may divide by it."""
@@ -47,7 +47,6 @@ class TracedStructure(ParametricStructure):
 
     @property
     def own_names(self) -> tuple[str, ...]:
-        """Names of the plant's own parameters, with those of its initial state."""
         return (*self.COMMON, *(f"initial.{n}" for n in range(self.shape.numbers)))
 
     def substitutes(self) -> dict[str, float]:
@@ -84,28 +83,25 @@ class TracedStructure(ParametricStructure):
         moved = advanced(advanced(x, before, first * h), after, (1.0 - first) * h)
         rest, rest_effort = self._rest(stages, given.nominal, p, per_output)
 
-        def function(name: str, inputs: list[Expression], *outputs: Expression) -> Expression:
-            return ca.Function(name, inputs, [ca.densify(output) for output in outputs])
-
         measurement = seen / per_output + noise
         return Equations(
-            prepare=function("prepare", [constants, preload], constants, rest, rest_effort),
-            observe=function(
+            prepare=dense_function("prepare", [constants, preload], constants, rest, rest_effort),
+            observe=dense_function(
                 "observe", [constants, x, before, noise], observed, measurement, ca.SX(0.0)
             ),
-            drive=function("drive", [constants, x, effort], driven, drive),
-            substep=function(
+            drive=dense_function("drive", [constants, x, effort], driven, drive),
+            substep=dense_function(
                 "substep",
                 [constants, x, before, after, ca.SX.sym("n")],
                 ca.vertcat(moved, x[n + 1 :]),
             ),
             substeps=1,
-            dead_time_samples=function(
+            dead_time_samples=dense_function(
                 "dead_time_samples", [constants], self.dead_time_samples(constants)
             ),
-            settle=function("settle", [constants, reading], rest, rest_effort),
-            locate=function("locate", [constants, x], x[:n]),
-            place=function("place", [constants, x, placed], ca.vertcat(placed, x[n:])),
+            settle=dense_function("settle", [constants, reading], rest, rest_effort),
+            locate=dense_function("locate", [constants, x], x[:n]),
+            place=dense_function("place", [constants, x, placed], ca.vertcat(placed, x[n:])),
         )
 
     def _rest(
@@ -169,7 +165,6 @@ def trace(step: Step, shape: StateShape) -> Expression:
 
 
 def _call_with_symbols(step: Step, shape: StateShape, *, as_columns: bool) -> Expression:
-    """The function as CasADi equations."""
     x, effort, span = ca.SX.sym("x", shape.numbers), ca.SX.sym("effort"), ca.SX.sym("span")
     symbols: list[Any] = [*ca.vertsplit(x), effort, span]
     if not as_columns:

@@ -79,7 +79,6 @@ class UnloadedReel(PlantModel):
 
     @property
     def scale(self) -> PlantScale:
-        """Words and sizes that sentences on the drive refer to."""
         return PlantScale(
             subject="drive",
             radius_m=self.drum_radius_m,
@@ -124,7 +123,6 @@ class UnloadedReel(PlantModel):
         )
 
     def describe(self, name: str, gains: Gains | None) -> RigDescription:
-        """Description of a rig that runs this drum."""
         return RigDescription(
             name=name,
             gains=gains or Gains(1.0, 0.0, 0.0, 0.0),  # its trials run without a controller
@@ -139,7 +137,6 @@ class UnloadedReel(PlantModel):
 
     @property
     def own_numbers(self) -> dict[str, float]:
-        """The drum's own parameters by name."""
         units = {"torque_unit": 1.0, "angle_unit": 1.0}
         return {n: units[n] if n in units else getattr(self, n) for n in _NUMBERS}
 
@@ -149,7 +146,6 @@ class UnloadedReel(PlantModel):
 
     @cached_property
     def structure(self) -> LinearEffectStructure:
-        """Structure of the equations."""
         p = self.amended_numbers
         fastest = p.viscous_friction_Nms / p.drum_inertia_kg_m2
         return LinearEffectStructure(

@@ -41,26 +41,21 @@ class ApproachedPlant:
 
     @property
     def controller(self) -> ControllerSettings:
-        """The fixed part of the controller."""
         return self.plant.controller
 
     @property
     def profile(self) -> StepProfile:
-        """A step trial that suits the plant."""
         return self.plant.profile
 
     @property
     def noise_rms_N(self) -> float:
-        """Root mean square of the measurement noise, N."""
         return self.plant.noise_rms_N
 
     @property
     def newtons_per_ampere(self) -> float:
-        """Effort per motor current, N/A."""
         return self.plant.newtons_per_ampere
 
     def describe(self, name: str, gains: Gains | None) -> RigDescription:
-        """Description of a rig that runs this plant."""
         return self.plant.describe(name, gains)
 
     def respond(

@@ -53,6 +53,12 @@ class Equations(NamedTuple):
         return state
 
 
+def dense_function(name: str, inputs: list[Expression], *outputs: Expression) -> Expression:
+    """A function with dense outputs."""
+    # Of a sparse output the generated C writes the nonzeros alone, one after the other.
+    return ca.Function(name, inputs, [ca.densify(output) for output in outputs])
+
+
 def pack_constants(
     constants: SimpleNamespace,
 ) -> tuple[Expression, Expression, SimpleNamespace]:

@@ -28,7 +28,6 @@ class FmuPlant(PythonPlant):
         return self.dead_time_s + own_s
 
     def unavailable(self, effect: type[Effect]) -> str | None:  # noqa: ARG002  of every effect
-        """Reason why no effect can be added."""
         return "an FMU is compiled, and takes no effects"
 
     def summary(self) -> str:
