@@ -145,14 +145,13 @@ def test_trial_that_is_done_has_the_samples_asked_for_and_one_cut_short_no_more(
     assert bool(record_fault(stopped, request, rig)) is (samples > 0)
 
 
-def records_of(peaks, noise=0.0):
-    """Records of the step of the arithmetic rig whose overshoots are these, with white noise."""
-    rig = plan(RobustnessLimits())
+def records_of(step, peaks, noise=0.0):
+    """Records of a step whose overshoots are these, with white noise."""
     made, rng = [], np.random.default_rng(4)
     for number, peak in enumerate(peaks):
-        record = response(TrialRequest("run", number, GAINS, rig.step))
+        record = response(TrialRequest("run", number, GAINS, step))
         tension = record.setpoint_N + noise * rng.standard_normal(record.setpoint_N.size)
-        tension[30] = record.setpoint_N[30] + peak * rig.step.step_N
+        tension[30] = record.setpoint_N[30] + peak * step.step_N
         made.append(replace(record, tension_N=tension))
     return made
 
@@ -162,7 +161,8 @@ def test_overshoot_of_repeats_has_the_interval_of_their_mean_and_of_the_load(loa
     """Student's t of three degrees of freedom is 3.182; the mean of four has half the error."""
     peaks = np.array([0.1, 0.12, 0.12, 0.1])
     claim = Claim(None, "", math.nan, load=load)
-    found = measured_overshoot(plan(RobustnessLimits()), GAINS, records_of(peaks), claim)
+    made = plan(RobustnessLimits())
+    found = measured_overshoot(made, GAINS, records_of(made.step, peaks), claim)
     half = 3.1824 * max(peaks.std(ddof=1), load) / 2.0
     expected = (peaks.mean(), max(peaks.mean() - half - load, 0.0), peaks.mean() + half)
     assert found == pytest.approx(expected, rel=1e-4)
@@ -170,7 +170,8 @@ def test_overshoot_of_repeats_has_the_interval_of_their_mean_and_of_the_load(loa
 
 def test_overshoot_of_few_repeats_has_the_interval_of_their_noise():
     made, noise = plan(RobustnessLimits()), 0.05
-    found = measured_overshoot(made, GAINS, records_of([0.3, 0.3], noise=noise))
+    made = replace(made, step=replace(made.step, duration_s=30.0))
+    found = measured_overshoot(made, GAINS, records_of(made.step, [0.3, 0.3], noise=noise))
     half = 1.96 * PEAK_SCATTER * noise / abs(made.step.step_N) / math.sqrt(2.0)
-    assert found.high - found.value == pytest.approx(half, rel=0.15)
-    assert found.value - found.low == pytest.approx(half, rel=0.15)
+    assert found.high - found.value == pytest.approx(half, rel=0.04)
+    assert found.value - found.low == pytest.approx(half, rel=0.04)
