@@ -20,7 +20,7 @@ from estune.run.plan import Plan
 from estune.run.planning import description_from_json, plan_from_json
 from estune.run.results.summary import summarise
 from estune.run.session import Session, new_session
-from estune.run.tally import is_safe
+from estune.run.tally import was_safe
 from estune.run.tuning_run import TuningRun, adopt_first, read_kept_records
 from estune.support.garbage import collection_paused
 from estune.trial import Outcome
@@ -128,7 +128,7 @@ def _session(session: Session, entries: list[JournalEntry], journal: Journal) ->
         search_end=journal.fact("search_end") or f"the search took {len(search)} trials",
     )
     eta_max = session.eta_max
-    safe = [e for e in search if e.outcome and is_safe(e.phase, e.outcome, e.cost, eta_max)]
+    safe = [e for e in search if was_safe(e, eta_max)]
     if safe:
         best = min(safe, key=attrgetter("cost"))
         point = session.plan.tuner.space.point_of(best.gains)
@@ -162,15 +162,10 @@ def _repeats(
     gains = tuple(Gains(*g) for g in compared) or tuple(dict.fromkeys(e.gains for e in entries))
     if len(gains) < 2:
         return None
+    eta_max = session.eta_max
     costs = tuple(
-        tuple(math.inf if _censored(session, e) else e.cost for e in entries if e.gains == g)
+        tuple(e.cost if was_safe(e, eta_max) else math.inf for e in entries if e.gains == g)
         for g in gains
     )
     # A confirmation ends as soon as its interval is narrow: within a round, as a rule.
     return InterleavedRepeats(gains, min(map(len, costs)), costs)
-
-
-def _censored(session: Session, entry: JournalEntry) -> bool:
-    return entry.outcome is None or not is_safe(
-        entry.phase, entry.outcome, entry.cost, session.eta_max
-    )

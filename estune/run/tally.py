@@ -5,6 +5,7 @@ from collections.abc import Iterable
 from statistics import fmean
 from typing import NamedTuple, Self
 
+from estune.run.journal import JournalEntry
 from estune.run.phase import Phase
 from estune.trial import Outcome
 
@@ -59,6 +60,18 @@ def is_safe(phase: Phase, outcome: Outcome, cost: float, eta_max: float) -> bool
     if outcome is not Outcome.DONE or phase is Phase.EXCITE:
         return outcome is Outcome.DONE
     return 0.0 < cost <= eta_max and not math.isinf(cost)
+
+
+def was_safe(entry: JournalEntry, eta_max: float) -> bool:
+    """As `is_safe`, of a trial in the journal; one that is under way is not."""
+    ended = entry.outcome
+    return ended is not None and is_safe(entry.phase, ended, entry.cost, eta_max)
+
+
+def was_unsafe(entry: JournalEntry, eta_max: float) -> bool:
+    """As `is_unsafe`, of a trial in the journal; one that is under way is not."""
+    ended = entry.outcome
+    return ended is not None and is_unsafe(entry.phase, ended, entry.cost, eta_max)
 
 
 def is_unsafe(phase: Phase, outcome: Outcome, cost: float, eta_max: float) -> bool:

@@ -57,6 +57,10 @@ _LOOKS: Mapping[str, dict[str, Any]] = {
 }  # fmt: skip
 """Curves before and after the tuning."""
 
+_LEGEND: Mapping[str, Any] = {
+    "loc": "best", "fontsize": 8, "frameon": False, "handlelength": 1.8
+}  # fmt: skip
+
 _DECADE = 10.0
 FEW = 20
 """Trials of a phase from which their symbols are drawn smaller."""
@@ -110,9 +114,7 @@ def draw_response(
 ) -> Axes:  # fmt: skip
     """The step response before and after tuning, with the setpoint and its 2 % band."""
     ax = ax or new_axes()
-    final = step.preload_N + step.step_N
-    band = 0.02 * abs(step.step_N)
-    ax.axhspan(final - band, final + band, color=LIGHT, linewidth=0, label="±2 % of the step")
+    _draw_band(ax, step.preload_N + step.step_N, step.step_N)
     first = before or after
     per_s, unit = axis_unit(step.duration_s)
     if first is not None:
@@ -126,7 +128,7 @@ def draw_response(
     early_s = min(step.step_at_s, 0.1 * step.duration_s)
     ax.set_xlim(-early_s * per_s, (step.duration_s - step.step_at_s) * per_s)
     finish(ax, ordinate, f"time from the step, {unit}")
-    ax.legend(loc="best", fontsize=8, frameon=False, handlelength=1.8)
+    ax.legend(**_LEGEND)
     return ax
 
 
@@ -161,23 +163,19 @@ def draw_disturbance(
 ) -> Axes:
     """Deviation from the setpoint after the load, before and after tuning, with the 2 % band."""
     per_s, unit = axis_unit(step.duration_s)
-    band = 0.02 * abs(step.step_N)
-    ax.axhspan(-band, band, color=LIGHT, linewidth=0, label="±2 % of the step")
+    _draw_band(ax, 0.0, step.step_N)
     for record, look in _before_and_after(before, after):
         at = round(step.load_at_s * record.sampling_Hz)
         deviation = record.tension_N[at:] - record.setpoint_N[at:]
         ax.plot((record.time_s[at:] - step.load_at_s) * per_s, deviation, **look)
-    finish(ax, f"deviation, {rig.measurement_unit}".rstrip(", "), f"time from the load, {unit}")
-    ax.legend(loc="best", fontsize=8, frameon=False, handlelength=1.8)
-    return ax
+    return _finish_deviation(ax, rig, unit)
 
 
 def draw_rejections(
     ax: Axes, rejections: Mapping[str, LoadRejection | None], step_N: float, rig: RigDescription
 ) -> Axes:
     """Predicted deviation after a load step, by the names of `_LOOKS`, with the 2 % band."""
-    band = BAND * abs(step_N)
-    ax.axhspan(-band, band, color=LIGHT, linewidth=0, label="±2 % of the step")
+    _draw_band(ax, 0.0, step_N)
     known = {name: at for name, at in rejections.items() if at is not None}
     ends_s = [at.vanished_s if at.vanishes else math.inf for at in known.values()]
     longest_s = max(at.time_s[-1] for at in known.values())
@@ -186,8 +184,17 @@ def draw_rejections(
     for name, at in known.items():
         shown = at.time_s <= shown_s
         ax.plot(at.time_s[shown] * per_s, at.deviation[shown], **_LOOKS[name])
+    return _finish_deviation(ax, rig, unit)
+
+
+def _draw_band(ax: Axes, level: float, step_N: float) -> None:
+    band = BAND * abs(step_N)
+    ax.axhspan(level - band, level + band, color=LIGHT, linewidth=0, label="±2 % of the step")
+
+
+def _finish_deviation(ax: Axes, rig: RigDescription, unit: str) -> Axes:
     finish(ax, f"deviation, {rig.measurement_unit}".rstrip(", "), f"time from the load, {unit}")
-    ax.legend(loc="best", fontsize=8, frameon=False, handlelength=1.8)
+    ax.legend(**_LEGEND)
     return ax
 
 

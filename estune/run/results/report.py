@@ -2,7 +2,8 @@
 
 import dataclasses
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
+from itertools import zip_longest
 from typing import Any
 
 import numpy as np
@@ -101,22 +102,17 @@ def _responses(result: RunResult) -> Iterator[Block]:
     upper.set_xlabel("")
     figures.draw_command(lower, step, rig, before, after)
     shown = {"initial": before} | ({"tuned": after} if after is not None else {})
+    load = " The load of the disturbance response begins at the dotted line."
+    load = load if isinstance(step, LoadStepProfile) else ""
     yield Drawing(
         figure,
         "response",
         f"{rig.measurement_name} and {rig.command_name} over time, before and after",
         f"{rig.measurement_name.capitalize()} and {rig.command_name} in the first trial with the "
         f"initial gains{' and the last with the tuned ones' if after is not None else ''}."
-        f"{_load(result)}{_limits(result, before)}",
+        f"{load}{_limits(result, before)}",
         csv=_csv(_samples(shown, rig.newtons_per_ampere)),
     )
-
-
-def _load(result: RunResult) -> str:
-    """Legend of the line in the figure, as a sentence; empty without a load."""
-    if not isinstance(result.plan.step, LoadStepProfile):
-        return ""
-    return " The load of the disturbance response begins at the dotted line."
 
 
 def _disturbance(result: RunResult) -> Iterator[Block]:
@@ -327,16 +323,10 @@ def _tuner(tuner: Any) -> str:
 
 def _csv(columns: Mapping[str, Any]) -> str:
     """Columns as CSV, shorter ones filled up with nothing; empty where it is too long."""
-    lists = [_texts(values) for values in columns.values()]
-    rows = max(map(len, lists))
-    lines = [",".join(columns)]
-    lines += [",".join(row[n] if n < len(row) else "" for row in lists) for n in range(rows)]
-    text = "\n".join([*lines, ""])
+    lists = (map(_text, np.asarray(values).tolist()) for values in columns.values())
+    rows = (columns, *zip_longest(*lists, fillvalue=""))
+    text = "".join(f"{','.join(row)}\n" for row in rows)
     return text if len(text) <= _CSV_MAX else ""
-
-
-def _texts(values: Sequence[Any]) -> list[str]:
-    return [_text(value) for value in np.asarray(values).tolist()]
 
 
 def _text(value: Any) -> str:

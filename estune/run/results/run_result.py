@@ -56,7 +56,7 @@ from estune.run.robustness import (
     robustness_cells,
 )
 from estune.run.session import Session
-from estune.run.tally import is_safe, is_unsafe
+from estune.run.tally import was_safe, was_unsafe
 from estune.run.trial_quality import quality_remarks
 from estune.trial import Rig, RigDescription, TrialRecord
 from estune.trial.scoring import constraint_margin
@@ -216,9 +216,8 @@ class RunResult(OptimizeResult):  # type: ignore[misc]  # scipy ships no type in
         if not self.verdict.complete:
             return ()
         at, session, space = self.tuned or self.start, self.session, self.plan.tuner.space
-        eta_max = session.eta_max
-        entries = (e for e in self.entries if e.phase is not Phase.EXCITE)
-        safe = [e for e in entries if e.outcome and is_safe(e.phase, e.outcome, e.cost, eta_max)]
+        eta_max = session.eta_max  # a mean over the baseline: once, for runs are long
+        safe = [e for e in self.entries if e.phase is not Phase.EXCITE and was_safe(e, eta_max)]
         best = space.point_of(at.gains)
         repeated = [r.costs for r in (session.choice, session.confirmation) if r is not None]
         flat = result_warnings.flat_directions(
@@ -328,7 +327,8 @@ class RunResult(OptimizeResult):  # type: ignore[misc]  # scipy ships no type in
         entries = self.entries
         costs = np.array([e.cost for e in entries], np.float64)
         gains = np.array([e.gain_values for e in entries], np.float64).reshape(-1, len(GAIN_NAMES))
-        unsafe = np.array([_is_unsafe(e, self.session.eta_max) for e in entries], np.bool_)
+        eta_max = self.session.eta_max  # as in `findings`
+        unsafe = np.array([was_unsafe(e, eta_max) for e in entries], np.bool_)
         return {
             "number": np.array([e.number for e in entries], np.int64),
             "attempt": np.array([e.attempt for e in entries], np.int64),
@@ -362,11 +362,6 @@ class RunResult(OptimizeResult):  # type: ignore[misc]  # scipy ships no type in
         raise JournalError(
             f"the record of trial {number} is not stored; tune with journal=True to store them all"
         )
-
-
-def _is_unsafe(entry: JournalEntry, eta_max: float) -> bool:
-    """Whether a trial was unsafe; `eta_max` takes a mean over the baseline, of many trials."""
-    return entry.outcome is not None and is_unsafe(entry.phase, entry.outcome, entry.cost, eta_max)
 
 
 def _robustness_remarks(result: RunResult) -> tuple[str, ...]:

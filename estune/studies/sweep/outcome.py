@@ -14,7 +14,7 @@ from estune.core.quantities import FloatArray
 from estune.errors import InvalidInput
 from estune.run.ending import RunEnding
 from estune.run.phase import Phase
-from estune.run.tally import is_unsafe
+from estune.run.tally import was_unsafe
 from estune.studies.law.tuned import TunedGains
 from estune.studies.sweep.cells import Cell
 from estune.support.sqlite import FileKind, SqliteFile
@@ -197,11 +197,9 @@ def finished(cell: Cell, result: "TuneResult", duration_s: float) -> CellOutcome
 
 def _trace(result: "TuneResult") -> FloatArray:
     """The trials that are not void, shape (trials, 7)."""
+    eta_max = result.session.eta_max
     rows = [
-        (
-            *(e.phase is Phase.SEARCH, *e.gains.as_tuple(), e.cost),
-            is_unsafe(e.phase, e.outcome, e.cost, result.session.eta_max),
-        )
+        (e.phase is Phase.SEARCH, *e.gain_values, e.cost, was_unsafe(e, eta_max))
         for e in result.entries
         if e.outcome is not None and not e.outcome.is_void
     ]
