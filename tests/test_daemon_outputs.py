@@ -24,7 +24,7 @@ from estune.daemon.metrics import (
     write_metrics,
 )
 from estune.daemon.notifications import QUEUE_MAX, Hooks
-from estune.daemon.rig_counts import RigCounts
+from estune.daemon.supervised_rig import RigCounts
 from estune.remote.messages.daemon import (
     DaemonEvent,
     DaemonStatus,

@@ -52,8 +52,6 @@ DIAGNOSTIC_ARRAY = MessageType(
 
 
 class _Publisher:
-    """One topic."""
-
     def __init__(self, put: PutSession, key: str, token: str) -> None:
         self._put, self._key = put, key
         self._gid = hashlib.sha256(token.encode()).digest()[:16] if token else b""
@@ -62,7 +60,6 @@ class _Publisher:
             put.declare_token(token)
 
     def publish(self, payload: bytes) -> None:
-        """Publishes a message."""
         attachment = None
         if self._gid:
             self._sequence += 1

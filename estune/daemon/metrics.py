@@ -14,7 +14,7 @@ from prometheus_client.core import Metric as Family
 from prometheus_client.registry import Collector
 
 from estune.core.gains import GAIN_NAMES
-from estune.daemon.rig_counts import RigCounts
+from estune.daemon.supervised_rig import RigCounts
 from estune.daemon.supervisor_state import GainSet, SupervisorMode
 from estune.errors import RigError
 from estune.remote.messages.daemon import DaemonStatus
@@ -166,7 +166,6 @@ class _Rigs(Collector):
         self._rigs = rigs
 
     def collect(self) -> Iterator[Family]:
-        """The metrics that have a sample."""
         rigs = tuple(self._rigs())
         for metric in METRICS:
             family = Family(metric.name.removesuffix("_total"), metric.help, metric.kind)
@@ -233,7 +232,6 @@ class _Daemon(Collector):
         self._health = health
 
     def collect(self) -> Iterator[Family]:
-        """Version, stuck supervisions, failures of hooks."""
         health = self._health()
         yield build_info("estune_build_info")
         stuck = Family("estune_supervisions_stuck", "Supervisions without progress.", "gauge")

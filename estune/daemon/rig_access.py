@@ -14,8 +14,7 @@ from estune.core.gains import Gains
 from estune.daemon.config import RigTable
 from estune.daemon.events import EventKind
 from estune.daemon.faults import FaultCode
-from estune.daemon.rig_counts import RigCounts
-from estune.daemon.supervised_rig import SupervisedRig
+from estune.daemon.supervised_rig import RigCounts, SupervisedRig
 from estune.daemon.supervisor_state import GainSet
 from estune.errors import EstuneError, PlantError, RigError
 from estune.remote import zenoh

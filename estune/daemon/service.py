@@ -8,10 +8,10 @@ import threading
 import time
 from contextlib import ExitStack
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 from estune.daemon.admission import Admission
 from estune.daemon.config import DaemonConfig, ServiceTable
-from estune.daemon.live_page import serve_page
 from estune.daemon.metrics import (
     DaemonHealth,
     MetricsServer,
@@ -21,8 +21,8 @@ from estune.daemon.metrics import (
 )
 from estune.daemon.notifications import Hooks, Notifier, log_event
 from estune.daemon.rig_access import HOLDER_PREFIX
-from estune.daemon.shared_resources import SharedResources
-from estune.daemon.store import DaemonStore
+from estune.daemon.store import RUNS, DaemonStore
+from estune.daemon.supervised_connection import SharedResources
 from estune.daemon.supervised_rig import SupervisedRig
 from estune.daemon.supervisor import RigSupervisor
 from estune.errors import EstuneError, RigError
@@ -32,6 +32,9 @@ from estune.remote.zenoh.daemon_service import DaemonServer
 from estune.remote.zenoh.listening_session import ListeningSession
 from estune.remote.zenoh.network import Network
 from estune.support.open_files import allow_open_files
+
+if TYPE_CHECKING:
+    from estune.web.server import PageServer
 
 _POLL_S = 0.25
 _HOOKS_END_WITHIN_S = 5.0
@@ -101,10 +104,28 @@ class DaemonService:
                 opened.callback(metrics.close)
             self.page_address = ""
             if config.page.http_port is not None:
-                page = serve_page(config, self._supervised, security)
+                page = self._serve_page(security)
                 self.page_address = page.address
                 opened.callback(page.close)
             self._opened = opened.pop_all()
+
+    def _serve_page(self, security: Security) -> "PageServer":
+        from estune.web.run_folder import RunFolder  # noqa: PLC0415  slow to import
+        from estune.web.server import PageServer  # noqa: PLC0415  as above
+        from estune.web.views import daemon_view  # noqa: PLC0415  as above
+
+        views = [
+            daemon_view(
+                rig.name,
+                self._supervised[rig.name],
+                target=rig.target,
+                runs=RunFolder(self._config.state / rig.name / RUNS),
+                security=security,
+            )
+            for rig in self._config.rig
+        ]
+        page = self._config.page
+        return PageServer(lambda: views, port=page.http_port or 0, right=page.right)
 
     def statuses(self) -> list[DaemonStatus]:
         """Status of each rig."""

@@ -7,8 +7,9 @@ The supervisor's thread is woken by `changed`; no caller waits for it.
 import logging
 import math
 import threading
+from collections import Counter
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from typing import Any, Unpack
 
 from estune.core.control_chart import ChartSignal
@@ -19,7 +20,6 @@ from estune.daemon.config import RigTable
 from estune.daemon.events import EventKind
 from estune.daemon.faults import FAULT, EventFacts, FaultCode
 from estune.daemon.margin_watch import MarginReport, MarginWatch
-from estune.daemon.rig_counts import RigCounts
 from estune.daemon.store import CommandResult, DaemonStore, now
 from estune.daemon.supervisor_state import (
     GainSet,
@@ -41,6 +41,7 @@ from estune.remote.messages.daemon import (
     Request,
 )
 from estune.run.session import Session
+from estune.trial import Outcome
 
 EventListener = Callable[[DaemonEvent], None]
 """Callback after each committed event; must return at once."""
@@ -49,6 +50,29 @@ EventListener = Callable[[DaemonEvent], None]
 _TOLD_ONCE = (SupervisorEvent.LOST, SupervisorEvent.FAILED, SupervisorEvent.TROUBLE)
 
 _log = logging.getLogger(__name__)
+
+
+@dataclass(slots=True)
+class RigCounts:
+    """Counts of one rig.
+
+    Attributes:
+        trials: Trials by outcome; those that no record could be had of are not among them.
+        trial_s: Time of these trials together, from the request to the record.
+        leases_lost: Leases that ended during a trial.
+        commands_refused: Commands of operators that the mode did not allow.
+    """
+
+    trials: Counter[str] = field(default_factory=Counter)
+    trial_s: float = 0.0
+    leases_lost: int = 0
+    commands_refused: int = 0
+    faults: Counter[str] = field(default_factory=Counter)
+
+    def note_trial(self, outcome: Outcome, took_s: float) -> None:
+        """Counts a trial."""
+        self.trials[outcome.value] += 1
+        self.trial_s += took_s
 
 
 class Preempted(Exception):

@@ -15,8 +15,11 @@ from estune.daemon.events import EventKind
 from estune.daemon.faults import EventFacts, FaultCode
 from estune.daemon.progress_watch import ProgressWatch
 from estune.daemon.rig_access import HeldByOtherDaemon, RigAccess, TooManyVoidTrials
-from estune.daemon.shared_resources import SharedResources
-from estune.daemon.supervised_connection import TRIAL_MODES, SupervisedConnection
+from estune.daemon.supervised_connection import (
+    TRIAL_MODES,
+    SharedResources,
+    SupervisedConnection,
+)
 from estune.daemon.supervised_rig import Preempted, SupervisedRig
 from estune.daemon.supervisor_state import GainSet, SupervisorEvent, SupervisorMode
 from estune.daemon.tuning_runs import RunDecision

@@ -235,8 +235,9 @@ class FileLedger(_RigFacts):
     def last(self) -> str:
         """The youngest trial; empty without any, or while the file cannot be read."""
         with suppress(RigError), _as_rig_error():
-            rows = self._reader.rows("SELECT trial_id FROM trial ORDER BY sequence DESC LIMIT 1")
-            return str(rows[0][0]) if rows else ""
+            newest = "SELECT trial_id FROM trial ORDER BY sequence DESC LIMIT 1"
+            for (trial_id,) in self._reader.rows(newest):
+                return str(trial_id)
         return ""
 
     def note(self, trial_id: str, digest: str, *events: TrialEvent) -> TrialState:

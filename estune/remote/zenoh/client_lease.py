@@ -72,6 +72,7 @@ class LeaseRenewal:
                 leases = tuple(self._leases)
             for lease in leases:
                 lease.renew()
+            # After a stall of this process the turns that it missed are not sent in a burst.
             due_s = max(due_s + RENEW_S, time.monotonic() + 0.5 * RENEW_S)
 
 
@@ -160,6 +161,7 @@ class ClientLease:
             _log.debug("lease not renewed: %s", error)
             return
         if answer.verdict is ReplyCode.ACCEPTED:
+            # Replies may overtake each other: the age must not grow by a late one.
             self.renewed_s = max(self.renewed_s, sent_s)
         elif token == self.token:  # a late refusal of an earlier lease is not of this one
             name = self._connection.name
