@@ -26,7 +26,7 @@ class Reading(NamedTuple):
     Attributes:
         time_s: Time on the system's monotonic clock (`time.monotonic`), s; best the moment the
             converter latched the gauge.
-            overload.
+        gauge_counts: Counts of the gauge; NaN at an overload.
         encoder_counts: Counts of the drum's encoder, unwrapped: they go on past a turn.
         age_s: Age of the last good values, s; zero in a good reading.
         fault: Why there are no values of this instant; empty in a good reading.

@@ -65,12 +65,15 @@ class GuardWatch:
 def _relaxed(plan: LoopPlan) -> tuple[Limits, Limits]:
     """Limits while a slack cable is taken up, and while the live gains recover the reel."""
     unlimited = Limits()
+    # A slack cable has no tension, and jerks as it becomes taut; all else stays guarded, and it
+    # must become taut in time, or an unattached drum would wind for ever.
     take_up = replace(
         plan.guard,
         slack_N=unlimited.slack_N,
         rate_max_N_s=unlimited.rate_max_N_s,
         duration_s=plan.motion.take_up_s,
     )
+    # The limits that the trial's gains have just crossed; angle, travel and sensors stay guarded.
     recovering = replace(
         plan.guard,
         tension_max_N=unlimited.tension_max_N,

@@ -10,7 +10,7 @@ waits for no message; whatever needs an answer goes through the pipe beside it.
 import mmap
 import os
 import struct
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from enum import IntEnum
 from typing import Any, NamedTuple
 
@@ -66,6 +66,9 @@ class Word(IntEnum):
     BUSY = 15  # loop: one while a driver is opened or power switched, which may take its time
 
 
+_TEXTS = Word.REASON, Word.ORDER, Word.FAULT
+
+
 class SensorLevels(IntEnum):
     """Latest readings, written by the loop."""
 
@@ -96,14 +99,8 @@ class Timing(NamedTuple):
 
     def since(self, earlier: "Timing") -> "Timing":
         """Timing from an earlier one on."""
-        return Timing(
-            self.samples - earlier.samples,
-            self.late - earlier.late,
-            self.missed - earlier.missed,
-            self.bad - earlier.bad,
-            self.lateness - earlier.lateness,
-            self.turnaround - earlier.turnaround,
-        )
+        pairs: Iterable[tuple[Any, Any]] = zip(self, earlier, strict=True)
+        return Timing(*(now - then for now, then in pairs))
 
 
 def quantile_s(histogram: NDArray[np.int64], share: float) -> float:
@@ -112,10 +109,30 @@ def quantile_s(histogram: NDArray[np.int64], share: float) -> float:
     return BIN_s * float(index + 1)
 
 
+class SharedText:
+    """A text in the block, cut to `REASON_BYTES`; its length is a word."""
+
+    def __init__(self, length: Word) -> None:
+        self._length = length
+
+    def __get__(self, memory: "Memory", _: type["Memory"] | None = None) -> str:
+        data = memory.texts[self._length]
+        return bytes(data[: memory.words[self._length]]).decode(errors="replace")
+
+    def __set__(self, memory: "Memory", text: str) -> None:
+        data = text.encode()[:REASON_BYTES]
+        memory.texts[self._length][: len(data)] = data
+        # After the bytes: who reads meanwhile must not see the length of a text not yet there.
+        memory.words[self._length] = len(data)
+
+
 class Memory:
     """The shared block, seen from either process.
 
     Attributes:
+        reason: Why the rig last stopped; written by the loop.
+        estop_reason: Reason of the emergency stop; written by the rig.
+        fault: Fault of the last bad reading; written by the loop.
         setpoint_N: Setpoint of the trial; written by the rig before it.
         weights: Weight of the squared error in the running cost; written by the rig.
         target_N: Setpoint from above, a single number; written by the rig.
@@ -124,6 +141,10 @@ class Memory:
         time_s: Further columns of the trial, as in a record; written by the loop. Those of
             compensations that are off stay zero.
     """
+
+    reason = SharedText(Word.REASON)
+    estop_reason = SharedText(Word.ORDER)
+    fault = SharedText(Word.FAULT)
 
     def __init__(self, file: int, capacity: int) -> None:
         """Maps the block."""
@@ -135,7 +156,7 @@ class Memory:
         self.target_N, self.target_rad = self._take("d", 1), self._take("d", 1)
         self.far_end_m_s = self._take("d", 1)
         self.lateness, self.turnaround = self._take("q", BINS), self._take("q", BINS)
-        self._reason, self._order, self._fault = (self._take("B", REASON_BYTES) for _ in range(3))
+        self.texts = {word: self._take("B", REASON_BYTES) for word in _TEXTS}
         columns = [self._take("d", capacity) for _ in range(_COLUMNS)]
         self.time_s, self.setpoint_N, self.tension_N = columns[:3]
         self.current_A, self.angle_rad, self.weights = columns[3:6]
@@ -143,33 +164,6 @@ class Memory:
             setattr(self, name, column)
         self.flags = self._take("B", capacity)
         self._box_at = self._next_byte
-
-    @property
-    def reason(self) -> str:
-        """Why the rig last stopped; written by the loop."""
-        return bytes(self._reason[: self.words[Word.REASON]]).decode(errors="replace")
-
-    @reason.setter
-    def reason(self, text: str) -> None:
-        self._write(self._reason, Word.REASON, text)
-
-    @property
-    def estop_reason(self) -> str:
-        """Reason of the emergency stop; written by the rig."""
-        return bytes(self._order[: self.words[Word.ORDER]]).decode(errors="replace")
-
-    @estop_reason.setter
-    def estop_reason(self, text: str) -> None:
-        self._write(self._order, Word.ORDER, text)
-
-    @property
-    def fault(self) -> str:
-        """Fault of the last bad reading; written by the loop."""
-        return bytes(self._fault[: self.words[Word.FAULT]]).decode(errors="replace")
-
-    @fault.setter
-    def fault(self, text: str) -> None:
-        self._write(self._fault, Word.FAULT, text)
 
     def publish(
         self,
@@ -223,11 +217,6 @@ class Memory:
         counts = words[Word.SAMPLES], words[Word.LATE], words[Word.MISSED], words[Word.BAD]
         return Timing(*counts, np.array(self.lateness), np.array(self.turnaround))
 
-    def _write(self, view: memoryview, length: Word, text: str) -> None:
-        data = text.encode()[:REASON_BYTES]
-        view[: len(data)] = data
-        self.words[length] = len(data)
-
     def _take(self, kind: str, count: int) -> Any:
         """The next numbers of the block."""
         start, size = self._next_byte, count * (8 if kind in "qd" else 1)
@@ -236,7 +225,7 @@ class Memory:
 
 
 def _size(capacity: int) -> int:
-    head = 8 * (len(Word) + len(SensorLevels) + 3 + 2 * BINS) + 3 * REASON_BYTES
+    head = 8 * (len(Word) + len(SensorLevels) + 3 + 2 * BINS) + len(_TEXTS) * REASON_BYTES
     return head + _BYTES_PER_SAMPLE * capacity + BOX_ROWS * _BOX_ROW.size
 
 

@@ -6,7 +6,6 @@ Every packet ends with a checksum and carries a sequence number, so that a damag
 doubled answer is never taken for a reading; the board stamps its readings itself.
 """
 
-import binascii
 import math
 import struct
 import time
@@ -16,15 +15,13 @@ from typing import NamedTuple, Self
 from estune.errors import RigError
 from estune.hardware.driver import GaugeReading, MessageCount, Reading, bad_reading
 from estune.hardware.drivers.board_clock import BoardClock, unwrapped
-from estune.hardware.drivers.serial_port import SerialPort
+from estune.hardware.drivers.serial_port import CHECKSUM, SerialPort, sealed
 
 REQUEST = struct.Struct("<BcHi")
 """Begin, verb, sequence number, current command in counts."""
 ANSWER = struct.Struct("<BBHHIii")
 """Begin, status, sequence number of the request, of the last command accepted, time in us, gauge,
 encoder."""
-CHECKSUM = struct.Struct("<H")
-"""CRC-16 with polynomial 0x1021 from 0xFFFF, of everything before it."""
 REQUEST_BEGINS, ANSWER_BEGINS = 0xA5, 0x5A
 
 READ, WRITE, ENABLE, DISABLE, SAFE = b"r", b"w", b"e", b"d", b"s"
@@ -49,11 +46,6 @@ class BoardAnswer(NamedTuple):
     time_us: int
     gauge: int
     encoder: int
-
-
-def sealed(packet: bytes) -> bytes:
-    """A packet with its checksum."""
-    return packet + CHECKSUM.pack(binascii.crc_hqx(packet, 0xFFFF))
 
 
 class AnswerStream:

@@ -1,8 +1,10 @@
 """A serial port as bytes with deadlines."""
 
+import binascii
 import fcntl
 import os
 import select
+import struct
 import termios
 import time
 import tty
@@ -16,6 +18,15 @@ LATENCY_MAX_ms = 1
 
 BITS_PER_BYTE = 10
 """With start and stop bit."""
+
+
+CHECKSUM = struct.Struct("<H")
+"""CRC-16 with polynomial 0x1021 from 0xFFFF, of everything before it."""
+
+
+def sealed(packet: bytes) -> bytes:
+    """A packet with its checksum."""
+    return packet + CHECKSUM.pack(binascii.crc_hqx(packet, 0xFFFF))
 
 
 class SerialPort:

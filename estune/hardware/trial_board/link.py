@@ -1,6 +1,5 @@
 """Exchanges with a trial board: a packet out, the answer of the same sequence number back."""
 
-import binascii
 import struct
 import threading
 import time
@@ -8,11 +7,10 @@ from enum import IntEnum
 from typing import NamedTuple
 
 from estune.errors import RigError
-from estune.hardware.drivers.serial_port import SerialPort
+from estune.hardware.drivers.serial_port import CHECKSUM, SerialPort, sealed
 
 HEAD = struct.Struct("<BcHH")
 """Begin, kind, sequence number, length of what follows; the body; then a CRC-16."""
-CHECKSUM = struct.Struct("<H")
 BEGINS = 0xC3
 
 _STATUS = struct.Struct("<BBBBBII")
@@ -109,7 +107,7 @@ class BoardLink:
             self._sequence = (self._sequence + 1) & 0xFFFF
             packet = HEAD.pack(BEGINS, kind, self._sequence, len(body)) + body
             for _ in range(self._attempts):
-                self._port.write(packet + CHECKSUM.pack(binascii.crc_hqx(packet, 0xFFFF)))
+                self._port.write(sealed(packet))
                 deadline_s = time.monotonic() + self._within_s
                 while data := self._port.read(deadline_s):
                     answer = self._taken(data, kind)
@@ -135,11 +133,11 @@ class BoardLink:
             packet = self._bytes[:end]
             if begins == BEGINS and length <= 240 and len(self._bytes) < end + CHECKSUM.size:
                 return None
-            seal = self._bytes[end : end + CHECKSUM.size]
-            if begins != BEGINS or seal != CHECKSUM.pack(binascii.crc_hqx(packet, 0xFFFF)):
+            whole = end + CHECKSUM.size
+            if begins != BEGINS or sealed(packet) != self._bytes[:whole]:
                 self._bytes = self._bytes[1:]
                 continue
-            self._bytes = self._bytes[end + CHECKSUM.size :]
+            self._bytes = self._bytes[whole:]
             if (own, sequence) == (kind, self._sequence):
                 return packet[HEAD.size :]
         return None
