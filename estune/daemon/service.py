@@ -193,7 +193,7 @@ class DaemonService:
 
     def _feed_watchdog(self, now_s: float) -> None:
         """Feeds the watchdog, unless a supervisor makes no progress."""
-        stuck = [supervisor.name for supervisor in self._supervisors if supervisor.is_stuck]
+        stuck = self.health().stuck
         every_s = self._notifier.watchdog_s
         if stuck:
             _log.error("no progress with rig %s; the watchdog is not fed", ", ".join(stuck))

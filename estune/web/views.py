@@ -6,7 +6,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
-from estune.errors import InvalidInput, JournalError
+from estune.errors import JournalError
 from estune.remote.messages.commands import VERBS
 from estune.remote.messages.daemon import (
     DAEMON_VERBS,
@@ -326,8 +326,4 @@ class RemoteSupervision:
 
     def command(self, verb: DaemonVerb, command: Command) -> CommandAnswer:
         """Gives a command."""
-        try:
-            sentence = self._client.command(self._rig, verb, command.who, command.why)
-        except InvalidInput as error:
-            return CommandAnswer(done=False, sentence=str(error))
-        return CommandAnswer(done=True, sentence=sentence)
+        return self._client.send(self._rig, verb, command)

@@ -205,12 +205,16 @@ class DaemonClient(ClosingSession):
         Raises:
             InvalidInput: it is refused.
         """
-        payload = encode(Command(secrets.token_hex(8), who, why))
-        data = self._ask(rig, lambda: DaemonKeys(rig).command(self._instance(rig), verb), payload)
-        answer = decode(CommandAnswer, data)
+        answer = self.send(rig, verb, Command(secrets.token_hex(8), who, why))
         if not answer.done:
             raise InvalidInput(f"rig {rig}: {answer.sentence}")
         return answer.sentence
+
+    def send(self, rig: str, verb: DaemonVerb, command: Command) -> CommandAnswer:
+        """Sends a command to the daemon of a rig until it is answered."""
+        payload = encode(command)
+        data = self._ask(rig, lambda: DaemonKeys(rig).command(self._instance(rig), verb), payload)
+        return decode(CommandAnswer, data)
 
     def _about(
         self,
