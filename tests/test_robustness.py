@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from types import SimpleNamespace
 
 import control
 import numpy as np
@@ -25,7 +26,14 @@ from estune.loop_model.records import LoopRecord
 from estune.run.ending import RunEnding
 from estune.run.planning import step_trial
 from estune.run.robustness import not_robust
+from estune.run.trial_quality import check_noise
+from estune.trial import TrialRequest
 from estune.trial.profiles import StepProfile
+from estune.trial.scoring import cost_of
+from experiments.batch.__main__ import start_of
+from experiments.batch.loop import ProcessLoop
+from experiments.batch.processes import PROCESSES
+from experiments.batch.rig import BatchRig
 from experiments.loop_claims import true_sensitivity
 from experiments.sample_efficiency.problems import PROBLEMS
 from tests.support_loops import loop_of_taps
@@ -147,6 +155,23 @@ def test_ill_posed_trial_is_refused_unless_forced(changes, message):
         tune(plants.reference_reel(), watch=ran.append, **changes)
     assert len(ran) <= 3  # the baseline
     assert tune(plants.reference_reel(), trials=1, force=True, **changes).nit == 1
+
+
+def test_chance_refuses_no_step_of_a_hundred_times_the_noise_and_passes_none_of_twenty():
+    process = next(one for one in PROCESSES if one.name == "1/(s^2-1)")
+    cost = default_cost(process.settling_time_s)
+    for share, refused in ((0.01, 0), (0.05, 20)):
+        rig = BatchRig(ProcessLoop(process, share), start_of(process), 3)
+        about, caught = rig.describe(), 0
+        posed = SimpleNamespace(step=about.step, cost=cost)
+        for number in range(20):
+            record = rig.run(TrialRequest("run", number, start_of(process), about.step))
+            eta = cost_of(record, about.step, cost, about.newtons_per_ampere)
+            try:
+                check_noise(record, posed, about, eta)
+            except InvalidInput:
+                caught += 1
+        assert caught == refused
 
 
 def test_step_before_a_warm_up_is_over_is_refused_as_that_and_not_as_noise():

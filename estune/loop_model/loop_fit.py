@@ -15,7 +15,7 @@ from estune.loop_model.records import LoopRecord
 from estune.loop_model.whiteness import is_white
 
 RESPONSE_MIN = 10.0
-"""Least response in standard deviations of the noise: a trial below 95 is refused as ill-posed."""
+"""Least response in standard deviations of the noise: a trial below 40 is refused as ill-posed."""
 
 NUISANCE = 4
 """Parameters of each record: the start state of two poles, offsets of effort and measurement."""
