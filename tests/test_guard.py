@@ -120,6 +120,12 @@ def test_samples_within_the_limits_do_not_trip(limits, changes):
     assert stopped_at(limits, faulty(50, **changes)) is None
 
 
+def test_gauge_that_hangs_from_a_bridged_first_sample_on_is_frozen():
+    samples = (good(k)._replace(gauge_counts=5.0, held=k == 0) for k in range(100))
+    at, stop = stopped_at(Limits(frozen_s=0.0205), samples)
+    assert (at, stop.reason) == (21, Reason.FROZEN)
+
+
 @pytest.mark.parametrize(
     ("limits", "reason"),
     [

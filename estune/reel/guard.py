@@ -238,6 +238,8 @@ def _changed_s(watch: GuardState, sample: Sample) -> float:
     Else a device that is bridged for longer than frozen_s would be called frozen.
     """
     if sample.held:
+        # The first sample has none before it, and its step is infinite: with that a gauge that
+        # hangs from the start would never count as frozen.
         return min(watch.changed_s + sample.time_s - watch.time_s, sample.time_s)
     return watch.changed_s if sample.gauge_counts == watch.gauge_counts else sample.time_s
 
