@@ -200,6 +200,8 @@ def tune(target: Any, options: TuneOptions) -> "TuneResult":  # noqa: D417  from
             forced=options.force,
             **{member.name: getattr(options, member.name) for member in declared(Search)},
         )
+        # Before the journal is begun: a run that is refused leaves no folder behind. The profiles
+        # of the behaviour too, which would else be refused after all trials.
         description.limits.check(plan.step)
         if options.tracking:
             behaviour_profiles(description)

@@ -81,8 +81,6 @@ def _plan(values: dict[str, Any]) -> Plan:
 
 
 class _BestTrial(NamedTuple):
-    """The best safe trial."""
-
     best_point: Point
     best_cost: float | None
 

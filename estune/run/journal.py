@@ -194,6 +194,8 @@ class Journal(Closing):
 
         now = datetime.now(UTC).isoformat(timespec="milliseconds")
         frame = compress(record_frame.encode(finished.record)) if finished else b""
+        # At once: a crash between the two would leave a trial that may move the rig unknown to the
+        # run that resumes.
         with self._file.transaction():
             if finished is not None:
                 request, record = finished.request, finished.record
@@ -209,6 +211,7 @@ class Journal(Closing):
                     self._drop_records_to(request.number - self._records_max)
             if following is not None:
                 request, phase = following
+                # A run that resumes asks again for the trial that was under way.
                 self._file.write(
                     "INSERT OR IGNORE INTO trial (number, attempt, trial_id, phase,"
                     " P, I, D, setpoint_filter_s, asked_at) VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?)",

@@ -115,7 +115,6 @@ class _Pickler(pickle.Pickler):
         self._plan = plan
 
     def persistent_id(self, obj: Any) -> str | None:
-        """The plan by its name."""
         return "plan" if obj is self._plan else None
 
 

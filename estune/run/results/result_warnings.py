@@ -45,8 +45,6 @@ _CONFIDENCE = 1.645  # one-sided 95 % of a normal distribution
 
 
 class _Axis(NamedTuple):
-    """One tuned parameter."""
-
     name: str
     label: str
     unit: str

@@ -185,16 +185,19 @@ class Matching:
         )
         return StudyTable("reel", ("tuned cost", "matched cost"), self.signals.gain_units, rows)
 
+    @property
+    def _missed(self) -> list[str]:
+        missed = (reel for reel in self.reels if reel.reason and not reel.passed)
+        return [f"{reel.label}: {reel.reason}" for reel in missed]
+
     def __repr__(self) -> str:
-        table = self.table()
-        missed = [f"{row.label}: {row.reason}" for row in table.rows if row.reason]
-        return "\n".join([self.heading(), *(", ".join(row) for row in table.cells()), *missed])
+        rows = [", ".join(row) for row in self.table().cells()]
+        return "\n".join([self.heading(), *rows, *self._missed])
 
     def _repr_html_(self) -> str:
         table = self.table()
-        missed = [f"{row.label}: {row.reason}" for row in table.rows if row.reason]
         tables = [(table.heads, *table.cells())]
-        return card(self.heading(), good=self.passed, tables=tables, sentences=missed)
+        return card(self.heading(), good=self.passed, tables=tables, sentences=self._missed)
 
     def to_json(self) -> dict[str, Any]:
         """The outcome as JSON values."""
