@@ -382,6 +382,73 @@ def test_only_shapes_of_frictions_and_effects_at_their_bound_are_gone_along(
     assert (along.high - along.low > straight.high - straight.low) == told
 
 
+@pytest.mark.parametrize("value", [0.0, 0.2])
+@pytest.mark.parametrize("scale", ["linear", "log"])
+def test_value_is_gone_along_to_both_bounds_as_its_scale_has_them(value, scale):
+    """Finely about the fit; of a factor by equal factors."""
+    slopes, residuals = unlike(1)
+    low, value = (0.1, value + 0.2) if scale == "log" else (0.0, value)
+    name = f"{CoulombFriction.name}.creep_rad_s"
+    free = Free(name, "", value, low, 1.0, scale, CoulombFriction.name)
+    looked = []
+
+    def law(by):
+        looked.append(value + by[0])
+        return residuals + 1e3 * slopes[:, 0] * np.clip(by[0], -5e-4, 5e-4)
+
+    machine = Machine(None, None, (free,), (value,), law=law)
+    machine.intervals((CoulombFriction,))
+    looked.clear()
+    told = machine.intervals((CoulombFriction,), along=True)[name]
+    assert (told.low, told.high) == (pytest.approx(low), pytest.approx(1.0))
+    beside = np.array(looked)[-(1 + 24 * (1 + (value > low))) :]
+    for end in (low, 1.0) if value > low else (1.0,):
+        expected = value + (end - value) * PLACES
+        if scale == "log":
+            expected = value * (end / value) ** (np.arange(1, 25) / 24.0)
+        assert all(np.isclose(beside, at, rtol=1e-9).any() for at in expected)
+
+
+def test_others_follow_by_a_step_in_their_own_units_and_within_their_bounds():
+    slopes, residuals = unlike(2)
+    other, own = 1e3 * slopes.T
+    offset = Free("torque_offset_Nm", "N m", 4.0, 3.5, 9.0, "linear", "base")
+
+    def law(by):
+        return residuals + 0.5 * other * by[0] + (5.0 * other + own) * by[-1] ** 2
+
+    machine = Machine(None, None, (offset, TORQUE), (4.0, 0.0), law=law)
+    told = machine.intervals((CoulombFriction,), (9.0, 3.0), along=True)
+    moved = 5.0 * told[TORQUE.name].high ** 2 / 0.5  # what takes up the other's part of the bend
+    assert told[offset.name].low == pytest.approx(4.0 - moved, rel=1e-3)
+    wide = machine.intervals((CoulombFriction,), (9e4, 3e4), along=True)
+    assert wide[offset.name].low == 3.5
+
+
+@pytest.mark.parametrize("scale", ["linear", "log"])
+def test_ends_lie_within_the_bounds(scale):
+    free = (Free("torque_offset_Nm", "N m", 4.0, 3.5, 4.5, scale, "base"),)
+    assert spans(free, (4.0,), (), (5.0, 5.0)) == [pytest.approx(1.0)]
+
+
+def test_group_moves_a_value_by_no_more_than_two_prior_deviations():
+    group = np.repeat(np.arange(2), EACH)
+    columns = np.where(group == 0, 1.0, -1.0)[np.newaxis]
+    residuals = np.where(group == 0, 1e3, -1e3)
+    assert jackknife(columns, residuals, group) == pytest.approx(2.0)
+
+
+def test_record_counts_by_the_share_of_what_is_known_that_is_due_to_it():
+    """Of two that know 4 and 1 parts beside the prior's 1: w = 1 - 2/6 and 1 - 5/6."""
+    group = np.array([0, 1])
+    columns, residuals = np.array([[2.0, 1.0]]), np.array([0.1, 0.2])
+    moved = np.array([2.0 * 0.1 / 2.0, 1.0 * 0.2 / 5.0])  # of the others and the prior
+    due = np.array([1.0 - 2.0 / 6.0, 1.0 - 5.0 / 6.0])
+    counted = np.minimum(1.0 / due - 1.0, 1.0)
+    expected = np.sqrt(counted @ moved**2 / np.sum(counted / (1.0 / due - 1.0)))
+    assert jackknife(columns, residuals, group, unequal=True) == pytest.approx([expected])
+
+
 def test_prior_deviation_is_relative_on_a_log_scale_and_absolute_on_a_linear_one():
     inertia, friction = positive("inertia", "kg m^2", 2.0), from_zero("friction", "N m", 2.0, 5.0)
     assert [prior_deviation(inertia, value) for value in (0.1, 3.0)] == [0.1, 3.0]
