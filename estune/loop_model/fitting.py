@@ -239,8 +239,7 @@ def _fit(
     fits = [_explaining(records, signals, one, last, again=again) for one in begun]
     fit = min(fits, key=lambda one: _criterion(one, signals) + GROWTH_GAIN * one.model.grows)
     # In records of service a load may take the place of a pole.
-    in_motion = any(group.history for group in signals.groups)
-    if fit.order != 2 or fit.model.friction or in_motion or not fit.noise.is_white:
+    if fit.order != 2 or fit.model.friction or signals.in_motion or not fit.noise.is_white:
         return fit
     two = PoleFit(math.nan, np.array(fit.model.coordinates), fit.model.dead_samples)
     return _summarised(records, signals, without_spare_pole(signals, two))
@@ -253,8 +252,7 @@ def _begun(signals: FitSignals, first: PoleFit) -> list[PoleFit]:
     that they do not resolve.
     """
     white = is_white(signals, solution_of(signals, first).residual)
-    in_motion = any(group.history for group in signals.groups)
-    if in_motion or (white and is_resolved(signals, first.coordinates)):
+    if signals.in_motion or (white and is_resolved(signals, first.coordinates)):
         return [first]
     growing = growing_fit(signals)
     if growing is None:
@@ -287,8 +285,9 @@ def _explaining(
     low = _summarised(records, signals, first)
     earlier = last if last is not None and last.model.friction else None
     # What did not help with a record less will hardly help now.
-    in_motion = any(group.history for group in signals.groups)
-    if (low.is_white and not in_motion) or not (again or earlier or (last and last.is_white)):
+    if (low.is_white and not signals.in_motion) or not (
+        again or earlier or (last and last.is_white)
+    ):
         return low
     found = fit_with_friction(records, low, earlier) if earlier else None
     if found is not None and found.misfit < FRICTION_DONE:
@@ -299,7 +298,7 @@ def _explaining(
     # Further poles explain the friction of one timid trial, and foretell another loop: of three of
     # the reference reel each, at gains of Ms 1.79, they state 4.0 to 4.3 with 0.02 N m and an
     # unstable loop with 0.05; friction states 1.6 to 1.8, and 1.1 to 1.7.
-    if linear.is_white and not in_motion and linear.order == low.order:
+    if linear.is_white and not signals.in_motion and linear.order == low.order:
         return linear
     if not (again or earlier) or linear.model.grows:
         return linear

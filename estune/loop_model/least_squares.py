@@ -106,6 +106,11 @@ class FitSignals(NamedTuple):
         return sum(g.effort.shape[0] * (g.effort.shape[1] - g.history) for g in self.groups)
 
     @property
+    def in_motion(self) -> bool:
+        """Whether a record does not begin at rest, as those of service."""
+        return any(group.history for group in self.groups)
+
+    @property
     def longest(self) -> int:
         """Residuals of the longest record."""
         return max(int(g.effort.shape[1]) - g.history for g in self.groups)

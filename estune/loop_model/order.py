@@ -96,10 +96,9 @@ def select_order(signals: FitSignals, start: PoleFit) -> PoleFit:
     holds is at rest there. In one record a loop that hunts looks like a load: there that has to
     explain `LOAD_SHARE` of what further poles leave.
     """
-    in_motion = any(group.history for group in signals.groups)
-    other = _selected(signals, start, has_load=in_motion)
+    other = _selected(signals, start, has_load=signals.in_motion)
     left = solution_of(signals, other)
-    if in_motion or is_white(signals, left.residual):
+    if signals.in_motion or is_white(signals, left.residual):
         return other
     begun = [start]
     if start.noise.is_white:  # poles that took up a load before it was known would stay
@@ -124,7 +123,6 @@ def _selected(signals: FitSignals, start: PoleFit, *, has_load: bool) -> PoleFit
     if not has_load:
         start = start._replace(noise=WHITE)
     best = _judged(signals, start)
-    in_motion = any(group.history for group in signals.groups)
     while has_load:
         solution = solution_of(signals, best.fit)
         if is_white(signals, solution.residual):
@@ -134,7 +132,7 @@ def _selected(signals: FitSignals, start: PoleFit, *, has_load: bool) -> PoleFit
             break
         best = better
     while True:
-        if in_motion:
+        if signals.in_motion:
             best = _recoloured(signals, best)
         solution = solution_of(signals, best.fit)
         if is_white(signals, solution.residual):
@@ -218,8 +216,7 @@ def _longest(signals: FitSignals) -> int:
 
 def _is_controllable(signals: FitSignals, fit: PoleFit) -> bool:
     """Whether the plant of trials from rest is no integrator of the wrong sign."""
-    in_motion = any(group.history for group in signals.groups)
-    if in_motion or is_resolved(signals, fit.coordinates, INTEGRATOR):
+    if signals.in_motion or is_resolved(signals, fit.coordinates, INTEGRATOR):
         return True
     return bool(solution_of(signals, fit).numerator[0] > 0.0)
 
@@ -237,7 +234,7 @@ def _is_settled(signals: FitSignals, fit: PoleFit) -> bool:
     if is_resolved(signals, fit.coordinates):
         return True
     solution = solution_of(signals, fit)
-    if any(group.history for group in signals.groups):
+    if signals.in_motion:
         return bool(solution.numerator[0] > 0.0)
     return is_white(signals, solution.residual) and _is_controllable(signals, fit)
 
@@ -273,8 +270,7 @@ def is_enough(signals: FitSignals, fit: PoleFit) -> bool:
     A further one is judged where it begins, without a search.
     """
     solution = solution_of(signals, fit)
-    in_motion = any(group.history for group in signals.groups)
-    if in_motion or not is_white(signals, solution.residual):
+    if signals.in_motion or not is_white(signals, solution.residual):
         return False
     if not is_resolved(signals, fit.coordinates):
         return False
@@ -384,7 +380,7 @@ def _pairs(signals: FitSignals, solution: Solution) -> list[FloatArray]:
     slowest = min(_slowest(solution.coordinates), 1.0)
     frequencies = np.geomspace(max(slowest, 1e-3), HIGHEST, FREQUENCIES)
     pairs = [np.log(pair) for pair in product(frequencies, DAMPINGS)]
-    highest = HIGHEST if any(group.history for group in signals.groups) else math.pi
+    highest = HIGHEST if signals.in_motion else math.pi
     for row in rows_of(signals, solution.residual):
         spectrum = np.sum(np.abs(np.fft.rfft(row, axis=1)) ** 2, axis=0)
         smooth = np.convolve(spectrum[1:-1], [0.5, 1.0, 0.5], mode="same")
