@@ -18,7 +18,7 @@ from estune.cli import run
 from estune.errors import InvalidInput, RigError
 from estune.hardware.config import read_config
 from estune.proof import trials
-from estune.proof.patch import Patch, patch_of, read_patch
+from estune.proof.patch import Patch, patch_of, read_patch, read_proven
 from estune.proof.trials import MeasuredRatio, Proof, RemedyRig, prove
 from estune.remote import zenoh
 from estune.trial import Outcome, TrialRequest
@@ -315,6 +315,34 @@ def test_remedy_outside_the_gauge_needs_a_gauge_there():
 def test_number_that_is_not_finite_is_no_remedy():
     with pytest.raises(InvalidInput, match=r"friction\.coulomb_Nm of the remedy is nan"):
         patch(coulomb_Nm=math.nan)
+
+
+def test_tables_may_have_words_and_whole_numbers():
+    assert patch(file="map.csv", order=3, factors=[1.0, 2.0]).tables["friction"]["order"] == 3
+
+
+def test_remedy_that_no_rig_has_proven_is_not_taken_for_one(tmp_path):
+    file = tmp_path / "x.remedy.json"
+    proof = {"rig": "r", "date": "today", "sentence": "cost unchanged", "proven": False}
+    for told, kept in (("not proven on any rig", None), ("not proven on rig r, today", proof)):
+        replace(PATCH, proof=kept).write(file)
+        with pytest.raises(InvalidInput, match=told):
+            read_proven(file)
+    proven = replace(PATCH, proof=proof | {"proven": True})
+    proven.write(file)
+    assert read_proven(file) == proven
+
+
+def test_remedy_of_the_effect_asked_for_is_taken_whatever_is_predicted(tmp_path):
+    file = tmp_path / "diagnosis.json"
+    kept = {"title": "t", "harm": "", "tables": TABLES, "refused": "", "ratios": {}}
+    offers = [{"effect": name, "worth": name == "best", **kept} for name in ("last", "best")]
+    file.write_text(json.dumps({"remedies": offers}))
+    assert [patch_of(file, effect).effect for effect in (None, "last", "best")] == [
+        *("best", "last", "best")
+    ]
+    with pytest.raises(InvalidInput, match="it has no remedy for another"):
+        patch_of(file, "another")
 
 
 @pytest.mark.parametrize("text", ["", "[]", '{"version": 2}', '{"version": 1, "x": 1}'])

@@ -182,8 +182,6 @@ class Constants(NamedTuple):
     segments: int = 16
     """Segments of a response over frequency: a mode of 6 Hz that rings for 2.6 s, swept through in
     20 s, is seen with 16 (0.42), not with 32 (0.11)."""
-    least_segments: int = 8
-    """Of fewer segments nothing is known on those left out."""
     quantile: float = 1.96
     """Half width of a 95 % interval, in standard errors of a Gaussian."""
     behind: float = 3.0
@@ -219,8 +217,6 @@ class Constants(NamedTuple):
     parts: int = 4
     """Stretches of time of a record, left out in turn: of fewer no two can be, and the law be
     known."""
-    fewest_parts: int = 8
-    """Stretches of all records together, at the least."""
     part_samples: int = 16
     """Samples of such a stretch, at the least."""
     law_left: float = 0.5

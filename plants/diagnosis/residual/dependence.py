@@ -222,7 +222,7 @@ def over_frequency(
         begins = range(0, one.shape[1] - size + 1, size)
         folds += [n % CONSTANTS.folds for n in range(len(begins))]
         spectra += [np.fft.rfft(bell * one[:, n : n + size])[:, 1:] for n in begins]
-    if len(folds) < CONSTANTS.least_segments:
+    if len(folds) < 2 * CONSTANTS.folds:  # a part of one segment is told by its noise
         return None
     fold, (r_f, u_f, n_f) = np.array(folds), np.moveaxis(np.array(spectra), 1, 0)
     of_motion, of_noise = (np.mean(np.abs(one) ** 2, axis=0) for one in (u_f, n_f))

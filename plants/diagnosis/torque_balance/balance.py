@@ -139,7 +139,8 @@ def torque_balance(
         max(m.duration_s for m, _ in pairs),
     )
     scale = scale if like is None else like.scale
-    parts = max(CONSTANTS.parts, math.ceil(CONSTANTS.fewest_parts / len(listed)))
+    # One record has twice as many: records beside each other are stretches, too.
+    parts = max(CONSTANTS.parts, math.ceil(2 * CONSTANTS.parts / len(listed)))
     torque, columns, loaded, blocks = [], [], [], []
     number = 0
     for s in listed:
