@@ -41,7 +41,7 @@ COMMANDS = (
         "Write a controller with its gains as one C file.",
         110,
     ),
-    ("apply", "rigs:apply", "Make the gains of a run live on a rig.", 120),
+    ("apply", "apply:apply", "Make the gains of a run live on a rig.", 120),
     ("suggest", "suggest:suggest", "Judge and improve gains by records of a running loop.", 128),
     ("remedy", "remedy:remedy", "Write a remedy of a diagnosis as a patch of a rig's file.", 135),
     ("prove", "remedy:prove", "Prove a remedy on a rig, by trials with it and without.", 140),

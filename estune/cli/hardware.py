@@ -145,8 +145,6 @@ def export_controller(
             estune_schedule.h.
         folder: Folder of runs; runs by default.
     """
-    from estune import api  # noqa: PLC0415  slow to import
-    from estune.cli.runs import find_run  # noqa: PLC0415  as above
     from estune.hardware import controller_source, read_config  # noqa: PLC0415  as above
     from estune.hardware.schedule_file import (  # noqa: PLC0415  as above
         read_schedule,
@@ -156,7 +154,6 @@ def export_controller(
         board_files,
         compensation_files,
     )
-    from estune.run.journal import RUNS  # noqa: PLC0415
     from estune.support.whole_file import write_file  # noqa: PLC0415  as above
 
     if not c:
@@ -170,6 +167,10 @@ def export_controller(
     elif board:
         raise InvalidInput("a board's program has the limits of a rig; give the rig's file")
     else:
+        from estune import api  # noqa: PLC0415  slow to import
+        from estune.cli.runs import find_run  # noqa: PLC0415  as above
+        from estune.run.journal import RUNS  # noqa: PLC0415
+
         result = api.load(find_run(source, folder or Path(RUNS)))
         settings, gains = result.rig.controller, result.start_gains if start else result.gains
     files[out] = controller_source(settings, gains)
