@@ -165,7 +165,7 @@ def test_trial_whose_first_reply_is_lost_runs_once():
 @pytest.mark.slow
 def test_trial_survives_a_rig_frozen_longer_than_the_lease():
     with served("unhurried") as server, zenoh.connect(server.endpoint, timeout_s=10.0) as client:
-        server.process.send_signal(signal.SIGSTOP)
+        server.freeze()
         threading.Timer(2.5, server.process.send_signal, [signal.SIGCONT]).start()
         assert same(client.run(trial()), replace(response(trial()), rig="reel"))
 

@@ -207,7 +207,7 @@ def test_hanging_rig_does_not_delay_another(tmp_path):
         long = long.replace("repeats = 3", "repeats = 3, tolerance = 0.0")  # takes all its trials
         with daemon(tmp_path, long, rig_table("drum", where)) as it:
             it.until(lambda s: s.trials > 5, "hung")
-            hung.process.send_signal(signal.SIGSTOP)
+            hung.freeze()
             try:
                 it.until_mode("holding")
                 it.command("accept")
@@ -304,7 +304,7 @@ def test_signals_restore_gains_or_a_lost_rigs_at_next_start(
         assert live_gains(server.endpoint) == ORIGINAL
         with daemon_process(tmp_path, table) as (process, it):
             it.until_mode("holding")
-            server.process.send_signal(signal.SIGSTOP)
+            server.freeze()
             process.terminate()
             assert process.wait(WITHIN_S) == RigError.exit_code
             server.process.send_signal(signal.SIGCONT)
