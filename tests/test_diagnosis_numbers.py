@@ -1,8 +1,14 @@
 """The numbers that decide in the diagnosis stand in one table, and can be replaced."""
 
+from unittest import mock
+
+import numpy as np
+
+from experiments.diagnosis_numbers.__main__ import fits_made_once
 from experiments.diagnosis_numbers.numbers import numbers, outside, replaced
 from plants.diagnosis.constants import CONSTANTS
 from plants.diagnosis.result import ModelSummary
+from plants.diagnosis.search import least_squares, model_fitter
 from plants.diagnosis.search.decide import decide
 
 NOTHING = frozenset[str]()
@@ -36,3 +42,12 @@ def test_number_of_the_table_is_replaced_while_the_context_lasts():
     with replaced({number: 2.0 * CONSTANTS.nothing}):
         assert decide(BASE, []).verdict == "none"
     assert decide(BASE, []).verdict == "unknown"
+
+
+def test_fit_is_made_again_only_from_other_values_or_options():
+    start = np.zeros(2)
+    with mock.patch.object(least_squares, "fit") as made, fits_made_once({}):
+        for over in (np.ones(2), np.ones(2), np.full(2, 2.0), None):
+            model_fitter.fit(made, start, tolerance=1e-4, over=over)
+        model_fitter.fit(made, start + 1.0, tolerance=1e-4, over=None)
+    assert made.call_count == 4

@@ -129,11 +129,14 @@ def fits_made_once(made: dict[Any, Any]) -> Iterator[None]:
     """Fits of the same predictor from the same values are not made again."""
     plain = least_squares.fit
 
-    def once(predictor: Any, *arrays: Any, **options: Any) -> Any:
-        content = tuple(a.tobytes() if isinstance(a, np.ndarray) else a for a in arrays)
-        key = (id(predictor), content, *sorted(options.items()))
+    def content(argument: Any) -> Any:
+        return argument.tobytes() if isinstance(argument, np.ndarray) else argument
+
+    def once(predictor: Any, *arguments: Any, **options: Any) -> Any:
+        named = sorted((name, content(value)) for name, value in options.items())
+        key = (id(predictor), *map(content, arguments), *named)
         if key not in made:
-            made[key] = plain(predictor, *arrays, **options)
+            made[key] = plain(predictor, *arguments, **options)
         return made[key]
 
     with mock.patch.object(model_fitter, "fit", once), mock.patch.object(validation, "fit", once):
