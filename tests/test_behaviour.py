@@ -2,6 +2,7 @@
 
 import json
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,11 +10,12 @@ import pytest
 import estune
 import plants
 from estune.cli import run
-from estune.run.behaviour import LoopBehaviour, measure_behaviour
-from estune.trial import Outcome
+from estune.run.behaviour import LoopBehaviour, measure_all, measure_behaviour
+from estune.trial import Outcome, RigLimits
 from estune.trial.tracking import REST_SETTLINGS, rest_of, tracking_of, tracking_profile
 from plants.effects import CoulombFriction
 from plants.remedies.behaviour import MEASURES, behaviour
+from tests.support_rigs import ScriptedRig
 
 PLAIN = plants.reference_reel()
 STICKY = PLAIN + CoulombFriction(0.05)
@@ -80,6 +82,18 @@ def test_rest_passes_over_a_single_slip_and_counts_hunting(restless, rest):
     assert rest_of(settling, rate, np.concatenate([settling_part, *tension])) == pytest.approx(
         rest
     )
+
+
+def test_nothing_moves_after_a_trial_that_was_interrupted_on_a_moving_rig():
+    class Interrupted(ScriptedRig):
+        def run(self, request):
+            return replace(super().run(request), outcome=Outcome.INTERRUPTED, reason="power")
+
+    rig = Interrupted(simulated=False, limits=RigLimits(0.0, 50.0, 60.0))
+    gains = dict.fromkeys(("start", "tuned"), rig.describe().gains)
+    found = measure_all(rig, rig.describe(), "run", gains, None)
+    assert "power; check the rig" in found["start"]
+    assert len(rig.requests) == 1
 
 
 def test_what_a_rig_cannot_measure_is_told_and_the_result_stays(monkeypatch):

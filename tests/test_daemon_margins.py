@@ -12,7 +12,7 @@ import plants
 from estune.core.gains import Gains
 from estune.daemon.config import config_from
 from estune.daemon.margin_watch import MarginWatch
-from estune.errors import InvalidInput
+from estune.errors import Interrupted, InvalidInput
 from estune.remote import zenoh
 from estune.trial import Outcome
 from estune.web.board import Board
@@ -142,6 +142,16 @@ def test_dither_of_the_command_line_is_that_of_all_rigs_within_its_budget():
     assert {rig.margins.dither for rig in config.with_dither(0.01).rig} == {0.01}
     with pytest.raises(InvalidInput, match=r"dither.*0\.1"):
         config.with_dither(0.5)
+
+
+def test_multisine_that_was_interrupted_on_a_moving_rig_calls_the_operator():
+    text = f"[service]\n{rig_table('drum', 'plants:reference_reel')}{DITHERED}"
+    watch = MarginWatch(config_from(tomllib.loads(text), "test", Path()).rig[0], "test")
+    rig = ChangingRig()
+    run, about = rig.run, replace(rig.describe(), simulated=False)
+    rig.run = lambda request: replace(run(request), outcome=Outcome.INTERRUPTED, reason="power")
+    with pytest.raises(Interrupted, match=r"power.*check the rig"):
+        watch.take(None, rig, about, GAINS)
 
 
 def test_actuator_that_begins_to_stick_is_reported_and_no_gains_are_offered():

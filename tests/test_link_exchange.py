@@ -107,8 +107,8 @@ class Silent:
             RigError,
             "ledger says whether it has",
         ),
-        (LinkStatus(ClientInput.REPLACED, "another"), False, Interrupted, "inspect the rig, then"),
-        (encode(Answer(ReplyCode.UNKNOWN)), False, Interrupted, "inspect the rig, then resume"),
+        (LinkStatus(ClientInput.REPLACED, "another"), False, Interrupted, "may have run: inspect"),
+        (encode(Answer(ReplyCode.UNKNOWN)), False, Interrupted, "may have run: inspect"),
         (encode(Answer(ReplyCode.UNKNOWN)), True, RigError, "ledger says whether it has"),
     ],
 )

@@ -10,8 +10,9 @@ from estune.daemon.config import RigTable
 from estune.daemon.store import DaemonStore, age_s
 from estune.daemon.supervisor_state import GainSet
 from estune.errors import Interrupted
+from estune.run.failed_trials import needs_operator
 from estune.run.tally import UNSAFE_RATIO
-from estune.trial import Outcome, Rig, RigDescription, TrialRecord, TrialRequest
+from estune.trial import Rig, RigDescription, TrialRecord, TrialRequest
 from estune.trial.scoring import cost_of
 
 
@@ -21,9 +22,7 @@ def check_cut_off(record: TrialRecord, description: RigDescription) -> None:
     Raises:
         Interrupted: that is so.
     """
-    # After a fault nobody knows how the machine stands; a late computer is none of its faults.
-    is_fault = record.outcome is Outcome.INTERRUPTED and not record.ended_late
-    if is_fault and not description.simulated:
+    if needs_operator(record, description):
         raise Interrupted(
             f"trial {record.trial_id} was interrupted ({record.reason}); "
             "check the rig, then resume"

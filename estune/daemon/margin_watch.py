@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from estune.core.gains import Gains
+from estune.daemon.check_trials import check_cut_off
 from estune.daemon.config import RigTable
 from estune.daemon.events import EventKind
 from estune.errors import InvalidInput
@@ -92,6 +93,7 @@ class MarginWatch:
 
         Raises:
             RigError: the rig cannot be reached.
+            Interrupted: the multisine was cut off on a real rig.
         """
         if check is None:
             return self._dither(rig, description, gains)
@@ -121,6 +123,7 @@ class MarginWatch:
             ended_s, self._taken_s = time.monotonic(), self._taken_s + time.monotonic() - begun_s
             wait_s = self._taken_s / table.dither_time - self._taken_s
             self._due_s = max(begun_s + table.every_s, ended_s + wait_s)
+        check_cut_off(record, description)
         if record.outcome.is_void:
             return []
         if record.outcome is not Outcome.DONE:

@@ -21,6 +21,7 @@ from estune.remote import zenoh
 from estune.remote.zenoh import RemoteRig
 from estune.remote.zenoh.network import Network
 from estune.run.failed_trials import FailureMemory, run_trial
+from estune.run.submitted_trial import TrialNotes
 from estune.run.targets import is_endpoint, open_target
 from estune.trial import (
     CompensatedRig,
@@ -88,6 +89,7 @@ class RigAccess:
         *,
         turn: Callable[[], AbstractContextManager[None]],
         counts: RigCounts,
+        notes: TrialNotes | None,
     ) -> None:
         """Use `open_rig`."""
         self._rig = rig
@@ -95,6 +97,7 @@ class RigAccess:
         self._void_trials = void_trials
         self._turn = turn
         self._counts = counts
+        self._notes = notes
         self.description = rig.describe()
         self.abort, self.estop, self.clear = rig.abort, rig.estop, rig.clear
         self.close = opened.close
@@ -178,7 +181,7 @@ class RigAccess:
         try:
             with self._turn():
                 begun_s = time.monotonic()
-                record = run_trial(self._rig, request, self.description)
+                record = run_trial(self._rig, request, self.description, notes=self._notes)
                 self._counts.note_trial(record.outcome, time.monotonic() - begun_s)
         except PlantError as error:
             if isinstance(self._rig, RemoteRig):
@@ -234,6 +237,7 @@ def open_rig(
     *,
     turn: Callable[[], AbstractContextManager[None]] = nullcontext,
     counts: RigCounts | None = None,
+    notes: TrialNotes | None = None,
 ) -> RigAccess:
     """Connects to a rig.
 
@@ -252,8 +256,8 @@ def open_rig(
             rig: Rig = remote
         else:
             rig = opened.enter_context(open_target(settings.target, settings.name))
-        counts = counts or RigCounts()
-        return RigAccess(rig, holder, opened.pop_all(), void_trials, turn=turn, counts=counts)
+        kept = rig, holder, opened.pop_all(), void_trials
+        return RigAccess(*kept, turn=turn, counts=counts or RigCounts(), notes=notes)
 
 
 def apply_nominal_gains(

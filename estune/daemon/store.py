@@ -19,6 +19,7 @@ from estune.daemon.faults import EventFacts
 from estune.daemon.supervisor_state import GainSet, Goal, RigLink, Shutdown, SupervisorState
 from estune.errors import JournalError, RigError
 from estune.remote.messages.daemon import DaemonEvent
+from estune.run.submitted_trial import SubmittedTrial
 from estune.support.sqlite import FileKind, SqliteFile, has_writer
 from estune.trial import TrialRecord, TrialRequest, record_frame
 
@@ -174,6 +175,16 @@ class DaemonStore:
     @state.setter
     def state(self, state: SupervisorState) -> None:
         self.set_fact("life", asdict(state))
+
+    @property
+    def submitted(self) -> SubmittedTrial | None:
+        """The trial last submitted to a rig that moves and keeps a ledger; None without one."""
+        stored = self.fact("submitted")
+        return None if stored is None else SubmittedTrial(*stored)
+
+    @submitted.setter
+    def submitted(self, trial: SubmittedTrial | None) -> None:
+        self.set_fact("submitted", trial)
 
     def gains(self) -> dict[GainSet, Gains]:
         """The current gain sets; a candidate only while it awaits a decision."""

@@ -80,6 +80,7 @@ class SupervisedConnection:
                 *(self._settings, shared.holder, self._void_trials, shared.network),
                 turn=self._turn,
                 counts=self._rig.counts,
+                notes=self._rig.store,
             )
         return self.access
 

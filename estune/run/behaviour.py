@@ -9,8 +9,8 @@ from typing import NamedTuple
 
 from estune.core.cost import default_cost
 from estune.core.gains import Gains
-from estune.errors import InvalidInput, RigError
-from estune.run.failed_trials import run_trial
+from estune.errors import Interrupted, InvalidInput, RigError
+from estune.run.failed_trials import needs_operator, run_trial
 from estune.run.journal import Journal
 from estune.trial import Outcome, Rig, RigDescription, TrialRecord, TrialRequest
 from estune.trial.profiles import Profile, StepProfile, TriangleProfile
@@ -49,7 +49,9 @@ def behaviour_profiles(about: RigDescription) -> tuple[StepProfile, TriangleProf
     return resting, triangle
 
 
-def measure_behaviour(rig: Rig, about: RigDescription, gains: Gains, run: str) -> LoopBehaviour:
+def measure_behaviour(
+    rig: Rig, about: RigDescription, gains: Gains, run: str, journal: Journal | None = None
+) -> LoopBehaviour:
     """Runs a step with the rest after it, and a slow triangle.
 
     Args:
@@ -57,19 +59,24 @@ def measure_behaviour(rig: Rig, about: RigDescription, gains: Gains, run: str) -
         about: Its description.
         gains: Gains of both trials.
         run: Name under which the rig knows the two trials; they run once.
+        journal: Where they are noted; None without one.
 
     Raises:
         InvalidInput: the rig's limits do not allow a trial.
+        Interrupted: a trial was interrupted on a rig that moves: an operator has to check it.
         RigError: the rig cannot be reached, or a trial ended early.
     """
     resting, triangle = behaviour_profiles(about)
     profiles: tuple[Profile, ...] = resting, triangle
     records = []
     for number, profile in enumerate(profiles):
-        record = run_trial(rig, TrialRequest(run, number, gains, profile), about)
+        record = run_trial(rig, TrialRequest(run, number, gains, profile), about, notes=journal)
         if record.outcome is not Outcome.DONE:
             why = record.reason or record.outcome.sentence
-            raise RigError(f"trial {record.trial_id} ended early: {why}")
+            ended = f"trial {record.trial_id} ended early: {why}"
+            if needs_operator(record, about):
+                raise Interrupted(f"{ended}; check the rig")
+            raise RigError(ended)
         records.append(record)
     rested, followed = records
     return LoopBehaviour(*tracking_in(followed, about, triangle), rest_in(rested, about))
@@ -79,12 +86,17 @@ Measured = Mapping[str, LoopBehaviour | str]
 """Behaviour by the name of its gains, `start` or `tuned`; or why it was not measured."""
 
 
-def measure_all(rig: Rig, about: RigDescription, run: str, gains: Mapping[str, Gains]) -> Measured:
+def measure_all(
+    rig: Rig, about: RigDescription, run: str, gains: Mapping[str, Gains], journal: Journal | None
+) -> Measured:
     """Behaviour at several gains, after the run of a name; a failure is kept as its sentence."""
     found: dict[str, LoopBehaviour | str] = {}
     for name, one in gains.items():
         try:
-            found[name] = measure_behaviour(rig, about, one, f"{run}-{name}-behaviour")
+            named = f"{run}-{name}-behaviour"
+            found[name] = measure_behaviour(rig, about, one, named, journal)
+        except Interrupted as error:  # nothing moves a rig of which nobody knows how it stands
+            return found | {name: str(error)}
         except (InvalidInput, RigError) as error:
             found[name] = str(error)
     return found

@@ -1,11 +1,12 @@
-"""Trials that a rig refuses, or cannot run under their id again."""
+"""Trials that a rig refuses, cannot run under their id again, or must not."""
 
 import contextlib
 import logging
 from datetime import UTC, datetime
 from typing import Protocol, runtime_checkable
 
-from estune.errors import EstuneError, InvalidInput
+from estune.errors import EstuneError, Interrupted, InvalidInput
+from estune.run.submitted_trial import LedgerKeeper, SubmittedTrial, TrialNotes, lost_trial
 from estune.trial import Outcome, Rig, RigDescription, TrialRecord, TrialRequest, empty_record
 
 _log = logging.getLogger(__name__)
@@ -21,27 +22,73 @@ class FailureMemory(Protocol):
 
 
 def run_trial(
-    rig: Rig, request: TrialRequest, description: RigDescription, *, may_be_refused: bool = False
+    rig: Rig,
+    request: TrialRequest,
+    description: RigDescription,
+    *,
+    notes: TrialNotes | None = None,
+    may_be_refused: bool = False,
 ) -> TrialRecord:
     """The record of a trial; a void one where none can ever be had under its id.
 
     A rig does not run an id twice, so that a trial which failed there, before it began or in it,
-    would fail for ever. On a rig that moves it counts as interrupted. One that may be refused, as
-    of a profile that not every rig runs, counts as declined.
+    would fail for ever. On a rig that moves it counts as interrupted, and so does one of which no
+    ledger can say whether it has run. One that may be refused, as of a profile that not every rig
+    runs, counts as declined.
+
+    Args:
+        rig: The rig.
+        request: The trial.
+        description: The rig's description.
+        notes: Where the trial is noted, if it may have to be asked for again by a later process.
+        may_be_refused: Whether the rig may refuse it.
 
     Raises:
         EstuneError: the rig cannot be reached, or refuses.
+        JournalError: the trial cannot be noted.
     """
+    if notes is None or description.simulated or not isinstance(rig, LedgerKeeper):
+        return _run_trial(rig, request, description, may_be_refused=may_be_refused)
+    ledger = rig.ledger
+    if lost := lost_trial(notes, request.trial_id, ledger):
+        assert notes.submitted is not None  # noqa: S101  it is the one that was lost
+        # Under its old ledger: until the caller has stored this record, the id stays barred.
+        notes.submitted = SubmittedTrial(request.trial_id, notes.submitted.ledger, ended=True)
+        return _interrupted(request, description, lost)
+    notes.submitted = SubmittedTrial(request.trial_id, ledger, ended=False)
+    record = _run_trial(rig, request, description, may_be_refused=may_be_refused)
+    notes.submitted = SubmittedTrial(request.trial_id, ledger, ended=True)
+    return record
+
+
+def needs_operator(record: TrialRecord, description: RigDescription) -> bool:
+    """Whether an operator has to look at the rig after a trial before anything moves again."""
+    # After a fault nobody knows how the machine stands; a late computer is none of its faults.
+    interrupted = record.outcome is Outcome.INTERRUPTED and not record.ended_late
+    return interrupted and not description.simulated
+
+
+def _run_trial(
+    rig: Rig, request: TrialRequest, description: RigDescription, *, may_be_refused: bool
+) -> TrialRecord:
     try:
         return rig.run(request)
+    except Interrupted as error:
+        return _interrupted(request, description, str(error))
     except EstuneError as error:
         if may_be_refused and isinstance(error, InvalidInput):
             return declined(request, description, f"the rig refused it: {error}")
         if not _has_failed(rig, request):
             raise
-        _log.error("%s", error, extra={"rig": description.name})
-        outcome = Outcome.CANCELLED if description.simulated else Outcome.INTERRUPTED
-        return empty_record(request, description, outcome, str(error), _now())
+        if description.simulated:
+            _log.error("%s", error, extra={"rig": description.name})
+            return empty_record(request, description, Outcome.CANCELLED, str(error), _now())
+        return _interrupted(request, description, str(error))
+
+
+def _interrupted(request: TrialRequest, description: RigDescription, reason: str) -> TrialRecord:
+    _log.error("%s", reason, extra={"rig": description.name})
+    return empty_record(request, description, Outcome.INTERRUPTED, reason, _now())
 
 
 def declined(request: TrialRequest, description: RigDescription, reason: str = "") -> TrialRecord:

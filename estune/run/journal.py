@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Self
 
 from estune.errors import JournalError, ProtocolError
 from estune.run.phase import Phase
+from estune.run.submitted_trial import SubmittedTrial
 from estune.support.closing import Closing
 from estune.support.garbage import collection_paused
 from estune.support.sqlite import FileKind, SqliteFile, has_writer
@@ -180,6 +181,16 @@ class Journal(Closing):
     def note(self, **facts: Any) -> None:
         """Commits facts of the run, replacing earlier ones under the same keys."""
         _write_facts(self._file, facts)
+
+    @property
+    def submitted(self) -> SubmittedTrial | None:
+        """The trial last submitted to a rig that moves and keeps a ledger; None without one."""
+        stored = self.fact("submitted")
+        return None if stored is None else SubmittedTrial(*stored)
+
+    @submitted.setter
+    def submitted(self, trial: SubmittedTrial | None) -> None:
+        self.note(submitted=trial)
 
     def commit(
         self, finished: CompletedTrial | None, following: "tuple[TrialRequest, Phase] | None"

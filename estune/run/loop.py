@@ -9,7 +9,7 @@ from pathlib import Path
 from estune.errors import Interrupted, InvalidInput, JournalError, RigError, UnsafeStart
 from estune.run import snapshot
 from estune.run.approval import ApprovalCallback, approval_request
-from estune.run.failed_trials import declined, run_trial
+from estune.run.failed_trials import declined, needs_operator, run_trial
 from estune.run.first_trial import BACKWARDS, check_answer, moved_backwards
 from estune.run.journal import CompletedTrial, Journal, JournalEntry
 from estune.run.phase import Phase
@@ -234,7 +234,8 @@ def run(
                 record = declined(request, tuning.description)
             else:
                 extra = tuning.session.phase is Phase.EXCITE
-                record = run_trial(rig, request, tuning.description, may_be_refused=extra)
+                about, notes = tuning.description, tuning.journal
+                record = run_trial(rig, request, about, notes=notes, may_be_refused=extra)
             request = _record_trial(tuning, request, record, listeners)
             consecutive_void = consecutive_void + 1 if record.outcome.is_void else 0
             if record.outcome.is_void:
@@ -263,9 +264,7 @@ def _check_void(tuning: TuningRun, record: TrialRecord, consecutive: int) -> Non
     if folder:
         resume = f"continue with: estune resume {shlex.quote(str(folder))}"
     what = f"trial {record.trial_id} on rig {record.rig}"
-    # After a fault nobody knows how the machine stands; a late computer is none of its faults.
-    interrupted = record.outcome is Outcome.INTERRUPTED and not record.ended_late
-    if interrupted and not tuning.description.simulated:
+    if needs_operator(record, tuning.description):
         raise Interrupted(
             f"{what} was interrupted ({record.reason}); check the rig, then {resume}"
         )

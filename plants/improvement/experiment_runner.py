@@ -13,11 +13,12 @@ from estune.core.cost import StepCost
 from estune.core.gains import Gains
 from estune.core.quantities import FloatArray
 from estune.errors import Interrupted, InvalidInput, RigError
-from estune.run.failed_trials import run_trial
+from estune.run.failed_trials import needs_operator, run_trial
 from estune.run.journal import RUNS
 from estune.run.loop import CONSECUTIVE_VOID_MAX
 from estune.run.planning import description_from_json, description_to_json
 from estune.run.results.export import write_record
+from estune.run.submitted_trial import SubmittedTrial
 from estune.run.trial_file import TrialFile
 from estune.support.file_limits import parse_json
 from estune.support.whole_file import replace_file
@@ -29,6 +30,9 @@ from plants.diagnosis.experiments.designs import Experiment, candidate_experimen
 
 PLAN, RESULT = "improvement-plan.json", "improvement.json"
 """Files of an improvement that was begun, and of one that is finished."""
+
+SUBMITTED = "submitted.json"
+"""File of the trial last submitted to a rig that moves."""
 
 Say = Callable[[str], None]
 
@@ -84,6 +88,16 @@ class ExperimentRunner:
         remaining = [e for e in candidate_experiments(self.about) if e.profile not in self.done]
         return remaining[:: max(1, len(remaining) // count)][:count] if remaining else []
 
+    @property
+    def submitted(self) -> SubmittedTrial | None:
+        """The trial last submitted to a rig that moves and keeps a ledger; None without one."""
+        file = self.folder / SUBMITTED
+        return SubmittedTrial(*parse_json(file.read_bytes())) if file.exists() else None
+
+    @submitted.setter
+    def submitted(self, trial: SubmittedTrial | None) -> None:
+        replace_file(self.folder / SUBMITTED, json.dumps(trial).encode())
+
     def trials(self, name: str, gains: Gains, repeats: int) -> list[TrialRecord]:
         """Trials of some gains on the rig's own step."""
         return [self.trial(name, gains, self.about.step) for _ in range(repeats)]
@@ -110,7 +124,7 @@ class ExperimentRunner:
             if known:
                 record = record_frame.decode(file.read_bytes())
             else:
-                record = run_trial(self.rig, request, self.about)
+                record = run_trial(self.rig, request, self.about, notes=self)
                 file.parent.mkdir(exist_ok=True)
                 replace_file(file, record_frame.encode(record))
             if not record.outcome.is_void:
@@ -121,8 +135,7 @@ class ExperimentRunner:
     def _check_void(self, record: TrialRecord, fresh: int) -> None:
         """Ends an improvement that must not repeat its void trial by itself."""
         what = f"trial {record.trial_id} on rig {record.rig}"
-        unexplained = record.outcome is Outcome.INTERRUPTED and not record.ended_late
-        if fresh and unexplained and not self.about.simulated:
+        if fresh and needs_operator(record, self.about):
             raise Interrupted(f"{what} was interrupted ({record.reason}); check the rig")
         if fresh >= CONSECUTIVE_VOID_MAX:
             raise RigError(

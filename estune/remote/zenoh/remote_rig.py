@@ -153,6 +153,11 @@ class RemoteRig(Closing):
         self._command_with_lease(SwitchOff("", tuple(tables)), unknown).check()
 
     @property
+    def ledger(self) -> str:
+        """Identity of the rig's ledger, as last described."""
+        return self._connection.about.ledger if self._connection.about else ""
+
+    @property
     def original(self) -> Gains | None:
         """The gains that ran before daemons that share the rig set others, as last described."""
         return self._connection.about.original if self._connection.about else None

@@ -261,7 +261,8 @@ class RigConnection:
             self.instance = before
             return LinkStatus(
                 ClientInput.REPLACED,
-                f"{self._label} was restarted with another ledger, without its earlier trials",
+                f"{self._label} was restarted with another ledger, {now.ledger} instead of "
+                f"{then.ledger}, without its earlier trials",
             )
         _log.warning("%s was restarted", self._label)
         self.about = now

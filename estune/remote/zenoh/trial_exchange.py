@@ -180,4 +180,4 @@ class TrialExchange:
                 "whether it has"
             )
         # A ledger without the trial would let it run again: a person must look before.
-        raise Interrupted(f"{why}; {trial} may have run: inspect the rig, then resume")
+        raise Interrupted(f"{why}; {trial} may have run: inspect the rig")

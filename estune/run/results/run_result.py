@@ -201,7 +201,7 @@ class RunResult(OptimizeResult):  # type: ignore[misc]  # scipy ships no type in
     def measure_behaviour(self, rig: Rig, journal: Journal | None) -> None:
         """Measures it on the rig, after the tuning."""
         gains = {"start": self.start_gains} | ({"tuned": self.gains} if self.success else {})
-        found = measure_all(rig, self.rig, self.plan.run, gains)
+        found = measure_all(rig, self.rig, self.plan.run, gains, journal)
         self.__dict__["behaviour"] = found  # the cached property
         if journal is not None:
             journal.note(behaviour=found)
