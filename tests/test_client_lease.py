@@ -1,5 +1,6 @@
 """The lease of a client: acquired once, renewed in time, forgotten when the rig refuses it."""
 
+import threading
 import time
 from contextlib import nullcontext
 from types import SimpleNamespace
@@ -146,6 +147,28 @@ def test_released_lease_is_returned_and_renewed_no_more(held):
     held.lease.release()
     assert len(held.connection.asked) == 2
     assert len(held.connection.renewals) == before
+
+
+def test_thread_has_ended_when_the_last_lease_is_released_long_before_its_next_renewal(
+    renewal, monkeypatch
+):
+    waits = threading.Event()
+
+    class Watched(threading.Condition):
+        def wait(self, timeout=None):
+            waits.set()  # release has no lock before this thread waits
+            woken = super().wait(timeout)
+            time.sleep(0.1)  # a thread that takes its time to end
+            return woken
+
+    monkeypatch.setattr(client_lease, "RENEW_S", 600.0)
+    renewal._changed = Watched()
+    lease = ClientLease(Connection(ReplyCode.ACCEPTED), renewal, "tester")
+    lease.hold()
+    thread = renewal._thread
+    assert waits.wait(20.0)
+    lease.release()
+    assert not thread.is_alive()
 
 
 def test_release_of_one_lease_waits_for_no_thread_that_renews_others(held):

@@ -9,12 +9,14 @@ import pytest
 from plants.diagnosis.result import ModelSummary, SearchStep
 from plants.diagnosis.search.conclusion import (
     Conclusion,
+    _rest,
     apart_of,
     candidates,
     conclude,
     verdict_sentence,
 )
-from plants.diagnosis.search.decide import decide, probabilities, summed
+from plants.diagnosis.search.decide import Decision, decide, probabilities, summed
+from plants.diagnosis.search.nameless_laws import NAMELESS
 from plants.effects import EFFECTS
 
 NOTHING = frozenset[str]()
@@ -139,6 +141,23 @@ def test_where_no_name_is_believed_the_reason_tells_the_share_of_the_best_one():
     assert conclusion.reason == f"The best of them, {title}, explains 50 % of it."
 
 
+def test_rest_looks_like_the_nameless_law_that_takes_most_of_it_off():
+    """Of what gravity leaves; nothing is said of a law that leaves nearly all of it."""
+    laws = {"gauge_loop": 18.0, "cable_bend": 4.0, "cable_loop": 8.0}
+    named = {"link_gravity": EFFECTS["link_gravity"]} | {e.name: e for e in NAMELESS}
+    fits = {frozenset({name}): SimpleNamespace(effects=[e]) for name, e in named.items()}
+    models = SimpleNamespace(with_effects=fits)
+    decision = Decision("incomplete", frozenset({"link_gravity"}))
+
+    def rest_of(*names):
+        found = [model(name, laws[name], 3, named=False) for name in names]
+        return _rest(models, decision, [model("link_gravity", 20.0), *found])
+
+    bend = next(e for e in NAMELESS if e.name == "cable_bend")
+    assert rest_of("gauge_loop", "cable_bend", "cable_loop") == bend.title
+    assert not rest_of("gauge_loop")
+
+
 def test_no_pair_is_named_for_another_that_is_rather_not_there():
     """Of a backlash that is not determined alone, with one of two effects that add nothing."""
     play = model("play", 2.56, 2, eligible=False)
@@ -148,6 +167,13 @@ def test_no_pair_is_named_for_another_that_is_rather_not_there():
 
 def test_law_with_fewer_values_that_does_about_as_well_is_likelier():
     assert decide(base(50.0), [model("a", 1.3, 4), model("b", 1.6, 1)]).best == {"b"}
+
+
+def test_effect_that_may_not_be_named_is_neither_chosen_as_the_likelier_nor_a_rival():
+    for J in (1.6, 1.3):
+        models = [model("a", 1.3, 4), model("b", J, 1, eligible=False)]
+        decision = decide(base(50.0), models)
+        assert (decision.verdict, decision.best, decision.tied) == ("named", {"a"}, ())
 
 
 def test_effect_whose_size_a_scale_tells_is_less_likely_than_another():

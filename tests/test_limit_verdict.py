@@ -104,6 +104,18 @@ def test_whole_interval_within_a_hundredth_of_the_limit_decides(Ms, state):
 
 
 @pytest.mark.parametrize(
+    ("Ms", "said"),
+    [
+        (Interval(1.58, 1.55, 1.62), "the sensitivity Ms, 1.55 to 1.62, may be above the limit"),
+        (Interval(2.0, 1.9, 2.1), "the sensitivity Ms of 2.00 is above the limit of 1.6"),
+    ],
+)
+def test_reason_of_a_verdict_gives_the_sensitivity_as_a_plain_number(Ms, said):
+    limits = RobustnessLimits(max_sensitivity=1.6, max_overshoot=None)
+    assert said in limit_verdict(plan(limits), claimed(Ms), ArithmeticRig.best, ()).reason
+
+
+@pytest.mark.parametrize(
     ("degrees", "state", "said"),
     [
         (Interval(40.0, 36.0, 44.0), LimitState.KEPT, ""),

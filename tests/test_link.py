@@ -226,6 +226,34 @@ def test_command_without_the_lease_is_refused_for_that_alone_while_the_rig_takes
             assert move.reply_code in (ReplyCode.HELD, ReplyCode.NO_LEASE)
 
 
+def test_cancel_that_names_another_trial_stops_nothing(moves):
+    """A cancel that was delayed arrives while the next trial runs."""
+    stopped = 0
+    for state, now_s, event, move in moves:
+        if not isinstance(event, events.CancelEvent) or state.trial is None:
+            continue
+        if not lives(state, now_s) or event.token != state.lease.token or state.trial.stopping:
+            continue
+        names_it = event.trial_id in ("", state.trial.trial_id)
+        assert move.reply_code is ReplyCode.ACCEPTED
+        assert (RigAction.STOP in move.orders) is names_it
+        assert bool(move.state.trial.stopping) is names_it
+        stopped += names_it
+    assert stopped
+
+
+def test_busy_reply_names_the_trial_and_orders_nothing(moves):
+    asked = (events.SetGainsEvent, events.SwitchOffEvent, events.FollowEvent, events.SubmitEvent)
+    for state, now_s, event, move in moves:
+        if state.trial is None or state.closed or not lives(state, now_s):
+            continue
+        is_new = getattr(event, "known", TrialState.UNKNOWN) is TrialState.UNKNOWN
+        if isinstance(event, asked) and event.token == state.lease.token and is_new:
+            assert move.reply_code is ReplyCode.BUSY
+            assert f"busy with trial {state.trial.trial_id};" in move.sentence
+            assert (move.state, move.orders) == (state, ())
+
+
 def test_held_reply_names_the_holder(moves):
     for _, _, _, move in moves:
         if move is not None and move.reply_code is ReplyCode.HELD:

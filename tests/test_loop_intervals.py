@@ -139,6 +139,22 @@ def test_deviation_by_the_setpoint_is_that_of_fits_of_many_records():
     assert np.median(told) == pytest.approx(np.std(logs), rel=0.4)
 
 
+def test_deviations_of_what_records_do_not_know_are_large_numbers_and_of_what_they_do_exact():
+    """One of the directions is known by a share of the other, in deviations."""
+    turn = np.array([[1.0, 1.0], [-1.0, 1.0]]) / math.sqrt(2.0)
+    for share in (1.0, 1e-3, 4e-7, 0.0):  # below 3e-7 it is rounding
+        slopes = np.diag([1.0, share]) @ turn
+        steps = module._deviations(slopes, 0.1)
+        assert np.isfinite(steps).all()
+        lengths = np.sort(np.linalg.norm(slopes @ steps, axis=0))
+        assert lengths[-1] == pytest.approx(0.1, rel=1e-2)
+        if share:
+            assert lengths[0] == pytest.approx(0.1, rel=1e-2)
+        else:
+            assert np.linalg.norm(steps, axis=0).max() > 1e5
+    assert module._deviations(np.zeros((2, 2)), 0.1) is None
+
+
 def test_peak_of_an_unstable_loop_is_the_largest_of_its_sensitivity():
     c = linear().controller
     assert peak_sensitivity(exact_model(), GAINS, c) == robustness(exact_model(), GAINS, c)[0]

@@ -15,6 +15,7 @@ from estune.interop import (
     linear_model,
     margins,
 )
+from estune.trial import LinearModel
 from tests.test_interop import s, sampled_model_of, settings
 
 REEL = (
@@ -200,6 +201,17 @@ def test_unstable_loop_has_no_margins(system, gains):
     assert largest_sensitivity(plant, gains, settings(632.0, 5e-4)) == math.inf
     assert result.stable is False
     assert list(map(math.isnan, result[:4])) == [True] * 4
+
+
+@pytest.mark.parametrize("rates", [(12.0, 30.0), (17.0, 60.0)])
+def test_undamped_modes_that_the_loop_does_not_move_leave_it_unstable(rates):
+    """Each turns the return difference by half a turn, one of them back."""
+    A = np.zeros((5, 5))
+    A[0, 0] = -1.0
+    for n, rate in zip((1, 3), rates, strict=True):
+        A[n, n + 1], A[n + 1, n] = rate, -rate
+    model = LinearModel(tuple(map(tuple, A)), (1.0, 0.0, 1.0, 0.0, 1.0), (1.0, *[0.0] * 4))
+    assert not margins(model, Gains(1.0, 1.0, 0.0, 0.0), settings(100.0, 0.0)).stable
 
 
 def test_stabilised_unstable_plant_has_margins():

@@ -175,6 +175,53 @@ def test_sensitivity_with_a_notch_has_the_interval_of_the_modes_frequency():
     assert ratio.low < ratio.high
 
 
+def test_interval_of_a_sensitivity_reaches_to_the_modes_of_least_and_greatest_frequency(
+    monkeypatch,
+):
+    """Where Ms with the notch is that without it, times the frequency over that of the mode."""
+    d = found(EFFECTS["structural_mode"](), spread=0.05)
+    (named,) = d.effects
+    monkeypatch.setattr(
+        offers,
+        "sensitivity",
+        lambda machine, _, tables: machine.effects[-1].frequency_Hz if tables else 2.0,
+    )
+    drawn = [one.frequency_Hz for one in offers._draws(named)]
+    ratio = offers._sensitivity(d.augmented, GAINS, named, {"mode": {}})
+    expected = np.array([named.effect.frequency_Hz, min(drawn), max(drawn)]) / 2.0
+    assert (ratio.value, ratio.low, ratio.high) == pytest.approx(expected)
+
+
+@pytest.mark.parametrize(
+    ("name", "field", "sizes", "left"),
+    [
+        ("dead_time", "delay_s", (4e-3, 3e-3), 1e-3),  # no delay is below zero
+        ("dead_time", "delay_s", (3e-3, 4e-3), 1e-3),
+        ("gauge_offset", "offset_N", (0.4, 0.3), -0.1),
+    ],
+)
+def test_remedy_leaves_what_its_number_is_off_by(name, field, sizes, left, monkeypatch):
+    told, true = (EFFECTS[name](**{field: size}) for size in sizes)
+    monkeypatch.setattr(
+        offers,
+        "behaviour",
+        lambda machine, *_, **__: np.array([getattr(machine.effects[-1], field)]),
+    )
+    (named,) = found(told).effects
+    (remedy,) = (r for r in type(told).remedies(told, PlantScale.of(REEL)) if r.removes)
+    rig = REEL + told, REEL.describe("reel", GAINS)
+    ratio = offers._ratios(rig, true, None, named, remedy, seed=0)
+    assert ratio == pytest.approx([left / sizes[1]])
+
+
+@pytest.mark.parametrize(
+    ("closure", "left"), [(0.0, 1.0), (0.75, 0.5), (1.0, 0.0), (-0.2, 1.0), (1.1, 0.0)]
+)
+def test_unexplained_is_the_root_of_the_power_that_is_left(closure, left):
+    assert offers._unexplained(closure) == pytest.approx(left)
+    assert offers._unexplained(float("nan")) == 0.0
+
+
 @pytest.mark.parametrize(("cost", "is_worth"), [(1.0, True), (1.03, False)])
 def test_remedy_that_harms_one_measure_is_not_worth_its_gain_in_another(
     cost, is_worth, monkeypatch

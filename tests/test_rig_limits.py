@@ -77,6 +77,15 @@ def test_rig_is_limited_where_each_of_its_limits_is_below_no_limit(where, name, 
     replace(LIMITED, limits=LIMITS).check_limited()  # a loop that no drive turns has no speed
 
 
+@pytest.mark.parametrize("field", ["A", "B", "C", "E", "dead_time_s"])
+@pytest.mark.parametrize("value", [math.nan, math.inf])
+def test_linear_model_with_a_number_that_is_not_finite_is_refused(field, value):
+    plain = {"A": ((-1.0,),), "B": (1.0,), "C": (1.0,)}
+    wrong = {"A": ((value,),), "B": (value,), "C": (value,)}.get(field, value)
+    with pytest.raises(InvalidInput, match="not finite"):
+        LinearModel(**plain | {field: wrong})
+
+
 def test_motion_in_an_open_loop_is_predicted_with_a_margin():
     """A drive whose angle integrates its current: 2 rad/s an A, held for 3 s."""
     drive = LinearModel(((0.0,),), (2.0,), (1.0,))

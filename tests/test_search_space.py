@@ -43,10 +43,13 @@ def test_space_around_gains_extends_by_the_factor():
     assert SearchSpace.around(GAINS, bounds={"I": (40, 60)}).low[1] == 40.0
 
 
-def test_zero_gain_is_held_at_zero():
+def test_zero_gain_is_held_at_zero_and_bounds_for_it_are_refused():
     space_around = SearchSpace.around(Gains(1.0, 10.0, 0.0, 0.0))
     assert space_around.names == ("P", "I")
     assert space_around.gains((2.0, 20.0)) == Gains(2.0, 20.0, 0.0, 0.0)
+    for low in (0.0, 0.001):
+        with pytest.raises(InvalidInput, match=r"D: (start|lower bound) 0 "):
+            SearchSpace.around(Gains(1.0, 10.0, 0.0, 0.0), bounds={"D": (low, 0.1)})
 
 
 @pytest.mark.parametrize("form", ["parallel", "standard"])

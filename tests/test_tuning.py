@@ -9,8 +9,9 @@ import pytest
 import estune
 from estune.errors import Interrupted, InvalidInput, RigError
 from estune.run import loop
+from estune.run.failed_trials import run_trial
 from estune.run.loop import Stopped
-from estune.trial import GUARD, LATE, Outcome, empty_record
+from estune.trial import GUARD, LATE, Outcome, TrialRequest, empty_record
 from estune.tuners.search_space import SearchSpace
 from tests.serve_rig import served
 from tests.support_runs import START, ArithmeticRig, Seer, description
@@ -164,6 +165,24 @@ def test_gains_outside_safe_region_run_only_when_approved(tmp_path):
     assert result.verdict.declined == len(refused)
     assert result.unsafe == 0
     assert "declined" in repr(result)
+
+
+def test_trial_that_may_be_refused_is_declined_where_the_rig_refuses_it_and_raises_otherwise():
+    about = description()
+    request = TrialRequest("r", 0, START, about.step)
+
+    class Refusing:
+        def run(self, _):
+            raise self.error
+
+    rig = Refusing()
+    rig.error = InvalidInput("steps only")
+    record = run_trial(rig, request, about, may_be_refused=True)
+    assert (record.outcome, record.reason) == (Outcome.DECLINED, "the rig refused it: steps only")
+    for error, may_be_refused in ((rig.error, False), (RigError("no reply"), True)):
+        rig.error = error
+        with pytest.raises(type(error)):
+            run_trial(rig, request, about, may_be_refused=may_be_refused)
 
 
 def test_resumed_run_keeps_declined_trials(tmp_path):

@@ -102,7 +102,7 @@ class SearchSpace:
     ) -> Self:
         """The logarithmic space around some gains: each from value/factor to value x factor.
 
-        A gain that is zero has no logarithm: it is held at zero, unless bounds are given for it.
+        A gain that is zero has no logarithm: it is held at zero, and bounds for it are refused.
 
         Args:
             gains: The start.

@@ -227,12 +227,16 @@ def _predicted(
         return {}, None
     if not np.isfinite(rows).all():  # a machine of the intervals does not bear it
         return {}, None
-    closure = float(getattr(diagnosis, "closure", math.nan))
-    unexplained = math.sqrt(1.0 - min(max(closure, 0.0), 1.0)) if math.isfinite(closure) else 0.0
+    unexplained = _unexplained(float(getattr(diagnosis, "closure", math.nan)))
     ratios = _intervals(np.array(rows), unexplained, widened="friction" in tables)
     if "mode" in tables:
         ratios["sensitivity"] = _sensitivity(model, about.gains, found, tables)
     return ratios, about.gains
+
+
+def _unexplained(closure: float) -> float:
+    """Part of the error, rms, that is left by what explains a share of its power; 0 if unknown."""
+    return math.sqrt(1.0 - min(max(closure, 0.0), 1.0)) if math.isfinite(closure) else 0.0
 
 
 def _sensitivity(
