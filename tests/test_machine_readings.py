@@ -74,6 +74,19 @@ def test_ramp_lasts_its_time_where_samples_are_long():
     assert loop.current_A[-1] == 0.0
 
 
+def test_ramp_lasts_its_number_of_samples_where_the_devices_clock_crawls():
+    loop = VirtualLoop(config(safe__state="ramp"))
+    in_trial(loop)
+    while loop.machine.phase is not MotionPhase.RAMP:
+        loop.step(no_answer(loop))
+    stamp_s = loop.time_s
+    for _ in range(round(0.21 * 632)):
+        stamp_s += 1e-5
+        loop.step(BAD._replace(time_s=stamp_s))
+    assert loop.machine.phase is MotionPhase.STOPPED
+    assert loop.current_A[-1] == 0.0
+
+
 def test_time_without_a_good_reading_stops_the_reel_however_few_were_bad():
     loop = VirtualLoop(config(guard__bad_in_a_row=1000, guard__bad_s=0.02, guard__gap_s=1.0))
     in_trial(loop)

@@ -221,6 +221,7 @@ def run(reel: ReelState, time_s: float, tension_N: float) -> float:
 def ramp(reel: ReelState, time_s: float, _tension_N: float) -> float:
     """A ramp to the effort of the safe state; then stopped."""
     # By time: a device that does not answer makes samples many times as long as a period.
+    # No less than a sample: a device's clock that crawls would keep the effort up.
     passed_s = time_s - reel.memory.levels[SensorLevels.TIME_s]
     samples = max(passed_s * reel.plan.sampling_Hz, 1.0)
     target, step = reel.plan.safe.effort_N, reel.ramp_step_N * samples

@@ -149,7 +149,7 @@ def cancel(state: RigState, event: events.CancelEvent, _now_s: float) -> Transit
     if not _owns(state, event.token):
         return _without_lease(state)
     # A cancel that was delayed must not stop the trial after the one that it names.
-    if state.trial is None or event.trial_id not in ("", state.trial.trial_id):
+    if event.trial_id not in ("", state.trial_id):
         return Transition(state)
     return _stopping(state, "stopped by its client")
 
@@ -172,7 +172,7 @@ def void(state: RigState, event: events.VoidEvent, _now_s: float) -> Transition:
 def void_while_taking(state: RigState, event: events.VoidEvent, now_s: float) -> Transition:
     """Reply busy, if this very trial is being accepted; else as in the other modes."""
     # Until its entry is written, it is open whether it can still be kept from running.
-    if state.trial is not None and state.trial.trial_id == event.trial_id:
+    if event.trial_id == state.trial_id:
         return _busy(state)
     return void(state, event, now_s)
 
@@ -321,8 +321,7 @@ def _without_lease(state: RigState) -> Transition:
 
 
 def _busy(state: RigState) -> Transition:
-    trial_id = "" if state.trial is None else state.trial.trial_id
-    remedy = f"the rig is busy with trial {trial_id}; wait until it has ended, or stop it"
+    remedy = f"the rig is busy with trial {state.trial_id}; wait until it has ended, or stop it"
     return Transition(state, ReplyCode.BUSY, remedy)
 
 

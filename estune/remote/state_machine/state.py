@@ -64,6 +64,11 @@ class RigState(NamedTuple):
     ended: int = 0
 
     @property
+    def trial_id(self) -> str:
+        """Id of the active trial; empty without one."""
+        return "" if self.trial is None else self.trial.trial_id
+
+    @property
     def mode(self) -> Mode:
         """Mode that follows from the state: a column of the table."""
         trial = self.trial

@@ -261,7 +261,7 @@ class RequestHandler(MessageDispatcher):
         return Status(
             instance=self._instance,
             mode=state.mode,
-            trial_id="" if state.trial is None else state.trial.trial_id,
+            trial_id=state.trial_id,
             ended=state.ended,
             holder="" if state.lease is None else state.lease.holder,
             latched=state.latched,
