@@ -166,7 +166,9 @@ def test_trip_sentence_has_value_and_limit():
 def test_most_severe_reason_is_named_first():
     everything = Limits(tension_max_N=20.0, angle_max_rad=1.0, heartbeat_s=0.1)
     sample = {"tension_N": 99.0, "angle_rad": 9.0, "silence_s": 9.0}
-    assert stopped_at(everything, faulty(5, **sample))[1].reason is Reason.HEARTBEAT
+    assert stopped_at(everything, faulty(5, **sample))[1].reason is Reason.TENSION
+    only = {"silence_s": 9.0}
+    assert stopped_at(everything, faulty(5, **only))[1].reason is Reason.HEARTBEAT
     assert stopped_at(everything, faulty(5, **sample, time_s=0.0))[1].reason is Reason.CLOCK
 
 

@@ -261,6 +261,28 @@ def test_rig_takes_trials_after_a_lost_heartbeat():
         assert loop.answer().outcome is Outcome.DONE
 
 
+def test_hold_without_a_heartbeat_is_still_guarded():
+    loop = VirtualLoop(config())
+    settle(loop)
+    loop.step(silence_s=0.6)
+    assert loop.machine.phase is MotionPhase.HOLD
+    for _ in range(5):  # further than the guard allows
+        loop.turned += 1000
+        loop.step(silence_s=0.6)
+    assert loop.machine.phase in (MotionPhase.RAMP, MotionPhase.STOPPED)
+    assert loop.memory.words[Word.LATCHED]
+
+
+def test_recovery_from_a_trial_ends_with_the_next_one():
+    """Its limits are wide, and know neither cost nor duration."""
+    loop = VirtualLoop(config(safe__recover_s=30.0))
+    violent(loop)
+    loop.answer()
+    violent(loop)
+    assert loop.machine.answer.outcome is Outcome.GUARD
+    assert "tension" in loop.machine.answer.reason
+
+
 def test_missing_cable_is_reported():
     loop = VirtualLoop(config(motion__take_up_s=0.5))
     loop.ask(GOOD, STEP)

@@ -22,11 +22,13 @@ class GuardWatch:
 
     def restart(self) -> None:
         """Forgets what was seen: the reel has been at rest."""
-        self._state = None
+        self._state, self._recover_until_s = None, -math.inf
 
     def begin_trial(self, trial: BeginTrial) -> None:
         """Adds the limits of a trial."""
         self._cost = 0.0
+        # Else its gains would run within the wide limits of the recovery from those before.
+        self._recover_until_s = -math.inf
         self._limits = replace(self._usual, cost_max=trial.cost_max, duration_s=trial.duration_s)
 
     def end_trial(self) -> None:

@@ -227,8 +227,13 @@ def check_sample(
         within_s=now if abs(sample.current_A) <= limits.current_max_A else watch.within_s,
         late_in_a_row=watch.late_in_a_row + 1 if sample.late else 0,
     )
-    # Faults first: what a broken sensor seems to cross would count against the gains.
-    stop = _fault(limits, watch, following, sample) or _crossed(limits, watch, following, sample)
+    # Faults first: what a broken sensor seems to cross would count against the gains. A lost
+    # heartbeat last: a reel may be held for long without one, and its limits have to hold there.
+    stop = (
+        _fault(limits, watch, following, sample)
+        or _crossed(limits, watch, following, sample)
+        or _silence(limits, sample)
+    )
     return following, stop
 
 
@@ -279,13 +284,6 @@ def _fault(  # noqa: PLR0911  a return for each fault, the most severe first
             f"the gauge has read exactly {sample.gauge_counts:g} counts for "
             f"{_ms(now - following.changed_s)}; limit {_ms(limits.frozen_s)}",
         )
-    # The rig's program has died, or hangs: nobody is left to pass an abort on.
-    if not sample.silence_s <= limits.heartbeat_s:
-        return GuardTrip(
-            Reason.HEARTBEAT,
-            f"no heartbeat from the supervisor for {_ms(sample.silence_s)}; "
-            f"limit {_ms(limits.heartbeat_s)}",
-        )
     if not now - watch.start_s <= limits.duration_s:
         return GuardTrip(
             Reason.DEADLINE,
@@ -335,6 +333,17 @@ def _crossed(  # noqa: PLR0911  a return for each limit, the most severe first
     if not sample.cost <= limits.cost_max:
         return _over(Reason.COST, "cost so far", sample.cost, limits.cost_max, "")
     return None
+
+
+def _silence(limits: Limits, sample: Sample) -> GuardTrip | None:
+    """The rig's program has died, or hangs: nobody is left to pass an abort on."""
+    if sample.silence_s <= limits.heartbeat_s:
+        return None
+    return GuardTrip(
+        Reason.HEARTBEAT,
+        f"no heartbeat from the supervisor for {_ms(sample.silence_s)}; "
+        f"limit {_ms(limits.heartbeat_s)}",
+    )
 
 
 def _over(reason: Reason, what: str, value: float, limit: float, unit: str) -> GuardTrip:
