@@ -9,6 +9,7 @@ import threading
 import time
 from contextlib import contextmanager
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -16,7 +17,7 @@ import pytest
 from estune.core.gains import Gains
 from estune.errors import InvalidInput, RigError
 from estune.hardware import HardwareRig
-from estune.hardware.shared_memory import Word
+from estune.hardware.shared_memory import MotionPhase, Word
 from estune.trial import LATE, Outcome, Setpoint, TrialRequest
 from plants.emulator import EmulatedDriver
 from plants.emulator.driver import emulated_hardware
@@ -249,6 +250,24 @@ def test_abort_during_preparation_stops_the_trial(hardware):
             assert rig.abort().gains == rig.describe().gains
         (record,) = results
         assert record.outcome is Outcome.CANCELLED
+
+
+def test_interrupted_call_stops_its_trial_and_the_next_one_runs(rig):
+    pipe, words = rig._loop._pipe, rig._memory.words
+    interrupts = iter([KeyboardInterrupt])
+
+    def poll(within_s):
+        if words[Word.PHASE] == MotionPhase.TRIAL:
+            for interrupt in interrupts:
+                raise interrupt
+        return pipe.poll(within_s)
+
+    rig._loop._pipe = SimpleNamespace(poll=poll, send=pipe.send, recv=pipe.recv, close=pipe.close)
+    with pytest.raises(KeyboardInterrupt):
+        rig.run(ask(rig, duration_s=8.0))
+    assert rig.abort().gains == rig.describe().gains
+    assert words[Word.PHASE] == MotionPhase.HOLD
+    assert rig.run(ask(rig, 1)).outcome is Outcome.DONE
 
 
 def test_lost_hardware_stops_the_reel_and_ends_nothing(hardware):

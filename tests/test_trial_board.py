@@ -329,6 +329,33 @@ def test_dead_board_fails_the_trial_and_the_rig(program):
                 rig.describe()
 
 
+@pytest.mark.parametrize("error", [KeyboardInterrupt, RigError])
+def test_trial_that_the_computer_no_longer_waits_for_is_stopped(error, program, monkeypatch):
+    def fail(_):
+        raise error
+
+    with board_rig(program) as (rig, _):
+        monkeypatch.setattr(rig, "_until_ended", fail)
+        with pytest.raises(error):
+            rig.run(request(rig, 1, step_at_s=1.9, duration_s=2.0))
+        monkeypatch.undo()
+        assert not rig._link.status(b"s").pending
+        assert rig.run(request(rig, 2)).outcome is Outcome.DONE
+
+
+def test_trial_under_way_is_not_given_the_setpoints_of_the_next(program):
+    """The board drops them, and would run the next trial by those of the one before."""
+    with board_rig(program) as (rig, _):
+        under_way = request(rig, 1, step_at_s=1.9, duration_s=2.0)
+        setpoint = under_way.profile.setpoint(rig._config.sampling_Hz)
+        rig._send_setpoint(setpoint)
+        rig._begin(under_way, len(setpoint))
+        with pytest.raises(RigError, match="still runs"):
+            rig.run(request(rig, 2))
+        rig.abort()
+        assert rig.run(request(rig, 3)).outcome is Outcome.DONE
+
+
 def test_stop_is_latched_until_cleared(program):
     with board_rig(program) as (rig, _):
         rig.run(request(rig, 1))

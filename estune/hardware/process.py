@@ -14,7 +14,7 @@ from typing import Any, Protocol, TypeVar
 
 from estune import errors
 from estune.errors import EstuneError, RigError
-from estune.hardware.loop_messages import EndLoop, Failed, LoopPlan, Ready, Refused
+from estune.hardware.loop_messages import BeginTrial, EndLoop, Failed, LoopPlan, Ready, Refused
 from estune.hardware.shared_memory import Memory, Word, make_file
 
 BEAT_s = 0.02
@@ -111,7 +111,15 @@ class LoopProcess:
             self._pipe.send(command)
         except OSError as error:
             raise self._give_up(f"its loop has ended: {error}") from error
-        return self._await(kind, within_s)
+        try:
+            return self._await(kind, within_s)
+        except KeyboardInterrupt:
+            # Else the trial would run on, and its answer be taken for that of the next command.
+            if isinstance(command, BeginTrial):
+                self.memory.words[Word.ABORT] = command.number
+            with contextlib.suppress(EstuneError):
+                self._await(kind, ANSWER_WITHIN_s)
+            raise
 
     def end(self, within_s: float) -> None:
         """Brings the reel to rest and ends the loop; kills it where it does not end."""

@@ -1,5 +1,6 @@
 """Rig of a board that closes the loop itself."""
 
+import contextlib
 import logging
 import struct
 import threading
@@ -104,8 +105,14 @@ class BoardRig(Closing):
                 )
             setpoint = request.profile.setpoint(self._config.sampling_Hz)
             self._send_setpoint(setpoint)
-            began = self._begin(request, len(setpoint))
-            status = self._until_ended(request)
+            try:
+                began = self._begin(request, len(setpoint))
+                status = self._until_ended(request)
+            except BaseException:
+                # The sign of life goes on: the board would run a trial that nobody waits for.
+                with contextlib.suppress(RigError):
+                    self._stop()
+                raise
             record = self._record(request, status, setpoint, began)
             self._records.add(request, record)
             self._note_motion(record)
@@ -167,7 +174,12 @@ class BoardRig(Closing):
     def _send_setpoint(self, setpoint: FloatArray) -> None:
         for first in range(0, len(setpoint), _PART):
             part = setpoint[first : first + _PART].astype("<f8").tobytes()
-            self._link.status(b"p", struct.pack("<I", first) + part)
+            # A board that runs a trial drops the part: the next would run by an old setpoint.
+            if self._link.status(b"p", struct.pack("<I", first) + part).pending:
+                raise RigError(
+                    f"the board of rig {self._description.name} still runs an earlier trial; stop "
+                    "it first"
+                )
 
     def _begin(self, request: TrialRequest, samples: int) -> datetime:
         deadline_s = time.monotonic() + self._config.safe.ramp_s + 1.0
