@@ -9,6 +9,7 @@ from estune.recordings.issue import DataIssue
 from estune.run.trial_file import TrialFile
 from estune.trial.profiles import TriangleProfile
 from plants.diagnosis.data.noise_floor import Noise, NoiseFloor
+from plants.diagnosis.next_data import NextExperiment
 from plants.diagnosis.report.diagnosis import Diagnosis
 from plants.diagnosis.residual.localisation import (
     Block,
@@ -21,7 +22,6 @@ from plants.diagnosis.result import (
     Interval,
     ModelErrors,
     NamedEffect,
-    NextExperiment,
     SearchStep,
     Trace,
 )

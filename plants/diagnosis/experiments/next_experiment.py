@@ -32,9 +32,10 @@ from plants.diagnosis.data.measured_record import OUTPUTS, MeasuredRecord
 from plants.diagnosis.data.noise_floor import NoiseFloor
 from plants.diagnosis.experiments.designs import WIDEST, Experiment, candidate_experiments
 from plants.diagnosis.models.diagnosed_model import DiagnosedModel, diagnosed
+from plants.diagnosis.next_data import NextExperiment
 from plants.diagnosis.prediction.prediction import CHANNELS, Predictor
 from plants.diagnosis.residual.localisation import Block, ResidualLocation
-from plants.diagnosis.result import NextExperiment, Verdict
+from plants.diagnosis.result import Verdict
 
 
 class Evidence(NamedTuple):

@@ -17,7 +17,7 @@ from estune.core.quantities import FloatArray
 from plants.diagnosis.data.measured_record import MeasuredRecord
 from plants.diagnosis.data.smoothing import Smoother
 from plants.diagnosis.models.base import BaseNumbers
-from plants.diagnosis.result import NextRecording
+from plants.diagnosis.next_data import NextRecording
 from plants.effects.plant_scale import PlantScale, si
 
 MARGIN = 0.1

@@ -17,6 +17,7 @@ from plants.diagnosis.interval import Interval
 from plants.diagnosis.models.base import BaseNumbers
 from plants.diagnosis.models.diagnosed_model import DiagnosedModel
 from plants.diagnosis.models.free_parameters import BASE
+from plants.diagnosis.next_data import NextExperiment, NextRecording
 from plants.diagnosis.pipeline.compare import EffectComparison
 from plants.diagnosis.pipeline.intervals import StatedIntervals
 from plants.diagnosis.prediction.prediction import Prediction
@@ -28,8 +29,6 @@ from plants.diagnosis.result import (
     Limitation,
     ModelErrors,
     NamedEffect,
-    NextExperiment,
-    NextRecording,
     SearchStep,
     Trace,
 )

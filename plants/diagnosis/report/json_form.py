@@ -5,6 +5,7 @@ from collections.abc import Mapping
 from dataclasses import fields, is_dataclass
 from typing import Any
 
+from plants.diagnosis.next_data import NextExperiment, NextRecording
 from plants.diagnosis.report import summary
 from plants.diagnosis.report.plant_units import own_names
 from plants.diagnosis.result import (
@@ -13,8 +14,6 @@ from plants.diagnosis.result import (
     DiagnosisResult,
     HoldOut,
     NamedEffect,
-    NextExperiment,
-    NextRecording,
     SearchStep,
 )
 from plants.effects import Effect
