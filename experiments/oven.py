@@ -29,8 +29,9 @@ from estune.core.filtering import lfilter
 from estune.core.gains import Gains
 from estune.core.pidf import ControllerSettings
 from estune.core.quantities import FloatArray
+from estune.loop_model.fit_signals import signals_of
 from estune.loop_model.identification import PoleFit, searched_dead_time
-from estune.loop_model.least_squares import Solution, signals_of
+from estune.loop_model.loop_fit import model_of
 from estune.loop_model.margins import robustness
 from estune.loop_model.model import LoopModel, exchanged
 from estune.loop_model.poles import polynomial
@@ -142,8 +143,7 @@ def plant_of(runs: Sequence[ChamberRun]) -> LoopModel:
     signals = signals_of(loop.records, samples, round(samples))
     start = PoleFit(0.0, np.array(model.coordinates), model.dead_samples)
     found = searched_dead_time(signals, [start])
-    at = Solution.at(signals, found.coordinates, found.dead)
-    return LoopModel(tuple(at.coordinates.tolist()), tuple(at.numerator.tolist()), found.dead)
+    return model_of(found.solution(signals))
 
 
 def begun(model: LoopModel, run: ChamberRun, ambient_degC: float) -> FloatArray:

@@ -7,9 +7,9 @@ import pytest
 from estune.core.gains import Gains
 from estune.loop_model.agreement import contradicting_sensitivities
 from estune.loop_model.damping import with_mean_damping
+from estune.loop_model.fit_signals import signals_of
 from estune.loop_model.fitting import fit_loop
 from estune.loop_model.identification import PoleFit, improve
-from estune.loop_model.least_squares import signals_of
 from experiments.loop_claims import true_sensitivity
 from tests.test_loop_model import COST, GAINS, SAMPLING_HZ, SYSTEM, linear, record_of
 

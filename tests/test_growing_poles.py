@@ -12,10 +12,11 @@ import plants
 from estune.core.cost import StepCost
 from estune.core.gains import Gains
 from estune.loop_model import growing_poles
+from estune.loop_model.fit_signals import signals_of
 from estune.loop_model.fitting import fit_loop
 from estune.loop_model.growing_poles import growing_fit
 from estune.loop_model.intervals import predict_with_intervals
-from estune.loop_model.least_squares import Solution, signals_of
+from estune.loop_model.least_squares import Solution
 from estune.loop_model.margins import robustness
 from estune.loop_model.optimum import RobustnessLimits
 from estune.loop_model.poles import (

@@ -11,11 +11,11 @@ import plants
 from estune.core.cost import StepCost
 from estune.core.gains import Gains
 from estune.loop_model.drawn_models import drawn_models, white_factor
+from estune.loop_model.fit_signals import signals_of
 from estune.loop_model.fitting import fit_loop
 from estune.loop_model.hum import hum_of
 from estune.loop_model.identification import PoleFit, improve, search_dead_time
 from estune.loop_model.intervals import predict_with_intervals
-from estune.loop_model.least_squares import signals_of
 from estune.loop_model.margins import robustness
 from estune.loop_model.poles import coordinates_of, difference_polynomial
 from estune.loop_model.records import LoopRecord

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from estune.core.gains import Gains
+from estune.loop_model.fit_signals import FitSignals, RecordGroup
 from estune.loop_model.fitting import fit_loop
 from estune.loop_model.intervals import predict_with_intervals
-from estune.loop_model.least_squares import FitSignals, RecordGroup
 from estune.loop_model.margins import robustness
 from estune.loop_model.near_fit import fit_near
 from estune.loop_model.whiteness import is_contradicted

@@ -18,7 +18,7 @@ from estune.loop_model.drawn_models import (
     drawn_models,
     white_factor,
 )
-from estune.loop_model.least_squares import Solution, signals_of
+from estune.loop_model.fit_signals import signals_of
 from estune.loop_model.loop_fit import LoopFit
 from estune.loop_model.model import LoopModel
 from estune.loop_model.records import LoopRecord
@@ -47,13 +47,11 @@ def allowed_draws(fit: LoopFit, records: Sequence[LoopRecord], draws: Draws) -> 
     from scipy.special import chdtri  # noqa: PLC0415  slow to import
 
     model = fit.model
-    kept = [record for i, record in enumerate(records) if i not in fit.left_out]
-    signals = signals_of(kept, fit.settling_samples, model.dead_samples)
+    signals = signals_of(fit.fitted(records), fit.settling_samples, model.dead_samples)
 
     def squares(one: LoopModel) -> float:
-        x, numerator = np.array(one.coordinates), np.array(one.numerator)
         with np.errstate(over="ignore", invalid="ignore"):
-            return Solution.at(signals, x, model.dead_samples, fit.noise, numerator).squares
+            return fit._replace(model=one).solution(signals).squares
 
     further = float(chdtri(model.parameters.size, CHANCE)) * INFLATION**2
     most = squares(model) * (1.0 + further / signals.samples)

@@ -5,14 +5,14 @@ them by least squares, then the model anew of the records without them.
 """
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from estune.core.quantities import FloatArray
 from estune.loop_model.bend import POWERS, Bend, level_of, unbent
-from estune.loop_model.least_squares import FitSignals, RecordGroup, Solution, signals_of
+from estune.loop_model.fit_signals import FitSignals, RecordGroup, signals_of
 from estune.loop_model.loop_fit import LoopFit
 from estune.loop_model.records import LoopRecord
 
@@ -42,7 +42,7 @@ spring or sensor bends it leaves 0 to 6 %, where the gain of a drive drifts or v
 EXPLAINED = 0.002
 """Misfit up to which a bend explains records that are not white, as friction does."""
 
-Again = Callable[[Sequence[LoopRecord], LoopFit], LoopFit]
+Again = Callable[[Sequence[LoopRecord], LoopFit | None], LoopFit]
 
 
 class Fits(NamedTuple):
@@ -50,12 +50,10 @@ class Fits(NamedTuple):
 
     Attributes:
         by_two_poles: By a linear model of two poles.
-        anew: By any model of a straight plant, from a cold start.
-        again: The same from an earlier fit.
+        again: By any model of a straight plant, from an earlier fit; from a cold start without.
     """
 
     by_two_poles: Callable[[Sequence[LoopRecord]], LoopFit]
-    anew: Callable[[Sequence[LoopRecord]], LoopFit]
     again: Again
 
 
@@ -117,13 +115,13 @@ def with_bend(
     # The likelier one first: slow trials hardly tell a spring from a sensor.
     known = [(kind, bent) for kind, bent in singly if bent and may_explain(bent, two)]
     for kind, bent in sorted(known, key=lambda pair: _squares(pair[1])):
-        whole = fits.anew([unbent(record, bent.model.bend) for record in records])
+        whole = fits.again([unbent(record, bent.model.bend) for record in records], None)
         if not may_explain(whole, two):
             continue
         found = _settled(whole, records, bent.model.bend, kind, fits.again)
         if found is not None and found.order > two.order:
             # Poles that took up what was left of the bend are not needed any more.
-            whole = fits.anew([unbent(record, found.model.bend) for record in records])
+            whole = fits.again([unbent(record, found.model.bend) for record in records], None)
             found = _settled(whole, records, found.model.bend, kind, fits.again)
         if found is not None and explains(found, fit):
             return found
@@ -167,8 +165,7 @@ def is_plain(fit: LoopFit) -> bool:
 def _beyond(fit: LoopFit) -> float:
     """Sum of the squared errors beyond the noise."""
     of_noise = fit.noise_std**2
-    kept = [e for i, e in enumerate(fit.errors) if i not in fit.left_out]
-    return sum(float(e @ e) - of_noise * e.size for e in kept)
+    return sum(float(e @ e) - of_noise * e.size for e in fit.fitted(fit.errors))
 
 
 def _settled(
@@ -208,13 +205,12 @@ def _correction(
     model = fit.model
     if model.friction or model.grows or not fit.noise.is_white:
         return None
-    kept = [i for i in range(len(records)) if i not in fit.left_out]
-    chosen = [records[i] for i in kept]
+    chosen = fit.fitted(records)
     signals = signals_of(
         [unbent(r, bend) for r in chosen], fit.settling_samples, model.dead_samples
     )
-    at = solution_of(fit, signals)
-    terms = [solution_of(fit, _with(signals, chosen, bend, term)).residual for term in kind]
+    at = fit.solution(signals)
+    terms = [fit.solution(_with(signals, chosen, bend, term)).residual for term in kind]
     slopes, e = np.column_stack([at.slopes(signals), *terms]), at.residual
     size = np.linalg.norm(slopes, axis=0)
     size = np.where(size > 0.0, size, 1.0)
@@ -226,7 +222,7 @@ def _correction(
     count, n = max(e.size - step.size, 1), model.parameters.size
     whole = np.zeros(2 * len(POWERS))
     whole[list(kind)] = step[-len(kind) :]
-    scores = np.array([slopes[rows].T @ left[rows] for rows in rows_of(signals)])
+    scores = np.array([slopes[rows].T @ left[rows] for _, rows in signals.rows()])
     return Correction(
         whole,
         (float(e @ e), after),
@@ -234,13 +230,6 @@ def _correction(
         (after / count * inverse)[:n, :n],
         (inverse @ (scores.T @ scores) @ inverse)[:n, :n],
     )
-
-
-def solution_of(fit: LoopFit, signals: FitSignals) -> Solution:
-    """The prediction errors of a fit's model on signals."""
-    model = fit.model
-    x, numerator = np.array(model.coordinates), np.array(model.numerator)
-    return Solution.at(signals, x, model.dead_samples, fit.noise, numerator)
 
 
 def _with(signals: FitSignals, records: Sequence[LoopRecord], bend: Bend, term: int) -> FitSignals:
@@ -254,13 +243,3 @@ def _with(signals: FitSignals, records: Sequence[LoopRecord], bend: Bend, term: 
         return group._replace(effort=pair[1 - of_measurement], measurement=pair[of_measurement])
 
     return signals._replace(groups=tuple(map(alone, signals.groups)))
-
-
-def rows_of(signals: FitSignals) -> Iterator[slice]:
-    """Where the residuals of each record stand among those of all."""
-    at = 0
-    for group in signals.groups:
-        size = group.effort.shape[1] - group.history
-        for _ in group.members:
-            yield slice(at, at + size)
-            at += size

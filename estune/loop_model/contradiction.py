@@ -8,8 +8,8 @@ import numpy as np
 
 from estune.core.quantities import FloatArray
 from estune.loop_model.bend import unbent
+from estune.loop_model.fit_signals import signals_of
 from estune.loop_model.friction_motion import friction_of, less_friction
-from estune.loop_model.least_squares import Solution, signals_of
 from estune.loop_model.loop_fit import LoopFit
 from estune.loop_model.records import LoopRecord
 
@@ -50,19 +50,15 @@ def foretold_by_others(
     """
     if fit.model.friction:
         return False
-    model, settling = fit.model, fit.settling_samples
-    signals = signals_of(records, settling, round(settling))
-    x, numerator = np.array(model.coordinates), np.array(model.numerator)
-    here = Solution.at(signals, x, model.dead_samples, fit.noise, numerator)
+    signals = signals_of(records, fit.settling_samples, round(fit.settling_samples))
+    here = fit.solution(signals)
     J = here.slopes(signals)
-    of_record = np.concatenate(
-        [np.repeat(g.members, g.effort.shape[1] - g.history) for g in signals.groups]
-    )
+    of_record = np.concatenate([np.repeat(g.members, g.length) for g in signals.groups])
     out = np.isin(of_record, suspects)
     size = np.maximum(np.linalg.norm(J, axis=0), 1e-300)
     step, _, rank, _ = np.linalg.lstsq(J[~out] / size, -here.residual[~out], rcond=None)
     step /= size
-    logarithms = np.delete(step, range(x.size, x.size + numerator.size))
+    logarithms = np.delete(step, range(fit.order, fit.order + here.numerator.size))
     if rank < step.size or np.abs(logarithms).max() > LINEAR:
         return False
     moved = here.residual + J @ step
@@ -80,14 +76,8 @@ def prediction_error(fit: LoopFit, record: LoopRecord) -> FloatArray:
     model, record = fit.model, unbent(record, fit.model.bend)
     signals = signals_of([record], fit.settling_samples, model.dead_samples)
     forces = friction_of(model, signals, record)
-    at = Solution.at(
-        less_friction(signals, forces),
-        np.array(model.coordinates),
-        model.dead_samples,
-        fit.noise,
-        np.array(model.numerator),
-    )
-    return np.concatenate([np.zeros(record.samples - at.residual.size), at.residual])
+    errors = fit.solution(less_friction(signals, forces)).residual
+    return np.concatenate([np.zeros(record.samples - errors.size), errors])
 
 
 def with_predicted(fit: LoopFit, records: Sequence[LoopRecord]) -> LoopFit:

@@ -15,8 +15,8 @@ import math
 import numpy as np
 
 from estune.core.quantities import FloatArray
+from estune.loop_model.fit_signals import FitSignals
 from estune.loop_model.identification import PoleFit
-from estune.loop_model.least_squares import FitSignals, Solution
 from estune.loop_model.poles import sections_of
 
 RESOLVED = 9.0
@@ -39,12 +39,12 @@ def with_mean_damping(signals: FitSignals, found: PoleFit) -> PoleFit:
 
 
 def _with_mean(signals: FitSignals, found: PoleFit, i: int) -> PoleFit:
-    at = Solution.at(signals, found.coordinates, found.dead, found.noise)
+    at = found.solution(signals)
     variance = at.squares / max(at.residual.size, 1)
 
     def rise(damping: float) -> float:
         moved = _moved(found.coordinates, i, damping)
-        squares = Solution.at(signals, moved, found.dead, found.noise).squares
+        squares = found._replace(coordinates=moved).solution(signals).squares
         return (squares - at.squares) / max(variance, 1e-300)
 
     if rise(LEAST) > RESOLVED:
@@ -59,8 +59,7 @@ def _with_mean(signals: FitSignals, found: PoleFit, i: int) -> PoleFit:
     weight = np.exp(-0.5 * (rises - rises.min()))
     weight[[0, -1]] *= 0.5
     moved = _moved(found.coordinates, i, float(weight @ dampings / weight.sum()))
-    cost = Solution.at(signals, moved, found.dead, found.noise).cost
-    return found._replace(cost=cost, coordinates=moved)
+    return PoleFit.at(signals, moved, found.dead, found.noise)
 
 
 def _moved(coordinates: FloatArray, i: int, damping: float) -> FloatArray:

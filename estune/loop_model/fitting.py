@@ -1,11 +1,11 @@
 """The loop model that records identify."""
 
 import math
-from collections.abc import Sequence
-from typing import NamedTuple
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
+from estune.loop_model.beginning import first_starts
 from estune.loop_model.bend import unbent
 from estune.loop_model.bend_fit import Fits, with_bend
 from estune.loop_model.contradiction import (
@@ -16,41 +16,19 @@ from estune.loop_model.contradiction import (
     standing_out,
     with_all,
 )
+from estune.loop_model.criterion import criterion, criterion_of
 from estune.loop_model.damping import with_mean_damping
+from estune.loop_model.fit_signals import FitSignals, signals_of
 from estune.loop_model.friction import fit_with_friction
 from estune.loop_model.growing_poles import growing_fit
-from estune.loop_model.identification import (
-    START_NOISES,
-    PoleFit,
-    cold_starts,
-    searched_dead_time,
-)
-from estune.loop_model.least_squares import FitSignals, Solution, signals_of
-from estune.loop_model.loop_fit import NUISANCE, LoopFit, Residuals, summarise
-from estune.loop_model.model import LoopModel
-from estune.loop_model.order import (
-    at_least_two,
-    criterion,
-    criterion_of,
-    is_enough,
-    is_resolved,
-    select_order,
-    solution_of,
-    without_slowest_pole,
-    without_spare_pole,
-)
+from estune.loop_model.identification import PoleFit, searched_dead_time
+from estune.loop_model.loop_fit import LoopFit, summarise
+from estune.loop_model.order import at_least_two, is_enough, select_order, without_spare_pole
 from estune.loop_model.poles import mirrored
 from estune.loop_model.records import LoopRecord
+from estune.loop_model.slow_poles import is_resolved, without_slowest_pole
 from estune.loop_model.strength_fit import with_strengths
 from estune.loop_model.whiteness import is_white
-
-STARTED_BY = 2
-SAMPLES_STARTED_BY = 3000
-SETTLING_TIMES_STARTED_BY = 25.0
-"""Records, and samples of each, or settling times where they are longer, by which the starts of a
-search are compared: seven settling times, of 400 samples each, began from the wrong one. They are
-the first trials from rest, or else the longest records: the first two of 17 stretches of a
-measured chamber, of 46 and 228 samples, led to a loop of another kind."""
 
 GROWTH_GAIN, GROWTH_SHARE = 10.0, 0.5
 """Decrease of the criterion, very strong evidence, from which on a plant is taken to grow, and the
@@ -67,20 +45,6 @@ reel with 0.05 N m is white with four poles, which foretell an unstable loop."""
 TRIED_WITH = (1, 2, 4, 8)
 """Numbers of records with which friction is tried again where it was not found with fewer, and
 another bend where one leaves errors that are not white: it takes half a second."""
-
-
-class Beginning(NamedTuple):
-    """Where the search for a loop begins.
-
-    Attributes:
-        starts: Fits of two poles, the best first.
-        power: Mean square of the prediction errors of the best.
-    """
-
-    records: tuple[LoopRecord, ...]
-    settling_time_s: float
-    starts: tuple[PoleFit, ...]
-    power: float
 
 
 def fit_loop(
@@ -103,64 +67,53 @@ def fit_loop(
         last: An earlier fit to start from.
         starts: Where the search begins, as `best_scale` found it.
     """
-    settling = settling_time_s * sampling_Hz
+    candidates = _candidates(records, settling_time_s * sampling_Hz, last, starts)
+    return next(fit for fit in candidates if fit is not None)
+
+
+def _candidates(
+    records: Sequence[LoopRecord],
+    settling: float,
+    last: LoopFit | None,
+    starts: Sequence[PoleFit],
+) -> Iterator[LoopFit | None]:
+    """What is tried in turn until one explains the records: None is one that does not.
+
+    What the last fit was of is first, for it costs least; the last is taken as it is.
+    """
 
     def by_two_poles(straight: Sequence[LoopRecord]) -> LoopFit:
         signals = signals_of(straight, settling, round(settling))
-        two = searched_dead_time(signals, _cold_starts(straight, settling)[1])
+        two = searched_dead_time(signals, first_starts(straight, settling))
         return _summarised(straight, signals, two)
 
-    def again(straight: Sequence[LoopRecord], before: LoopFit | None = None) -> LoopFit:
-        begin = [_start_of(before)] if before else _cold_starts(straight, settling)[1]
+    def fitted(straight: Sequence[LoopRecord], before: LoopFit | None) -> LoopFit:
+        begin = [_start_of(before)] if before else first_starts(straight, settling)
         return _fit_of_those_that_agree(straight, settling, begin, before)
 
-    fits = Fits(by_two_poles, again, again)
+    fits = Fits(by_two_poles, fitted)
     if last is not None and not last.model.bend.is_straight:
         bend = last.model.bend
-        fit = again([unbent(record, bend) for record in records], last)
-        bent = with_bend(fit, records, fits, bend)
+        straight = fitted([unbent(record, bend) for record in records], last)
+        bent = with_bend(straight, records, fits, bend)
         if bent is not None and (bent.is_white or len(records) not in TRIED_WITH):
-            return bent
+            yield bent
     if last is not None and last.strengths:
         found = with_strengths(None, records, fits)
         if found is not None and found.is_white:
-            return found
+            yield found
     if last is not None and not last.noise.is_white:
         last = None  # a load of the first trial would hide the friction that more trials show
     if last is not None:
         starts = [_start_of(last)]
-    starts = starts or _cold_starts(records, settling)[1]
+    starts = starts or first_starts(records, settling)
     fit = _fit_of_those_that_agree(records, settling, starts, last)
     plain = fit.is_white and fit.noise.is_white
     if plain or (fit.model.friction and fit.misfit < FRICTION_DONE):
-        return fit
-    return with_bend(fit, records, fits) or with_strengths(fit, records, fits) or fit
-
-
-def best_scale(
-    records: Sequence[LoopRecord],
-    sampling_Hz: float,
-    settling_times_s: Sequence[float],
-    other: Beginning | None = None,
-) -> Beginning:
-    """The beginning of a search with the least error.
-
-    Args:
-        records: At least one.
-        sampling_Hz: Sampling rate.
-        settling_times_s: Those that are tried, at least one.
-        other: One with the same signals in another form, which is left only where the errors of
-            these are no larger than chance allows.
-    """
-    best = other
-    for settling_time_s in settling_times_s:
-        signals, starts = _cold_starts(records, settling_time_s * sampling_Hz)
-        power = starts[0].cost / signals.samples
-        chance = 1.0 + 5.0 * math.sqrt(2.0 / signals.samples) if best is other else 1.0
-        if best is None or power < chance * best.power:
-            best = Beginning(tuple(records), settling_time_s, tuple(starts), power)
-    assert best is not None  # noqa: S101  a settling time is tried
-    return best
+        yield fit
+    yield with_bend(fit, records, fits)
+    yield with_strengths(fit, records, fits)
+    yield fit
 
 
 def _fit_of_those_that_agree(
@@ -176,7 +129,7 @@ def _fit_of_those_that_agree(
         others = [i for i in range(len(records)) if i not in suspects]
         kept = [records[i] for i in others]
         # Anew: the poles that took up the disturbance would stay, and foretell unstable loops.
-        without = _fit(kept, settling, _cold_starts(kept, settling)[1], None, again=True)
+        without = _fit(kept, settling, first_starts(kept, settling), None, again=True)
         most = APART**2 * max(power_of(errors) for errors in without.errors)
         out = [i for i in suspects if power_of(prediction_error(without, records[i])) > most]
         if out == suspects:
@@ -241,8 +194,7 @@ def _fit(
     # In records of service a load may take the place of a pole.
     if fit.order != 2 or fit.model.friction or signals.in_motion or not fit.noise.is_white:
         return fit
-    two = PoleFit(math.nan, np.array(fit.model.coordinates), fit.model.dead_samples)
-    return _summarised(records, signals, without_spare_pole(signals, two))
+    return _summarised(records, signals, without_spare_pole(signals, fit.poles))
 
 
 def _begun(signals: FitSignals, first: PoleFit) -> list[PoleFit]:
@@ -251,7 +203,7 @@ def _begun(signals: FitSignals, first: PoleFit) -> list[PoleFit]:
     Those are sought in trials from rest that the first does not explain, or explains by a pole
     that they do not resolve.
     """
-    white = is_white(signals, solution_of(signals, first).residual)
+    white = is_white(signals, first.solution(signals).residual)
     if signals.in_motion or (white and is_resolved(signals, first.coordinates)):
         return [first]
     growing = growing_fit(signals)
@@ -261,7 +213,7 @@ def _begun(signals: FitSignals, first: PoleFit) -> list[PoleFit]:
         integrator = growing._replace(coordinates=mirrored(growing.coordinates))
         found = searched_dead_time(signals, [integrator])
         return [min(first, found, key=lambda one: criterion_of(signals, one))]
-    at, before = solution_of(signals, growing), solution_of(signals, first)
+    at, before = growing.solution(signals), first.solution(signals)
     if is_white(signals, at.residual):
         gained = criterion_of(signals, first) - criterion_of(signals, growing)
         if gained <= GROWTH_GAIN:
@@ -309,47 +261,17 @@ def _explaining(
 
 
 def _criterion(fit: LoopFit, signals: FitSignals) -> float:
-    squares = sum(float(e @ e) for i, e in enumerate(fit.errors) if i not in fit.left_out)
+    squares = sum(float(e @ e) for e in fit.fitted(fit.errors))
     further = int(fit.model.friction > 0.0)
     return criterion(signals, squares, fit.order, fit.noise, further)
 
 
 def _start_of(last: LoopFit, least: int = 2) -> PoleFit:
     """The fit that a search begins from where there is an earlier one, of so many poles."""
-    poles = np.array(last.model.coordinates)
-    poles = at_least_two(poles) if least == 2 else poles
-    return PoleFit(0.0, poles, last.model.dead_samples, last.noise)
-
-
-def _cold_starts(
-    records: Sequence[LoopRecord], settling: float
-) -> tuple[FitSignals, list[PoleFit]]:
-    samples = max(SAMPLES_STARTED_BY, round(SETTLING_TIMES_STARTED_BY * settling))
-    # Trials from rest are whole; excitations of a loop, which are longer, begin no search.
-    ranked = sorted(records, key=lambda r: (not r.at_rest, 0 if r.at_rest else -r.samples))
-    few = [_shortened(record, samples) for record in ranked[:STARTED_BY]]
-    signals = signals_of(few, settling, round(settling))
-    noises = START_NOISES[: 1 if all(r.at_rest for r in records) else None]
-    return signals, cold_starts(signals, noises)
-
-
-def _shortened(record: LoopRecord, samples: int) -> LoopRecord:
-    part = slice(0, samples)
-    return record._replace(
-        effort=record.effort[part],
-        measurement=record.measurement[part],
-        setpoint=record.setpoint[part],
-    )
+    start = last.poles
+    return start._replace(coordinates=at_least_two(start.coordinates)) if least == 2 else start
 
 
 def _summarised(records: Sequence[LoopRecord], signals: FitSignals, found: PoleFit) -> LoopFit:
-    found = with_mean_damping(signals, found)
-    at = Solution.at(signals, found.coordinates, found.dead, found.noise)
-    model = LoopModel(tuple(at.coordinates.tolist()), tuple(at.numerator.tolist()), found.dead)
-    left = Residuals(
-        at.residual,
-        at.slopes(signals),
-        float(np.abs(at.regressors @ at.numerator).max()),
-        NUISANCE,
-    )
-    return summarise(records, signals, model, found.noise, left)
+    at = with_mean_damping(signals, found).solution(signals)
+    return summarise(records, signals, at, at.slopes(signals))

@@ -21,9 +21,8 @@ from estune.loop_model.identification import (
     remembered,
     search_dead_time,
 )
-from estune.loop_model.least_squares import Solution, search_vector
-from estune.loop_model.loop_fit import NUISANCE, LoopFit, Residuals, summarise
-from estune.loop_model.model import LoopModel
+from estune.loop_model.least_squares import Solution
+from estune.loop_model.loop_fit import LoopFit, summarise
 from estune.loop_model.records import LoopRecord
 
 SCREENED = 2
@@ -70,8 +69,8 @@ def fit_with_friction(
     warm = None
     if last is not None:
         motion, model = FrictionMotion.of(records, last), last.model
-        noises = search_vector(np.zeros(0), last.noise)
-        x = np.array([*model.coordinates, model.friction / motion.scale, 0.0, *noises])
+        start_x = [*model.coordinates, model.friction / motion.scale, 0.0, *last.noise.logarithms]
+        x = np.array(start_x)
         search = partial(_search, motion)
         start = search(PoleFit(math.inf, x, model.dead_samples), model.dead_samples)
         warm = _summarise(motion, search_dead_time(search, start))
@@ -98,7 +97,7 @@ def _starts(motion: FrictionMotion, linear: LoopFit) -> list[PoleFit]:
     """The best of a coarse grid of poles and friction, at each dead time and of each size."""
     poles = grid_of_poles(linear)
     loads = [math.log(size) for size in SERVICE_LOADS] if motion.noise.load else [0.0]
-    noises = search_vector(np.zeros(0), motion.noise)
+    noises = np.array(motion.noise.logarithms)
     first = np.arange(noises.size) == 0  # the load, where there is one
     grid = [
         np.array([*pole, share, 0.0, *(noises + load * first)])
@@ -187,20 +186,9 @@ def _summarise(motion: FrictionMotion, best: PoleFit) -> LoopFit:
     """The fit with its covariances and its misfit."""
     x = best.coordinates
     at = _solution(motion, x, [f[0] for f in _about(motion, x)], best.dead)
-    poles, friction, _ = motion.split(x)
-    model = LoopModel(
-        tuple(poles.tolist()),
-        tuple(at.numerator.tolist()),
-        best.dead,
-        max(friction, FRICTION_MIN * motion.scale),
-    )
-    left = Residuals(
-        at.residual,
-        _slopes(motion, x, at, best.dead),
-        float(np.abs(at.regressors @ at.numerator).max()),
-        NUISANCE,
-    )
-    return summarise(motion.records, motion.signals, model, motion.noise_at(x), left)
+    friction = max(motion.split(x)[1], FRICTION_MIN * motion.scale)
+    slopes = _slopes(motion, x, at, best.dead)
+    return summarise(motion.records, motion.signals, at, slopes, friction)
 
 
 def _slopes(motion: FrictionMotion, x: FloatArray, at: Solution, dead: int) -> FloatArray:

@@ -18,7 +18,7 @@ import numpy as np
 
 from estune.core.quantities import FloatArray
 from estune.loop_model.compiled import compiled
-from estune.loop_model.least_squares import FitSignals, noise_of, signals_of
+from estune.loop_model.fit_signals import FitSignals, signals_of
 from estune.loop_model.loop_fit import LoopFit
 from estune.loop_model.model import LoopModel
 from estune.loop_model.noise_model import NoiseModel
@@ -79,7 +79,7 @@ class FrictionMotion(NamedTuple):
 
     def noise_at(self, x: FloatArray) -> NoiseModel:
         """The noise."""
-        return noise_of(x[self.poles + 2 :], self.noise)
+        return self.noise.with_logarithms(x[self.poles + 2 :])
 
 
 def two_poles(model: LoopModel) -> LoopModel:

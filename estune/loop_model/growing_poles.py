@@ -17,16 +17,17 @@ import numpy as np
 from estune.core.quantities import FloatArray
 from estune.loop_model.compiled import compiled
 from estune.loop_model.compiled_errors import filtered_errors
+from estune.loop_model.criterion import criterion_of
 from estune.loop_model.error_filters import delayed, filters_of, regressors_of, without
+from estune.loop_model.fit_signals import FitSignals
 from estune.loop_model.identification import (
     PoleFit,
     by_cost,
     dead_times,
     searched_dead_time,
 )
-from estune.loop_model.least_squares import FitSignals, Solution, nuisance_of
 from estune.loop_model.noise_model import WHITE
-from estune.loop_model.order import criterion_of, solution_of
+from estune.loop_model.nuisance import nuisance_of
 from estune.loop_model.poles import (
     coordinates_of,
     difference_polynomial,
@@ -66,7 +67,7 @@ def growing_fit(signals: FitSignals) -> PoleFit | None:
         starts = [start for start in begun if start is not None and _grows(start.coordinates)]
         if starts:
             found.append(searched_dead_time(signals, [min(starts, key=by_cost)]))
-            if is_white(signals, solution_of(signals, found[-1]).residual):
+            if is_white(signals, found[-1].solution(signals).residual):
                 break
     return min(found, key=lambda fit: criterion_of(signals, fit), default=None)
 
@@ -81,7 +82,7 @@ def _begun(signals: FitSignals, C: FloatArray) -> PoleFit | None:
         if coordinates is None:
             break
         x = np.array(coordinates)
-        found = PoleFit(Solution.at(signals, x, best.dead).cost, x, best.dead)
+        found = PoleFit.at(signals, x, best.dead)
         C, delays = mirrored(x), {max(best.dead + step, 0) for step in (-2, -1, 0, 1, 2)}
     return found
 

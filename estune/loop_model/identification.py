@@ -13,13 +13,8 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 
 from estune.core.quantities import FloatArray
-from estune.loop_model.least_squares import (
-    EVALUATIONS,
-    FitSignals,
-    Solution,
-    search_vector,
-    split_vector,
-)
+from estune.loop_model.fit_signals import FitSignals
+from estune.loop_model.least_squares import EVALUATIONS, Solution
 from estune.loop_model.noise_model import WHITE, NoiseModel
 
 T = TypeVar("T")
@@ -54,6 +49,18 @@ class PoleFit(NamedTuple):
     coordinates: FloatArray
     dead: int
     noise: NoiseModel = WHITE
+
+    @classmethod
+    def at(
+        cls, signals: FitSignals, coordinates: FloatArray, dead: int, noise: NoiseModel = WHITE
+    ) -> "PoleFit":
+        """The fit of these poles as they are."""
+        cost = Solution.at(signals, coordinates, dead, noise).cost
+        return cls(cost, coordinates, dead, noise)
+
+    def solution(self, signals: FitSignals) -> Solution:
+        """Numerator, start states, offsets and residual of these poles."""
+        return Solution.at(signals, self.coordinates, self.dead, self.noise)
 
 
 def dead_times(settling_samples: float) -> list[int]:
@@ -144,11 +151,11 @@ def improve(signals: FitSignals, start: PoleFit, tolerance: float = FINE) -> Pol
         found = Solution.improved(signals, start.coordinates, start.dead, tolerances)
         if found is not None:
             return PoleFit(*found, start.dead, start.noise)
-    first = Solution.at(signals, start.coordinates, start.dead, start.noise)
+    first = start.solution(signals)
 
     @remembered
     def at(x: FloatArray) -> Solution:
-        coordinates, noise = split_vector(x, first)
+        coordinates, noise = first.split(x)
         return Solution.at(signals, coordinates, start.dead, noise)
 
     @remembered
@@ -161,7 +168,7 @@ def improve(signals: FitSignals, start: PoleFit, tolerance: float = FINE) -> Pol
     with np.errstate(over="ignore", invalid="ignore"):  # of a covariance that nobody uses
         x, *_ = leastsq(
             lambda x: at(x).residual,
-            search_vector(first.coordinates, first.noise),
+            first.searched,
             Dfun=jacobian,
             full_output=True,
             **dict(zip(("ftol", "xtol", "gtol"), tolerances, strict=True)),

@@ -11,7 +11,7 @@ from estune.core.pidf import ControllerSettings
 from estune.core.quantities import FloatArray
 from estune.loop_model.allowed_models import Draws, allowed_draws, plain_draws
 from estune.loop_model.drawn_models import INFLATION
-from estune.loop_model.least_squares import Solution, signals_of
+from estune.loop_model.fit_signals import signals_of
 from estune.loop_model.limited_loop import setpoint_response
 from estune.loop_model.loop_fit import LoopFit
 from estune.loop_model.margins import loop_response, robustness
@@ -164,11 +164,10 @@ def setpoint_deviation(
         return math.inf
     model, settling = fit.model, fit.settling_samples
     signals = signals_of(answers, settling, model.dead_samples)
-    x, numerator = np.array(model.coordinates), np.array(model.numerator)
-    count = model.order + numerator.size
+    count = model.order + len(model.numerator)
     with np.errstate(over="ignore", invalid="ignore"):  # of an answer that hardly dies out
-        at = Solution.at(signals, x, model.dead_samples, fit.noise, numerator)
-        columns = _deviations(at.slopes(signals)[:, :count], fit.residual_std)
+        slopes_of_all = fit.solution(signals).slopes(signals)
+        columns = _deviations(slopes_of_all[:, :count], fit.residual_std)
     if columns is None:
         return math.inf
     theta, slopes = model.parameters, []

@@ -20,7 +20,6 @@ controller.
 
 import math
 from collections.abc import Sequence
-from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -43,18 +42,15 @@ from estune.loop_model.error_filters import (
     whiten,
     without,
 )
-from estune.loop_model.hum import hum_of
+from estune.loop_model.fit_signals import FitSignals
 from estune.loop_model.noise_model import WHITE, NoiseModel
+from estune.loop_model.nuisance import nuisance_of
 from estune.loop_model.poles import sections_of
-from estune.loop_model.records import LoopRecord
 
 LONGER = 2.0
 """Least gain in chi-squared that a sample of dead time more must bring. Without it the fit takes
 noise for dead time where the numerator covers it: sd of ln Ms 2.3 % instead of 1.7 % after ten
 timid trials of `tests/test_loop_model.py`."""
-
-NUISANCE_APART = 1e-7
-"""Least share of the largest singular value by which start state and offsets differ."""
 
 COORDINATE_STEP = 1e-6
 NOISE_STEP = 1e-4
@@ -62,101 +58,6 @@ NOISE_STEP = 1e-4
 
 EVALUATIONS = 40
 """Most evaluations of a search for poles with white noise."""
-
-NOISE_RANGE = 25.0
-"""Largest size of the logarithm of k1 and k2, at which the one noise is all or nothing."""
-
-
-class RecordGroup(NamedTuple):
-    """Records of equal length as deviations.
-
-    Attributes:
-        effort: Shape (records, samples).
-        measurement: Shape (records, samples).
-        history: Samples at the beginning that serve as the past of the others only.
-        members: Their numbers among all records.
-        rest: Samples before the first step of any; zero of records of service.
-    """
-
-    effort: FloatArray
-    measurement: FloatArray
-    history: int
-    members: tuple[int, ...]
-    rest: int
-
-
-class FitSignals(NamedTuple):
-    """All records of a fit.
-
-    Attributes:
-        groups: Those of equal length together.
-        settling_samples: Settling time asked for, in samples.
-        resolution: Least standard deviation of the measurement that counts.
-        hum: Frequency of a hum of the measurement, rad/sample; zero without one.
-    """
-
-    groups: tuple[RecordGroup, ...]
-    settling_samples: float
-    resolution: float
-    hum: float = 0.0
-
-    @property
-    def samples(self) -> int:
-        """Number of residuals."""
-        return sum(g.effort.shape[0] * (g.effort.shape[1] - g.history) for g in self.groups)
-
-    @property
-    def in_motion(self) -> bool:
-        """Whether a record does not begin at rest, as those of service."""
-        return any(group.history for group in self.groups)
-
-    @property
-    def longest(self) -> int:
-        """Residuals of the longest record."""
-        return max(int(g.effort.shape[1]) - g.history for g in self.groups)
-
-    @property
-    def records(self) -> int:
-        """Number of records."""
-        return sum(len(g.members) for g in self.groups)
-
-
-REACH = 16
-"""Samples beside the dead time that the filters of a residual reach back: six poles, the
-forgetting of the load and a colour of eight."""
-
-RESOLUTION = 1e-4
-"""Share of the largest response below which residuals are not told from one another: the
-resolution of a converter of 12 to 13 bits. Records simulated without noise would have poles added
-until rounding errors are left."""
-
-
-def signals_of(
-    records: Sequence[LoopRecord], settling_samples: float, longest_dead: int
-) -> FitSignals:
-    """Records as deviations.
-
-    A record at rest before its first sample has that rest as its past. Of others the first samples
-    are the past: as many as the longest dead time and the numerator reach back.
-    """
-    by_kind: dict[tuple[int, bool], list[int]] = {}
-    for number, record in enumerate(records):
-        by_kind.setdefault((record.samples, record.at_rest), []).append(number)
-    groups = []
-    for (samples, at_rest), members in by_kind.items():
-        chosen = [records[number] for number in members]
-        history = 0 if at_rest else min(longest_dead + REACH, samples // 2)
-        effort = np.array([r.effort for r in chosen])
-        measurement = np.array([r.measurement for r in chosen])
-        before = [slice(0, max(r.step_index, 1) if at_rest else None) for r in chosen]
-        effort -= np.array([[row[s].mean()] for row, s in zip(effort, before, strict=True)])
-        measurement -= np.array(
-            [[row[s].mean()] for row, s in zip(measurement, before, strict=True)]
-        )
-        rest = min(r.step_index for r in chosen) if at_rest else 0
-        groups.append(RecordGroup(effort, measurement, history, tuple(members), rest))
-    largest = max(float(np.abs(g.measurement).max(initial=0.0)) for g in groups)
-    return FitSignals(tuple(groups), settling_samples, RESOLUTION * largest, hum_of(records))
 
 
 class Solution(NamedTuple):
@@ -255,6 +156,16 @@ class Solution(NamedTuple):
         """Half the sum of squared residuals, with the price of dead time."""
         return _cost(self.squares, self.dead, self.residual.size)
 
+    @property
+    def searched(self) -> FloatArray:
+        """What a search moves: coordinates, and the logarithms of what the noise has."""
+        return np.array([*self.coordinates, *self.noise.logarithms])
+
+    def split(self, x: FloatArray) -> tuple[FloatArray, NoiseModel]:
+        """Coordinates and noise of a vector as `searched`."""
+        n = self.coordinates.size
+        return x[:n], self.noise.with_logarithms(x[n:])
+
     def search_slopes(self, signals: FitSignals) -> FloatArray:
         """Slopes of the residual along coordinates and logarithms of the noise.
 
@@ -270,13 +181,10 @@ class Solution(NamedTuple):
         x = self.coordinates
         columns: list[list[FloatArray]] = [[] for _ in x]
         sections, changes = sections_of(x), _tap_slopes(x)
-        at = 0
-        for group, Q in zip(signals.groups, self.nuisance, strict=True):
-            shape = (len(group.members), group.effort.shape[1] - group.history)
-            size = shape[0] * shape[1]
+        parts = zip(signals.groups, self.nuisance, signals.split(self.residual), strict=True)
+        for group, Q, left in parts:
             output = np.array(group.measurement)
-            output[:, group.history :] -= self.residual[at : at + size].reshape(shape)
-            at += size
+            output[:, group.history :] -= left
             for i, (change, mirrored) in enumerate(changes):
                 own = sections[i // 2]
                 slope = lfilter(mirrored, own.mirrored, output)
@@ -288,12 +196,12 @@ class Solution(NamedTuple):
                     slope += lfilter(change, own.mirrored, driven)
                     slope -= lfilter(mirrored, own.mirrored, group.measurement)
                 columns[i].append(without(slope[:, group.history :], Q).ravel())
-        return np.stack([np.concatenate(parts) for parts in columns], axis=1)
+        return np.stack([np.concatenate(column) for column in columns], axis=1)
 
     def _numerical_slopes(self, signals: FitSignals) -> FloatArray:
         """Slopes along coordinates and the logarithms of the noise, with the numerator held."""
-        start = search_vector(self.coordinates, self.noise)
-        moved = [split_vector(start + NOISE_STEP * axis, self) for axis in np.eye(start.size)]
+        start = self.searched
+        moved = [self.split(start + NOISE_STEP * axis) for axis in np.eye(start.size)]
         if self.compiled is not None:
             filters = [noise_filters(*at, signals.settling_samples) for at in moved]
             return self.compiled.noise_slopes(filters, NOISE_STEP)
@@ -338,24 +246,6 @@ def _cost(squares: float, dead: int, samples: int) -> float:
     return 0.5 * squares * math.exp(LONGER * dead / samples)
 
 
-def search_vector(coordinates: FloatArray, noise: NoiseModel) -> FloatArray:
-    """What is searched: coordinates, and the logarithms of what the noise has."""
-    return np.array([*coordinates, *(math.log(k) for k in noise.sizes if k > 0.0)])
-
-
-def split_vector(x: FloatArray, like: Solution) -> tuple[FloatArray, NoiseModel]:
-    """Coordinates and noise of a vector that is searched, with the noises of a solution."""
-    n = like.coordinates.size
-    return x[:n], noise_of(x[n:], like.noise)
-
-
-def noise_of(logarithms: FloatArray, like: NoiseModel) -> NoiseModel:
-    """The noise of these sizes, of what another one has."""
-    sizes = iter(np.exp(np.clip(logarithms, -NOISE_RANGE, NOISE_RANGE)).tolist())
-    load, drift = (next(sizes) if k > 0.0 else 0.0 for k in like.sizes)
-    return NoiseModel(load, drift, like.colour)
-
-
 def _tap_slopes(x: FloatArray) -> list[tuple[FloatArray, FloatArray]]:
     """Slopes along each coordinate of the taps of its section, and of those mirrored."""
     found = []
@@ -364,58 +254,3 @@ def _tap_slopes(x: FloatArray) -> list[tuple[FloatArray, FloatArray]]:
         change, mirrored = (high.taps - low.taps), (high.mirrored - low.mirrored)
         found.append((change / (2.0 * COORDINATE_STEP), mirrored / (2.0 * COORDINATE_STEP)))
     return found
-
-
-def free_parameters(group: RecordGroup, poles: int, noise: NoiseModel) -> int:
-    """Start states and offsets of the records of a group, with this number of poles.
-
-    Those of a hum are the same for all models of the records.
-    """
-    return len(group.members) * (_swinging(group, poles, noise) + 2)
-
-
-def _swinging(group: RecordGroup, poles: int, noise: NoiseModel) -> int:
-    """Number of start states that are free, with this number of poles.
-
-    Of a loop at rest no mode swings: free states of each would only take up noise, most of all
-    where a mode is hardly damped.
-    """
-    return 2 if noise.is_white and not group.history else poles
-
-
-def nuisance_of(
-    group: RecordGroup, coordinates: FloatArray, noise: NoiseModel, signals: FitSignals
-) -> FloatArray:
-    """Orthonormal basis of start states and offsets of a group, shape (samples, up to n + 6)."""
-    samples = group.effort.shape[1] - group.history
-    poles = tuple(coordinates[: _swinging(group, coordinates.size, noise)].tolist())
-    columns = _nuisance_columns(
-        poles, noise, signals.settling_samples, signals.longest, signals.hum
-    )
-    matrix = columns[:, :samples]
-    matrix = matrix / np.maximum(np.linalg.norm(matrix, axis=1, keepdims=True), 1e-300)
-    # Start state and level span the response to an offset of the effort, but for integrators.
-    left, sizes, _ = np.linalg.svd(matrix.T, full_matrices=False)
-    return np.asarray(left[:, sizes > NUISANCE_APART * sizes[0]])
-
-
-@lru_cache(maxsize=4)
-def _nuisance_columns(
-    coordinates: tuple[float, ...], noise: NoiseModel, settling: float, samples: int, hum: float
-) -> FloatArray:
-    """Free responses, offsets and hum, shape (up to n + 6, samples); fewer begin alike."""
-    pulse, levels = np.eye(1, samples), [np.ones(samples)]
-    if hum:
-        # With an amplitude that changes along the record: its frequency is not exact.
-        at, place = hum * np.arange(samples), np.linspace(-1.0, 1.0, samples)
-        levels += [np.cos(at), np.sin(at), place * np.cos(at), place * np.sin(at)]
-    filters = filters_of(coordinates, noise, settling)
-    offsets = list(whiten(np.array(levels), filters.zeros, filters.poles))
-    columns, free = [], pulse
-    for taps in filters.free:
-        free = lfilter([1.0], taps, free)
-        columns += [delayed(free, i)[0] for i in range(taps.size - 1)]
-    if noise.is_white:  # with a noise model its forgetting has an offset of the effort die out
-        last = columns[-1] if filters.free[-1].size == 2 else columns[-2]
-        offsets.append(np.cumsum(last))
-    return np.array([*columns, *offsets])

@@ -16,7 +16,7 @@ import numpy as np
 from estune.core.filtering import lfilter
 from estune.core.quantities import FloatArray
 from estune.loop_model.error_filters import delayed
-from estune.loop_model.least_squares import FitSignals
+from estune.loop_model.fit_signals import FitSignals
 
 MEANS_FROM, MEANS_TO = 4, 4.0
 """The means are over 2^4 samples, 2^5 and so on, to four settling times."""

@@ -2,17 +2,21 @@
 
 import math
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 
 from estune.core.quantities import FloatArray
 from estune.loop_model.error_filters import whiten
-from estune.loop_model.least_squares import FitSignals
+from estune.loop_model.fit_signals import FitSignals
+from estune.loop_model.identification import PoleFit
+from estune.loop_model.least_squares import Solution
 from estune.loop_model.model import LoopModel
 from estune.loop_model.noise_model import NoiseModel, shaping
 from estune.loop_model.records import LoopRecord
 from estune.loop_model.whiteness import is_white
+
+T = TypeVar("T")
 
 RESPONSE_MIN = 10.0
 """Least response in standard deviations of the noise: a trial below 40 is refused as ill-posed."""
@@ -71,10 +75,26 @@ class LoopFit(NamedTuple):
         left_std = self.noise_std if self.noise.is_white else self.residual_std
         return self.response_peak > RESPONSE_MIN * left_std
 
+    def fitted(self, of_records: Sequence[T]) -> list[T]:
+        """Of one value for each record those of the records that were fitted."""
+        return [one for i, one in enumerate(of_records) if i not in self.left_out]
+
+    def solution(self, signals: FitSignals) -> Solution:
+        """The prediction errors of the model, without its friction, on signals."""
+        model = self.model
+        x, numerator = np.array(model.coordinates), np.array(model.numerator)
+        return Solution.at(signals, x, model.dead_samples, self.noise, numerator)
+
+    @property
+    def poles(self) -> PoleFit:
+        """Its poles, dead time and noise, as a start of another search."""
+        model = self.model
+        return PoleFit(0.0, np.array(model.coordinates), model.dead_samples, self.noise)
+
     @property
     def misfit(self) -> float:
         """Root mean square of rho over the records that were fitted."""
-        kept = [rho for i, rho in enumerate(self.misfits) if i not in self.left_out]
+        kept = self.fitted(self.misfits)
         return math.sqrt(math.fsum(rho * rho for rho in kept) / len(kept))
 
     @property
@@ -105,53 +125,48 @@ class LoopFit(NamedTuple):
         """Quantile of Student's t for a 95 % interval from the scatter between records."""
         from scipy.special import stdtrit  # noqa: PLC0415  slow to import
 
-        count = len(self.misfits) - len(self.left_out)
+        count = len(self.fitted(self.misfits))
         return float(stdtrit(max(count - 1, 1), 0.975))
 
 
-class Residuals(NamedTuple):
-    """What a model leaves of each record.
-
-    Attributes:
-        errors: Prediction errors, shape (residuals of all,).
-        slopes: Of them along the model's real parameters and further ones that all records share,
-            shape (residuals of all, parameters).
-        response_peak: Largest deviation of the output, without start states and offsets, as
-            the residual through 1/H.
-    """
-
-    errors: FloatArray
-    slopes: FloatArray
-    response_peak: float
-    nuisance: int
+def model_of(at: Solution, friction: float = 0.0) -> LoopModel:
+    """The model of a solution."""
+    poles, numerator = tuple(at.coordinates.tolist()), tuple(at.numerator.tolist())
+    return LoopModel(poles, numerator, at.dead, friction)
 
 
 def summarise(
     records: Sequence[LoopRecord],
     signals: FitSignals,
-    model: LoopModel,
-    noise: NoiseModel,
-    left: Residuals,
+    at: Solution,
+    slopes: FloatArray,
+    friction: float = 0.0,
 ) -> LoopFit:
-    """The fit of a model with its covariances and its misfit."""
-    J, n = left.slopes, model.parameters.size
+    """The fit of a solution with its covariances and its misfit.
+
+    Args:
+        records: The records.
+        signals: The same as deviations.
+        at: The solution.
+        slopes: Of its residual along the model's real parameters and further ones that all
+            records share, shape (residuals of all, parameters).
+        friction: Size of the dry friction.
+    """
+    model, noise, errors = model_of(at, friction), at.noise, at.residual
+    J, n = slopes, model.parameters.size
     weight = np.linalg.norm(J, axis=0)
     # Slopes along logarithms, which alone can be compared, may be nothing but rounding.
     poles = slice(0, model.order)
     weight[poles] = np.maximum(weight[poles], 1e-12 * weight[poles].max())
     weight = np.where(weight > 0.0, weight, 1.0)
     inverse = np.linalg.pinv((J / weight).T @ (J / weight), rcond=1e-12) / np.outer(weight, weight)
-    count = max(left.errors.size - J.shape[1] - left.nuisance * signals.records, 1)
-    variance = float(left.errors @ left.errors) / count
+    count = max(errors.size - J.shape[1] - NUISANCE * signals.records, 1)
+    variance = float(errors @ errors) / count
     scores, unexplained = [], [np.zeros(record.samples) for record in records]
-    at = 0
-    for group in signals.groups:
-        size = group.effort.shape[1] - group.history
-        for number in group.members:
-            own = slice(at, at + size)
-            scores.append(left.slopes[own].T @ left.errors[own])
-            unexplained[number][group.history :] = left.errors[own]
-            at += size
+    for number, own in signals.rows():
+        left = errors[own]
+        scores.append(J[own].T @ left)
+        unexplained[number][-left.size :] = left
     meat = np.array(scores)
     # An all-pass apart, which no power shows: with poles outside the unit circle it is not finite.
     growth = math.prod(section.growth for section in model.sections)
@@ -173,14 +188,14 @@ def summarise(
         clustered=(inverse @ (meat.T @ meat) @ inverse)[:n, :n],
         noise_std=white_std,
         residual_std=math.sqrt(variance),
-        response_peak=left.response_peak,
+        response_peak=float(np.abs(at.regressors @ at.numerator).max()),
         misfits=tuple(
             math.sqrt(max(power, 0.0)) / max(abs(span), 1e-300)
             for power, span in zip(beyond, spans, strict=True)
         ),
         unexplained=tuple(outputs),
         errors=tuple(unexplained),
-        is_white=is_white(signals, left.errors),
+        is_white=is_white(signals, errors),
         left_out=(),
         settling_samples=signals.settling_samples,
     )

@@ -20,12 +20,11 @@ import numpy as np
 
 from estune.core.pidf import ControllerSettings
 from estune.core.quantities import FloatArray
-from estune.loop_model.least_squares import FitSignals, Solution, signals_of
+from estune.loop_model.fit_signals import FitSignals, signals_of
 from estune.loop_model.limited_loop import setpoint_response
 from estune.loop_model.linear_past import less, linear_answers, linear_past, orthonormal
 from estune.loop_model.loop_fit import LoopFit
 from estune.loop_model.records import LoopRecord, rounding_std
-from estune.loop_model.whiteness import rows_of
 
 WINDOWS = 16
 """Windows in a settling time. The score is 4.7 to 5.9 in four busy records of the eyelet, 4.1 to
@@ -82,13 +81,7 @@ def changes_with_motion(
     signals = signals_of(kept, fit.settling_samples, round(fit.settling_samples))
     resolution = max(signals.resolution, *(rounding_std(record.measurement) for record in kept))
     model = fit.model
-    at = Solution.at(
-        signals,
-        np.array(model.coordinates),
-        model.dead_samples,
-        fit.noise,
-        np.array(model.numerator),
-    )
+    at = fit.solution(signals)
     slopes = at.slopes(signals)
     motions = [[moved[i][1] for i in group.members] for group in signals.groups]
     answers = linear_answers(signals, [(m.output, m.effort) for _, m in moved])
@@ -158,7 +151,7 @@ def _power_score(
     """
     window = _window(fit)
     products = powers = 0.0
-    rows = [row for group in rows_of(signals, errors) for row in group]
+    rows = [row for group in signals.split(errors) for row in group]
     for row, speed in zip(rows, speeds, strict=True):
         count = row.size // window
         if count < 2 * SMOOTHED:

@@ -31,6 +31,9 @@ RESPONSE = 1024
 LEAST = 1e-9
 """Size of load or drift below which there is none."""
 
+NOISE_RANGE = 25.0
+"""Largest size of the logarithm of k1 and k2, at which the one noise is all or nothing."""
+
 SLOW = 30.0
 """Settling times in which load and drift forget."""
 
@@ -58,6 +61,17 @@ class NoiseModel(NamedTuple):
         """The same, where a load or a drift of no size is none."""
         load, drift = (k if k >= LEAST else 0.0 for k in self.sizes)
         return self._replace(load=load, drift=drift)
+
+    @property
+    def logarithms(self) -> tuple[float, ...]:
+        """Those of the sizes above zero, which a search moves."""
+        return tuple(math.log(k) for k in self.sizes if k > 0.0)
+
+    def with_logarithms(self, logarithms: FloatArray) -> "NoiseModel":
+        """The same with other sizes in place of those above zero."""
+        sizes = iter(np.exp(np.clip(logarithms, -NOISE_RANGE, NOISE_RANGE)).tolist())
+        load, drift = (next(sizes) if k > 0.0 else 0.0 for k in self.sizes)
+        return NoiseModel(load, drift, self.colour)
 
     @property
     def is_white(self) -> bool:

@@ -123,7 +123,7 @@ def plant_error(fit: LoopFit, records: Sequence[LoopRecord]) -> PlantErrorBound:
 
 def band_powers(fit: LoopFit, records: Sequence[LoopRecord]) -> BandPowers:
     """The powers of those of the records given to a fit that were fitted."""
-    kept = [i for i in range(len(records)) if i not in fit.left_out]
+    kept = fit.fitted(range(len(records)))
     longest = max(records[i].samples for i in kept)
     edges = _edges(longest)
     left, driven, noise, bins = (np.zeros(edges.size) for _ in range(4))

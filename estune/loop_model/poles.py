@@ -143,6 +143,20 @@ def pair_coordinates(a1: float, a2: float) -> FloatArray:
     return np.log([w, max(total / (2.0 * w), 1e-6)])
 
 
+def with_single(poles: FloatArray, single: float) -> FloatArray:
+    """Coordinates with one more real pole; two single ones are a pair."""
+    if poles.size % 2 == 0 or poles[-1] > GROWS_FROM:
+        return np.append(poles, single)
+    p, q = math.exp(-math.exp(poles[-1])), math.exp(-math.exp(single))
+    return np.append(poles[:-1], pair_coordinates(-(p + q), p * q))
+
+
+def slowest_decay(coordinates: FloatArray) -> float:
+    """Size of the logarithm of the slowest pole, or growth, per sample."""
+    logs = np.concatenate([section.log_poles for section in sections_of(coordinates)])
+    return max(float(np.abs(logs).min()), 1e-6)
+
+
 def mirrored(coordinates: FloatArray) -> FloatArray:
     """The coordinates with each pole outside the unit circle replaced by its inverse."""
     grow = (coordinates > GROWS_FROM) & (coordinates < GROWS_TO)

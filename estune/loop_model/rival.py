@@ -10,11 +10,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from estune.loop_model.identification import PoleFit
-from estune.loop_model.least_squares import Solution, signals_of
-from estune.loop_model.loop_fit import LoopFit
+from estune.loop_model.fit_signals import signals_of
+from estune.loop_model.further_poles import POLES_MAX, with_further_pair
+from estune.loop_model.loop_fit import LoopFit, model_of
 from estune.loop_model.model import LoopModel
-from estune.loop_model.order import POLES_MAX, with_further_pair
 from estune.loop_model.records import LoopRecord
 
 PARAMETERS = 4
@@ -34,19 +33,14 @@ def rival_model(fit: LoopFit, records: Sequence[LoopRecord]) -> LoopModel | None
 
     if fit.model.friction or fit.order % 2 or fit.order + 2 > POLES_MAX:
         return None
-    kept = [record for i, record in enumerate(records) if i not in fit.left_out]
-    signals = signals_of(kept, fit.settling_samples, round(fit.settling_samples))
-    own = PoleFit(0.0, np.array(fit.model.coordinates), fit.model.dead_samples, fit.noise)
-    more = with_further_pair(signals, own)
-    before, after = (
-        Solution.at(signals, one.coordinates, one.dead, one.noise) for one in (own, more)
-    )
+    settling = fit.settling_samples
+    signals = signals_of(fit.fitted(records), settling, round(settling))
+    more = with_further_pair(signals, fit.poles)
+    before, after = (one.solution(signals) for one in (fit.poles, more))
     # Below the resolution of the measurement nothing is left to explain.
     least = signals.samples * signals.resolution**2
     gain = signals.samples * np.log((before.squares + least) / (after.squares + least))
     lines = 0.5 * signals.longest
     if not lines * chdtrc(PARAMETERS, max(float(gain), 0.0)) < CHANCE:
         return None
-    return LoopModel(
-        tuple(after.coordinates.tolist()), tuple(after.numerator.tolist()), after.dead
-    )
+    return model_of(after)

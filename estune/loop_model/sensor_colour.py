@@ -11,9 +11,9 @@ import math
 import numpy as np
 
 from estune.core.quantities import FloatArray
-from estune.loop_model.least_squares import FitSignals, Solution
+from estune.loop_model.fit_signals import FitSignals
+from estune.loop_model.least_squares import Solution
 from estune.loop_model.noise_model import NoiseModel
-from estune.loop_model.whiteness import rows_of
 
 LONGEST = 8
 """Most coefficients of N: of eleven records of a heated chamber (10 800 samples) two lower the
@@ -38,7 +38,7 @@ def recoloured(signals: FitSignals, solution: Solution) -> NoiseModel:
 def _autoregression(signals: FitSignals, errors: FloatArray) -> tuple[float, ...]:
     """Coefficients behind the leading one, by the recursion of Levinson and Durbin."""
     moments = np.zeros(LONGEST + 1)
-    for row in rows_of(signals, errors):
+    for row in signals.split(errors):
         for lag in range(min(moments.size, row.shape[1])):
             moments[lag] += float(np.vdot(row[:, lag:], row[:, : row.shape[1] - lag]))
     if not moments[0] > 0.0:  # nothing is left that could have a colour

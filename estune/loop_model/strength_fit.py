@@ -15,8 +15,8 @@ from typing import NamedTuple
 import numpy as np
 
 from estune.core.quantities import FloatArray
-from estune.loop_model.bend_fit import Fits, explains, is_plain, may_explain, rows_of, solution_of
-from estune.loop_model.least_squares import signals_of
+from estune.loop_model.bend_fit import Fits, explains, is_plain, may_explain
+from estune.loop_model.fit_signals import signals_of
 from estune.loop_model.loop_fit import LoopFit
 from estune.loop_model.records import LoopRecord
 
@@ -111,13 +111,12 @@ def _step(fit: LoopFit, records: Sequence[LoopRecord]) -> FloatArray | None:
     model = fit.model
     if model.friction or model.grows or not fit.noise.is_white:
         return None
-    kept = [i for i in range(len(records)) if i not in fit.left_out]
-    signals = signals_of([records[i] for i in kept], fit.settling_samples, model.dead_samples)
-    at = solution_of(fit, signals)
+    kept = fit.fitted(range(len(records)))
+    signals = signals_of(fit.fitted(records), fit.settling_samples, model.dead_samples)
+    at = fit.solution(signals)
     answer = at.regressors @ at.numerator
-    members = [number for group in signals.groups for number in group.members]
     columns = np.zeros((answer.size, len(kept)))
-    for number, rows in zip(members, rows_of(signals), strict=True):
+    for number, rows in signals.rows():
         columns[rows, number] = -answer[rows]
     slopes = np.column_stack([at.slopes(signals), columns])
     size = np.linalg.norm(slopes, axis=0)

@@ -1,12 +1,12 @@
 """Whether prediction errors are white."""
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
 from estune.core.quantities import FloatArray
-from estune.loop_model.least_squares import FitSignals
+from estune.loop_model.fit_signals import FitSignals
 
 LAGS = 20
 """Lags of the autocorrelation by which prediction errors are judged to be white."""
@@ -24,7 +24,7 @@ def is_white(signals: FitSignals, errors: FloatArray) -> bool:
     """Whether prediction errors are white, by their autocorrelation and their largest line."""
     from scipy.special import gammaincc  # noqa: PLC0415  slow to import
 
-    rows = list(rows_of(signals, errors))
+    rows = list(signals.split(errors))
     power = float(errors @ errors) / errors.size
     if power <= signals.resolution**2:
         return True
@@ -46,7 +46,7 @@ def is_contradicted(signals: FitSignals, errors: FloatArray) -> bool:
     `CONTRADICTED` in twice the logarithm of the likelihood, no load acts.
     """
     of_errors, of_mean, count = 0.0, 0.0, 0
-    for row, group in zip(rows_of(signals, errors), signals.groups, strict=True):
+    for row, group in zip(signals.split(errors), signals.groups, strict=True):
         before = group.measurement[:, : group.rest]
         if group.rest > 1:
             of_errors += float(np.sum(row[:, : group.rest] ** 2))
@@ -71,12 +71,3 @@ def _is_correlated(rows: Sequence[FloatArray]) -> bool:
         return False
     portmanteau = sum(row.size for row in rows) * float(np.sum((moments / squares) ** 2))
     return bool(chdtrc(LAGS, portmanteau) < CHANCE)
-
-
-def rows_of(signals: FitSignals, errors: FloatArray) -> Iterator[FloatArray]:
-    """Errors of each group, shape (records, samples)."""
-    at = 0
-    for group in signals.groups:
-        shape = (len(group.members), group.effort.shape[1] - group.history)
-        yield errors[at : at + shape[0] * shape[1]].reshape(shape)
-        at += shape[0] * shape[1]

@@ -11,8 +11,9 @@ from estune.core.gains import Gains
 from estune.core.pidf import ControllerSettings
 from estune.core.quantities import FloatArray
 from estune.loop_model.allowed_models import Draws, allowed_draws, plain_draws
-from estune.loop_model.fitting import best_scale, fit_loop
-from estune.loop_model.least_squares import REACH
+from estune.loop_model.beginning import best_scale
+from estune.loop_model.fit_signals import REACH
+from estune.loop_model.fitting import fit_loop
 from estune.loop_model.limited_loop import setpoint_response
 from estune.loop_model.loop_fit import LoopFit
 from estune.loop_model.margins import robustness

@@ -20,8 +20,9 @@ from typing import NamedTuple
 import numpy as np
 
 from estune.core.quantities import FloatArray
+from estune.loop_model.fit_signals import signals_of
 from estune.loop_model.friction_motion import friction_of, less_friction
-from estune.loop_model.least_squares import Solution, signals_of
+from estune.loop_model.least_squares import Solution
 from estune.loop_model.loop_fit import LoopFit
 from estune.loop_model.records import LoopRecord
 
@@ -51,17 +52,16 @@ def evidence(fit: LoopFit, record: LoopRecord) -> PlantEvidence:
     model = fit.model
     signals = signals_of([record], fit.settling_samples, model.dead_samples)
     signals = less_friction(signals, friction_of(model, signals, record))
-    x, numerator = np.array(model.coordinates), np.array(model.numerator)
 
     def at(log_load: float) -> Solution:
         noise = fit.noise._replace(load=math.exp(log_load))
-        return Solution.at(signals, x, model.dead_samples, noise, numerator)
+        return fit._replace(noise=noise).solution(signals)
 
     found = minimize_scalar(
         lambda k: at(k).squares, bounds=LOADS, method="bounded", options={"xatol": 0.1}
     )
     here = at(float(found.x))
-    slopes, plant = here.slopes(signals), model.order + numerator.size
+    slopes, plant = here.slopes(signals), model.order + len(model.numerator)
     noise = np.linalg.qr(slopes[:, plant:])[0]
     slopes = slopes[:, :plant] - noise @ (noise.T @ slopes[:, :plant])
     variance = here.squares / here.residual.size
