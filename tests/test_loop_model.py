@@ -15,10 +15,12 @@ from estune.core.pidf import ControllerSettings
 from estune.core.response import LoadStep
 from estune.loop_model import closed_loops, friction_motion, least_squares
 from estune.loop_model.claim import claim
+from estune.loop_model.fit_signals import signals_of
 from estune.loop_model.fitting import fit_loop, fit_with_excitations
+from estune.loop_model.half_widths import HalfWidths
 from estune.loop_model.identification import PoleFit, improve
 from estune.loop_model.intervals import predict_with_intervals
-from estune.loop_model.least_squares import Solution, signals_of
+from estune.loop_model.least_squares import Solution
 from estune.loop_model.margins import robustness
 from estune.loop_model.model import LoopModel, close_loop, exchanged
 from estune.loop_model.noise_model import WHITE, NoiseModel
@@ -27,8 +29,9 @@ from estune.loop_model.poles import pair_coordinates, polynomial
 from estune.loop_model.prediction import StepTrial, predict, predictions
 from estune.loop_model.records import LoopRecord
 from estune.trial.profiles import StepProfile
-from estune.tuners.model_convergence import SearchedLoop, model_convergence
+from estune.tuners.model_convergence import model_convergence
 from estune.tuners.search_space import SearchSpace
+from estune.tuners.searched_loop import SearchedLoop
 from experiments.loop_claims import true_sensitivity
 from experiments.sample_efficiency.problems import step_trial
 from plants.effects import CoulombFriction, EyeletFriction
@@ -389,20 +392,10 @@ def test_remaining_improvement_names_what_the_model_leaves_unexplained(is_white,
     fit = fit_loop(records, SAMPLING_HZ, COST.settling_time_s)
     fit = fit._replace(is_white=is_white, misfits=(0.001, 0.001))
     space = SearchSpace.around(GAINS)
-
-    def search(model):
-        at = np.array(space.coordinates(space.start))
-        return RegionSearch(
-            model,
-            trial_of(plant),
-            RobustnessLimits(),
-            lambda x: space.gains(space.point(tuple(x.tolist()))),
-            at - 0.5,
-            at + 0.5,
-        )
-
-    start = np.array(space.coordinates(space.start))
-    loop = SearchedLoop(fit, search, search(fit.model).minimise([start]), None)
-    condition = model_convergence(loop, space, [], seed=1).condition
+    base, known = space.coordinates(space.start), HalfWidths.none()
+    loop = SearchedLoop(fit, space, trial_of(plant), RobustnessLimits(), None, base, 0.5)
+    optimum = loop.search(fit.model, known).minimise([np.array(base)])
+    loop = loop._replace(base=tuple(optimum.coordinates.tolist()))
+    condition = model_convergence(loop, optimum, known, [], seed=1).condition
     assert said in condition
     assert bool(said) == ("unexplained" in condition)

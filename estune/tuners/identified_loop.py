@@ -23,24 +23,19 @@ from estune.loop_model.excitation import UnknownLoop
 from estune.loop_model.fitting import fit_loop, fit_with_excitations
 from estune.loop_model.half_widths import HalfWidths, half_widths
 from estune.loop_model.loop_fit import LoopFit
-from estune.loop_model.model import LoopModel
-from estune.loop_model.optimum import (
-    TOLERANCE,
-    Optimum,
-    RegionSearch,
-    RobustnessLimits,
-)
-from estune.loop_model.prediction import Prediction, StepTrial, predict
+from estune.loop_model.optimum import TOLERANCE, RobustnessLimits
+from estune.loop_model.prediction import Prediction, StepTrial
 from estune.loop_model.records import LoopRecord
 from estune.tuners.identified_loop_state import IdentifiedLoopState
 from estune.tuners.interface import ConvergenceEstimate, CostPrediction
-from estune.tuners.model_convergence import SearchedLoop, model_convergence
+from estune.tuners.model_convergence import model_convergence
 from estune.tuners.observation import Observation, log_cost
 from estune.tuners.points_by_loop import furthest_stable, with_other_derivative
 from estune.tuners.predictions import cost_noise, difference, log_of_cost, measured_overshoot
 from estune.tuners.residual_surface import ResidualSurface
 from estune.tuners.safe_bayesian import SafeBayesianTuner
 from estune.tuners.search_space import Coordinates, Point, SearchSpace
+from estune.tuners.searched_loop import SearchedLoop
 from estune.tuners.settings import check_above_zero, check_logarithmic
 
 MISFIT_MAX = 0.02
@@ -63,14 +58,6 @@ SCATTERED = 16
 FORESEEN = 0.1
 """Error of the last prediction of the log cost below which the last optimum is enough to start
 from, but after an excitation, which shows the loop anew."""
-
-FLAT = 0.01
-"""Difference of predictions a logarithm back from the end of the reach, up to which that holds
-nothing back: a setpoint filter of an eighth of a sample acts as none, 0.5 % of cost and limits."""
-
-WORTH_DRAWING = 0.1
-"""Improvement of the model's optimum over the best trial, in the log cost, below which the
-remaining improvement is worth estimating."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,27 +96,8 @@ class IdentifiedLoopTuner:
 
     def start(self) -> IdentifiedLoopState:
         """The state before the first trial."""
-        fallback = self._fallback.start()
-        return IdentifiedLoopState(
-            fallback=fallback,
-            records=(),
-            excitations=(),
-            points=(),
-            costs=(),
-            overshoots=(),
-            errors=(),
-            fit=None,
-            surface=None,
-            proposal=fallback.proposal,
-            centre=self.space.coordinates(self.space.start),
-            caution=None,
-            base=self.space.coordinates(self.space.start),
-            step_scale=1.0,
-            estimate=None,
-            fallen_back=False,
-            best_point=self.space.start,
-            best_cost=None,
-        )
+        fallback, first = self._fallback.start(), self.space.coordinates(self.space.start)
+        return IdentifiedLoopState(fallback, fallback.proposal, first, first, self.space.start)
 
     def ask(self, state: IdentifiedLoopState) -> Point:
         """The point of the next trial."""
@@ -194,7 +162,7 @@ class IdentifiedLoopTuner:
         if state.fit.model_misfit > MISFIT_MAX:
             return self._fall_back(state)
         # From a tried point that a model calls unstable the search would go to far smaller gains.
-        held = math.isfinite(self._at(state, state.fit, state.base).cost)
+        held = math.isfinite(self._loop(state, state.fit).predicted(state.base).cost)
         if not (held or state.fit.is_white):
             return self._fall_back(state)
         foreseen = abs(state.errors[-1]) < FORESEEN and not excited  # not with NaN
@@ -230,9 +198,9 @@ class IdentifiedLoopTuner:
         """Whether the model predicts of the next trial what it predicts of one that was run."""
         if state.fit is None or state.fallen_back:
             return False
-        following = self._at(state, state.fit, self.space.coordinates(state.proposal))
-        run = state.points[-self.memory :]
-        return any(difference(self._at(state, state.fit, x), following) < tolerance for x in run)
+        loop, run = self._loop(state, state.fit), state.points[-self.memory :]
+        following = loop.predicted(self.space.coordinates(state.proposal))
+        return any(difference(loop.predicted(x), following) < tolerance for x in run)
 
     def predict(self, state: IdentifiedLoopState, point: Point) -> CostPrediction:
         """The predicted cost of a point, by the fallback's model of the cost."""
@@ -257,7 +225,7 @@ class IdentifiedLoopTuner:
         fit = state.fit
         if fit is None or not fit.responds:
             return proposal
-        settings, limit = self._trial(state).controller, self.limits.max_sensitivity
+        settings, limit = self._trial.controller, self.limits.max_sensitivity
         return furthest_stable(self.space, (state.base, proposal), fit.model, settings, limit)
 
     def _learn(
@@ -268,50 +236,67 @@ class IdentifiedLoopTuner:
         record: LoopRecord,
     ) -> IdentifiedLoopState:
         """The state with the model fitted to one more record, of an unsafe trial too."""
-        assert self.trial is not None  # noqa: S101  checked by the caller
         x, last = self.space.coordinates(point), state.fit
-        predicted = log_of_cost(self._at(state, last, x)) if last else math.nan
+        predicted = self._loop(state, last).log_cost(x) if last else math.nan
         state = state._replace(records=(*state.records, record)[-self.memory :])
         if not observation.censored:
             cost = log_cost(observation)
             state = state._replace(
                 points=(*state.points, x),
                 costs=(*state.costs, cost),
-                overshoots=(*state.overshoots, measured_overshoot(record, self.trial)),
+                overshoots=(*state.overshoots, measured_overshoot(record, self._trial)),
                 errors=(*state.errors, cost - predicted),
             )
         records = (*state.records, *state.excitations)
         return self._with_fit(state, fit_loop(records, *self._scales, state.fit))
 
     @property
+    def _trial(self) -> StepTrial:
+        assert self.trial is not None  # noqa: S101  there is a record, so there was a trial
+        return self.trial
+
+    @property
     def _scales(self) -> tuple[float, float]:
         """Sampling rate and settling time asked for."""
-        assert self.trial is not None  # noqa: S101  there is a record, so there was a trial
-        return self.trial.controller.sampling_Hz, self.trial.cost.settling_time_s
+        return self._trial.controller.sampling_Hz, self._trial.cost.settling_time_s
+
+    def _loop(self, state: IdentifiedLoopState, fit: LoopFit) -> SearchedLoop:
+        """A fit with what its trials measured beyond it, and the region about the best of them."""
+        return SearchedLoop(
+            fit=fit,
+            space=self.space,
+            trial=replace(self._trial, rest_effort=state.records[-1].rest_effort),
+            limits=self.limits,
+            surface=state.surface,
+            base=state.base,
+            reach=self.reach * state.step_scale,
+        )
 
     def _with_fit(self, state: IdentifiedLoopState, fit: LoopFit) -> IdentifiedLoopState:
         """The state with a model fitted to its records."""
         state = state._replace(fit=fit, surface=None)
         if not state.points:
             return state
-        state = state._replace(surface=self._surface(state, fit))
+        loop = self._loop(state, fit)
+        surface = self._surface(state, loop)
+        state, loop = state._replace(surface=surface), loop._replace(surface=surface)
         # The least measured cost may be luck, and would hold the search back where little changes.
-        recent = {one: self._at(state, fit, one) for one in state.points[-self.memory :]}
+        recent = {one: loop.predicted(one) for one in state.points[-self.memory :]}
         return state._replace(
             base=min(recent, key=lambda one: recent[one].cost), **self._best_kept(state, recent)
         )
 
-    def _surface(self, state: IdentifiedLoopState, fit: LoopFit) -> ResidualSurface | None:
+    def _surface(self, state: IdentifiedLoopState, loop: SearchedLoop) -> ResidualSurface | None:
         """Differences of the last trials' measured costs from the predictions of a model."""
         recent = slice(-self.memory, None)
         measured = zip(state.costs[recent], state.overshoots[recent], strict=True)
-        predicted = [self._at(state, fit, x) for x in state.points[recent]]
+        predicted = [loop.predicted(x) for x in state.points[recent]]
         differences = [
             (cost - log_of_cost(p), overshoot - p.overshoot)
             for (cost, overshoot), p in zip(measured, predicted, strict=True)
         ]
         return ResidualSurface.fitted(
-            state.points[recent], differences, fit.model_misfit, cost_noise(state.errors)
+            state.points[recent], differences, loop.fit.model_misfit, cost_noise(state.errors)
         )
 
     def _best_kept(
@@ -329,8 +314,9 @@ class IdentifiedLoopTuner:
         self, state: IdentifiedLoopState, fit: LoopFit, *, foreseen: bool
     ) -> IdentifiedLoopState:
         """The next trial and the centre by the model."""
-        best, known = np.array(state.base), len(state.costs) >= CLOSE_FROM
-        search = self._search(state, fit.model, HalfWidths.none() if known else None)
+        loop, known = self._loop(state, fit), len(state.costs) >= CLOSE_FROM
+        search = loop.search(fit.model, HalfWidths.none() if known else None)
+        best = np.array(state.base)
         optimum = search.minimise(
             [np.array(state.centre), best, *search.ends(best)],
             iterations=ITERATIONS if known else FIRST_ITERATIONS,
@@ -341,85 +327,23 @@ class IdentifiedLoopTuner:
         )
         if not math.isfinite(optimum.prediction.cost):
             return self._fall_back(state)
-        beside = caution = None
+        caution = estimate = None
         if known:
             least = log_of_cost(optimum.prediction)
             gains = self.space.gains(self.space.point(tuple(optimum.coordinates.tolist())))
             records = (*state.records, *state.excitations)
-            beside = half_widths(fit, records, self._trial(state), gains)
-            optimum = self._search(state, fit.model, beside).minimise([optimum.coordinates])
+            beside = half_widths(fit, records, loop.trial, gains)
+            optimum = loop.search(fit.model, beside).minimise([optimum.coordinates])
             # Where the reach holds the optimum back the next one is another loop.
-            held = self._at_edge(state, fit, optimum)
+            held = loop.holds_back(optimum)
             caution = 0.0 if held else log_of_cost(optimum.prediction) - least
+            seed = len(state.costs)
+            estimate = model_convergence(loop, optimum, beside, state.errors, seed)
         centre = tuple(optimum.coordinates.tolist())
         return state._replace(
             centre=centre,
             caution=caution,
             proposal=self.space.point(centre),
-            estimate=self._convergence(state, fit, optimum, beside),
+            estimate=estimate,
             fallen_back=False,
         )
-
-    def _search(
-        self, state: IdentifiedLoopState, model: LoopModel, beside: HalfWidths | None = None
-    ) -> RegionSearch:
-        """The search for the optimum of a model within reach of the best trial.
-
-        As far inside the limits as the half widths tell; as the assumed ones without them.
-        """
-        best = np.array(state.base)
-        radius = self.reach * state.step_scale
-        low, high = self.space.coordinate_bounds
-        trial, noise_std = self._trial(state), state.fit.noise_std if state.fit else 0.0
-        return RegionSearch(
-            model=model,
-            trial=trial,
-            limits=self.limits.aimed(
-                beside or HalfWidths.assumed(noise_std / abs(trial.step.size))
-            ),
-            gains_of=lambda x: self.space.gains(self.space.point(tuple(x.tolist()))),
-            low=np.maximum(low, best - radius),
-            high=np.minimum(high, best + radius),
-            noise_std=noise_std,
-            corrected=state.surface.corrected if state.surface else None,
-        )
-
-    def _convergence(
-        self,
-        state: IdentifiedLoopState,
-        fit: LoopFit,
-        optimum: Optimum,
-        beside: HalfWidths | None,
-    ) -> ConvergenceEstimate | None:
-        """Remaining improvement within the limits, by draws from the posterior of the model."""
-        best = log_of_cost(self._at(state, fit, state.base))
-        close = best - math.log(optimum.prediction.cost) < WORTH_DRAWING
-        if beside is None or beside.is_wide or not (close and optimum.feasible):
-            return None
-        if self._at_edge(state, fit, optimum):
-            return None
-        loop = SearchedLoop(
-            fit, lambda model: self._search(state, model, beside), optimum, state.surface
-        )
-        return model_convergence(loop, self.space, state.errors, seed=len(state.costs))
-
-    def _at_edge(self, state: IdentifiedLoopState, fit: LoopFit, optimum: Optimum) -> bool:
-        """Whether the reach, not a bound of the space, holds the optimum back."""
-        x = optimum.coordinates
-        away, reach = x - np.array(state.base), self.reach * state.step_scale
-        low, high = np.array(self.space.coordinate_bounds)
-        inside = (x > low + 1e-6) & (x < high - 1e-6)
-        held = np.flatnonzero(inside & (np.abs(away) > 0.99 * reach))
-        back = [x - np.sign(away[i]) * np.eye(x.size)[i] for i in held]
-        beside = (self._at(state, fit, tuple(there.tolist())) for there in back)
-        return any(difference(there, optimum.prediction) > FLAT for there in beside)
-
-    def _trial(self, state: IdentifiedLoopState) -> StepTrial:
-        """The step trial with the effort at rest of the last record."""
-        assert self.trial is not None  # noqa: S101  there is a record, so there was a trial
-        return replace(self.trial, rest_effort=state.records[-1].rest_effort)
-
-    def _at(self, state: IdentifiedLoopState, fit: LoopFit, x: Coordinates) -> Prediction:
-        gains = self.space.gains(self.space.point(x))
-        found = predict(fit.model, self._trial(state), gains, fit.noise_std)
-        return state.surface.corrected(np.array(x), found) if state.surface else found

@@ -13,6 +13,9 @@ class IdentifiedLoopState(NamedTuple):
     """The state of a model-based search.
 
     Attributes:
+        base: Coordinates of the safe trial of least cost by the model, about which the search
+            reaches.
+        best_point: The point of the best safe trial.
         records: Last records of the loop in step trials.
         excitations: Records of its excitations, of those that are fitted.
         points: Coordinates of all trials with a record.
@@ -23,30 +26,28 @@ class IdentifiedLoopState(NamedTuple):
         surface: What the last trials measured beyond its predictions; None where these stand.
         caution: Logarithm of the predicted cost of the centre over that of the optimum without a
             margin to the limits; None where it is not known.
-        base: Those of the safe trial of least cost by the model, about which the search reaches.
         step_scale: Factor on the reach after unsafe trials.
         fallen_back: Whether the fallback tuner proposes.
-        best_point: The point of the best safe trial.
     """
 
     fallback: Any
-    records: tuple[LoopRecord, ...]
-    excitations: tuple[LoopRecord, ...]
-    points: tuple[Coordinates, ...]
-    costs: tuple[float, ...]
-    overshoots: tuple[float, ...]
-    errors: tuple[float, ...]
-    fit: LoopFit | None
-    surface: ResidualSurface | None
     proposal: Point
     centre: Coordinates
-    caution: float | None
     base: Coordinates
-    step_scale: float
-    estimate: ConvergenceEstimate | None
-    fallen_back: bool
     best_point: Point
-    best_cost: float | None
+    best_cost: float | None = None
+    records: tuple[LoopRecord, ...] = ()
+    excitations: tuple[LoopRecord, ...] = ()
+    points: tuple[Coordinates, ...] = ()
+    costs: tuple[float, ...] = ()
+    overshoots: tuple[float, ...] = ()
+    errors: tuple[float, ...] = ()
+    fit: LoopFit | None = None
+    surface: ResidualSurface | None = None
+    caution: float | None = None
+    step_scale: float = 1.0
+    estimate: ConvergenceEstimate | None = None
+    fallen_back: bool = False
 
 
 def fit_of(state: object) -> LoopFit | None:

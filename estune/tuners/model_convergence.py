@@ -1,51 +1,50 @@
 """What the search by the identified loop may still gain, by draws from the loop's posterior."""
 
 import math
-from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from collections.abc import Sequence
+from functools import partial
 
 import numpy as np
 
 from estune.loop_model.drawn_optima import draw_optima, equal_range
-from estune.loop_model.loop_fit import LoopFit
-from estune.loop_model.model import LoopModel
-from estune.loop_model.optimum import Optimum, RegionSearch
+from estune.loop_model.half_widths import HalfWidths
+from estune.loop_model.optimum import Optimum
 from estune.tuners.interface import ConvergenceEstimate
-from estune.tuners.predictions import cost_noise
-from estune.tuners.residual_surface import ResidualSurface
-from estune.tuners.search_space import SearchSpace
+from estune.tuners.predictions import cost_noise, log_of_cost
+from estune.tuners.searched_loop import SearchedLoop
 
 ONE_SIDED_95 = 1.645
 """Standard deviations of a normal distribution below which 95 % of it lie."""
 
 
-class SearchedLoop(NamedTuple):
-    """An identified loop and its optimum.
-
-    Attributes:
-        surface: What trials measured beyond the model; None where it stands.
-    """
-
-    fit: LoopFit
-    search: Callable[[LoopModel], RegionSearch]
-    optimum: Optimum
-    surface: ResidualSurface | None
+WORTH_DRAWING = 0.1
+"""Improvement of the model's optimum over the best trial, in the log cost, below which the
+remaining improvement is worth estimating."""
 
 
 def model_convergence(
-    loop: SearchedLoop, space: SearchSpace, errors: Sequence[float], seed: int
-) -> ConvergenceEstimate:
-    """The state of convergence at the optimum of a loop.
+    loop: SearchedLoop,
+    optimum: Optimum,
+    beside: HalfWidths,
+    errors: Sequence[float],
+    seed: int,
+) -> ConvergenceEstimate | None:
+    """The state of convergence at the optimum of a loop; None where the way there is long.
 
     Args:
         loop: The loop.
-        space: The tuned parameters.
+        optimum: Its optimum.
+        beside: How far inside the limits that lies.
         errors: Errors of the predictions of the log cost.
         seed: Of the draws.
     """
-    optimum = loop.optimum
-    draws = draw_optima(loop.fit, loop.search, optimum, seed)
-    equal = equal_range(loop.search(loop.fit.model), optimum)
+    close = loop.log_cost(loop.base) - log_of_cost(optimum.prediction) < WORTH_DRAWING
+    if beside.is_wide or not (close and optimum.feasible) or loop.holds_back(optimum):
+        return None
+    space = loop.space
+    search = partial(loop.search, beside=beside)
+    draws = draw_optima(loop.fit, search, optimum, seed)
+    equal = equal_range(search(loop.fit.model), optimum)
     low, high = np.fmin(draws.interval[0], equal[0]), np.fmax(draws.interval[1], equal[1])
     least, most = space.coordinate_bounds
     low, high = np.maximum(low, least), np.minimum(high, most)
@@ -58,14 +57,14 @@ def model_convergence(
         remaining_improvement=-math.expm1(-float(np.quantile(draws.gains, 0.95)) - beyond),
         expected_improvement=-math.expm1(-float(np.mean(draws.gains))),
         intervals=tuple(zip(*ends, strict=True)),
-        condition=_condition(loop, space),
+        condition=_condition(loop, optimum),
     )
 
 
-def _condition(loop: SearchedLoop, space: SearchSpace) -> str:
+def _condition(loop: SearchedLoop, optimum: Optimum) -> str:
     """What the bound of the remaining improvement does not know."""
     within = []
-    if space.at_bound(space.point(tuple(loop.optimum.coordinates.tolist()))):
+    if loop.space.at_bound(loop.space.point(tuple(optimum.coordinates.tolist()))):
         within.append("within the bounds of the search")
     left = f"{loop.fit.misfit:.1%}"
     if not loop.fit.is_white and left != "0.0%":
