@@ -140,7 +140,7 @@ def plant_of(runs: Sequence[ChamberRun]) -> LoopModel:
     """
     loop = identify([part for run in runs for part in temperature_parts(run)], SETTINGS, None)
     model, samples = loop.fit.model, loop.fit.settling_samples
-    signals = signals_of(loop.records, samples, round(samples))
+    signals = signals_of(loop.records, samples)
     start = PoleFit(0.0, np.array(model.coordinates), model.dead_samples)
     found = searched_dead_time(signals, [start])
     return model_of(found.solution(signals))

@@ -59,7 +59,7 @@ def dampings(damping, seeds):
     for seed in seeds:
         records = [record_of(modal(damping), GAINS, 100 + 2 * seed + i) for i in range(2)]
         settling = SETTLING_S * SAMPLING_HZ
-        signals = signals_of(records, settling, round(settling))
+        signals = signals_of(records, settling)
         start = np.log([2.0 * np.pi * 5.0 / SAMPLING_HZ, 0.3, v, max(damping, 1e-3)])
         fit = improve(signals, PoleFit(0.0, start, 2))
         ends = fit, with_mean_damping(signals, fit)

@@ -93,7 +93,7 @@ def test_one_record_of_an_unstable_plant_tells_the_sensitivity_at_other_gains(na
 def test_growing_poles_without_a_compiler_are_the_same(monkeypatch):
     plant, (*_, settling_s, gains) = plant_of("lag"), SYSTEMS["lag"]
     settling = settling_s * plant.controller.sampling_Hz
-    signals = signals_of([record_of(plant, gains)], settling, round(settling))
+    signals = signals_of([record_of(plant, gains)], settling)
     found = growing_fit(signals)
     monkeypatch.setattr(growing_poles, "compiled", lambda _: None)
     same = growing_fit(signals)

@@ -19,16 +19,17 @@ white.
   white or of a colour that its errors show (`sensor_colour`).
 - `drawn_models` are models that the records allow: linear in the coefficients of A and B, which
   the records know where they do not know each pole.
+- `fit_signals`: records as deviations; what each has of its own beside the plant is `nuisance`.
 - `least_squares`: for given poles, noise and dead time all else is linear. `identification`
-  searches these few numbers; `order` adds poles, a load or a drift where prediction errors are
-  not white (`whiteness`) and the Bayesian information criterion falls; `friction` does so for
-  dry friction (`friction_motion`), in service also where a load makes them white
+  searches these few numbers from where `beginning` says; `order` adds poles (`further_poles`), a
+  load or a drift where prediction errors are not white (`whiteness`) and the Bayesian information
+  criterion (`criterion`) falls; `slow_poles` are integrators to the records; `friction` does so
+  for dry friction (`friction_motion`), in service also where a load makes them white
   (`friction_score`); friction of another law shows by errors or a plant that change with motion
   (`motion_score`). Either is what no linear past explains (`linear_past`).
 - `hum` finds a line that stands at rest; it is free in each record, like its offsets.
-- `fitting` leaves out excitations that spoil the fit of the steps, and records that the others
-  contradict (`contradiction`), up to a quarter: those whose prediction by a fit without them is
-  worse than three times the worst of theirs.
+- `fitting` tries models in turn. It leaves out excitations that spoil the fit of the steps, and
+  records that the others contradict (`contradiction`), up to a quarter.
 - `damping` is the posterior mean of what the records do not tell from zero.
 - `near_fit` is the loop of the trials near some gains, where no linear model explains all.
 - `plant_error` bounds what the true plant may differ from G by, in each band; `agreement` finds
@@ -63,9 +64,9 @@ Choices that are not obvious
 - Load and drift are searched before the colour, and the colour before further poles: a plant that
   is given the sensor's colour has poles that it has not. A load explains what a slow pole does;
   where there is one, a slow pole is tried in its place.
-- In trials from rest a load is searched where two of them show it before their steps, and only if
-  it leaves nothing unexplained. Else what is left of them counts as error of the plant: the answer
-  of a plant that is not linear repeats with every trial and does not average out.
+- In trials from rest a load is searched where further poles leave something, and kept only if it
+  leaves nothing and holds before the steps. Else what is left of them counts as error of the
+  plant: the answer of one that is not linear repeats with every trial and does not average out.
 - The direct method uses what the noise excites through the feedback, too. It excites a band the
   more, the more the controller does there, which is where it matters: ten records of the
   reference reel bound the share of |1 + L| to 0.27 up to half the sampling rate, four records to
@@ -79,8 +80,6 @@ What was tried and lost
 - Draws along the logarithms of the poles: of two close poles, or of one that hardly matters, each
   moves far without moving A, and the numerator not with it. On a lag of 86 ms the interval of Ms
   was 1.57 to 7.1 where it is 1.57 to 1.63.
-- Disturbed records one by one: with two of nine the fit without one is as wrong as with both.
-
 - Noise of first differences before the step: with 20 samples before it a noise of 2 % was 0.6 %
   of misfit. What the model leaves has as many samples as there are, and no response in it.
 - A limit of the misfit as a share of the step: a narrow mode has little of it. On a 4 Hz plant

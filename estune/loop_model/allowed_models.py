@@ -18,7 +18,6 @@ from estune.loop_model.drawn_models import (
     drawn_models,
     white_factor,
 )
-from estune.loop_model.fit_signals import signals_of
 from estune.loop_model.loop_fit import LoopFit
 from estune.loop_model.model import LoopModel
 from estune.loop_model.records import LoopRecord
@@ -47,7 +46,7 @@ def allowed_draws(fit: LoopFit, records: Sequence[LoopRecord], draws: Draws) -> 
     from scipy.special import chdtri  # noqa: PLC0415  slow to import
 
     model = fit.model
-    signals = signals_of(fit.fitted(records), fit.settling_samples, model.dead_samples)
+    signals = fit.signals(fit.fitted(records))
 
     def squares(one: LoopModel) -> float:
         with np.errstate(over="ignore", invalid="ignore"):

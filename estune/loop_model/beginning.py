@@ -1,12 +1,12 @@
 """Where the search for a loop begins: fits of two poles to a part of the records."""
 
-import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
 from estune.loop_model.fit_signals import FitSignals, signals_of
 from estune.loop_model.identification import START_NOISES, PoleFit, cold_starts
 from estune.loop_model.records import LoopRecord
+from estune.loop_model.whiteness import beyond_chance
 
 STARTED_BY = 2
 SAMPLES_STARTED_BY = 3000
@@ -50,7 +50,7 @@ def best_scale(
     for settling_time_s in settling_times_s:
         signals, starts = _starts(records, settling_time_s * sampling_Hz)
         power = starts[0].cost / signals.samples
-        chance = 1.0 + 5.0 * math.sqrt(2.0 / signals.samples) if best is other else 1.0
+        chance = beyond_chance(signals.samples) if best is other else 1.0
         if best is None or power < chance * best.power:
             best = Beginning(tuple(records), settling_time_s, tuple(starts), power)
     assert best is not None  # noqa: S101  a settling time is tried
@@ -67,7 +67,7 @@ def _starts(records: Sequence[LoopRecord], settling: float) -> tuple[FitSignals,
     # Trials from rest are whole; excitations of a loop, which are longer, begin no search.
     ranked = sorted(records, key=lambda r: (not r.at_rest, 0 if r.at_rest else -r.samples))
     few = [_shortened(record, samples) for record in ranked[:STARTED_BY]]
-    signals = signals_of(few, settling, round(settling))
+    signals = signals_of(few, settling)
     noises = START_NOISES[: 1 if all(r.at_rest for r in records) else None]
     return signals, cold_starts(signals, noises)
 

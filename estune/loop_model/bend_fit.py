@@ -12,9 +12,10 @@ import numpy as np
 
 from estune.core.quantities import FloatArray
 from estune.loop_model.bend import POWERS, Bend, level_of, unbent
-from estune.loop_model.fit_signals import FitSignals, RecordGroup, signals_of
+from estune.loop_model.fit_signals import FitSignals, RecordGroup
 from estune.loop_model.loop_fit import LoopFit
 from estune.loop_model.records import LoopRecord
+from estune.loop_model.whiteness import beyond_chance
 
 SPRING, SENSOR = (0, 1), (2, 3)
 """Terms that are free: of one of the two. With both free the steps of slow trials, which hardly
@@ -150,8 +151,7 @@ def explains(found: LoopFit, linear: LoopFit) -> bool:
     if linear.noise.is_white:
         return is_plain(found) and _beyond(found) < LEFT_MOST * _beyond(linear)
     size = sum(errors.size for errors in found.errors)
-    chance = 1.0 + 5.0 * math.sqrt(2.0 / size)
-    as_well = _squares(found) < chance * _squares(linear)
+    as_well = _squares(found) < beyond_chance(size) * _squares(linear)
     return is_plain(found) and found.is_white and found.noise.is_white and as_well
 
 
@@ -198,17 +198,11 @@ def _settled(
 def _correction(
     fit: LoopFit, records: Sequence[LoopRecord], bend: Bend, kind: Sequence[int]
 ) -> Correction | None:
-    """The step from a fit and its bend in the terms of a kind; None of a model of another kind.
-
-    Friction, a load or a pole that grows has a prediction error of its own.
-    """
-    model = fit.model
-    if model.friction or model.grows or not fit.noise.is_white:
+    """The step from a fit and its bend in the terms of a kind; None of a model of another kind."""
+    if not fit.is_output_error:
         return None
     chosen = fit.fitted(records)
-    signals = signals_of(
-        [unbent(r, bend) for r in chosen], fit.settling_samples, model.dead_samples
-    )
+    signals = fit.signals([unbent(record, bend) for record in chosen])
     at = fit.solution(signals)
     terms = [fit.solution(_with(signals, chosen, bend, term)).residual for term in kind]
     slopes, e = np.column_stack([at.slopes(signals), *terms]), at.residual
@@ -219,7 +213,7 @@ def _correction(
     left = e + slopes @ step
     after = float(left @ left)
     inverse = np.linalg.pinv(A.T @ A, rcond=1e-12) / np.outer(size, size)
-    count, n = max(e.size - step.size, 1), model.parameters.size
+    count, n = max(e.size - step.size, 1), fit.model.parameters.size
     whole = np.zeros(2 * len(POWERS))
     whole[list(kind)] = step[-len(kind) :]
     scores = np.array([slopes[rows].T @ left[rows] for _, rows in signals.rows()])

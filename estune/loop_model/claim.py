@@ -56,12 +56,6 @@ def claim(
 
     The interval of Ms contains what the error of the plant may add to it, and Ms by the trials of
     each gains that contradict the fit (`agreement`).
-
-    Args:
-        fit: The identified loop.
-        records: The records given to the fit.
-        trial: The step trial.
-        gains: The gains in question.
     """
     near = near_trials(fit, records, gains)
     misfit = float(np.sqrt(np.mean(np.square(near)))) if near else float("nan")
@@ -94,11 +88,8 @@ def claim(
 
 def near_trials(fit: LoopFit, records: Sequence[LoopRecord], gains: Gains) -> list[float]:
     """The misfit of each of the trials at or near some gains that were fitted."""
-    return [
-        rho
-        for i, (rho, record) in enumerate(zip(fit.misfits, records, strict=True))
-        if i not in fit.left_out and is_near(record, gains)
-    ]
+    fitted = zip(fit.fitted(fit.misfits), fit.fitted(records), strict=True)
+    return [rho for rho, record in fitted if is_near(record, gains)]
 
 
 def _unknown(fit: LoopFit, margin: ErrorMargin, sampling_Hz: float) -> str:

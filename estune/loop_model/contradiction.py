@@ -12,6 +12,7 @@ from estune.loop_model.fit_signals import signals_of
 from estune.loop_model.friction_motion import friction_of, less_friction
 from estune.loop_model.loop_fit import LoopFit
 from estune.loop_model.records import LoopRecord
+from estune.loop_model.whiteness import beyond_chance
 
 APART = 3.0
 """Residual of a record, predicted by the others, over the largest of theirs, from which it is left
@@ -28,14 +29,13 @@ OTHERS = 3
 def standing_out(fit: LoopFit) -> list[int]:
     """The records of the largest residuals by far, beyond what chance gives.
 
-    All at once: with one of two disturbed records the fit is as wrong as with both.
+    All at once: with two disturbed records of nine the fit without one is as wrong as with both.
     """
     powers = [power_of(errors) for errors in fit.errors]
     order = sorted(range(len(powers)), key=powers.__getitem__, reverse=True)
     for count in range(len(powers) // (OTHERS + 1), 0, -1):
         least, next_one = order[count - 1], order[count]
-        chance = 1.0 + 5.0 * math.sqrt(2.0 / fit.errors[least].size)
-        if powers[least] > chance * powers[next_one]:
+        if powers[least] > beyond_chance(fit.errors[least].size) * powers[next_one]:
             return sorted(order[:count])
     return []
 
@@ -50,7 +50,7 @@ def foretold_by_others(
     """
     if fit.model.friction:
         return False
-    signals = signals_of(records, fit.settling_samples, round(fit.settling_samples))
+    signals = signals_of(records, fit.settling_samples)
     here = fit.solution(signals)
     J = here.slopes(signals)
     of_record = np.concatenate([np.repeat(g.members, g.length) for g in signals.groups])
@@ -74,7 +74,7 @@ def power_of(errors: FloatArray) -> float:
 def prediction_error(fit: LoopFit, record: LoopRecord) -> FloatArray:
     """Prediction error of a fit on a record that was not fitted, shape (samples,)."""
     model, record = fit.model, unbent(record, fit.model.bend)
-    signals = signals_of([record], fit.settling_samples, model.dead_samples)
+    signals = fit.signals([record])
     forces = friction_of(model, signals, record)
     errors = fit.solution(less_friction(signals, forces)).residual
     return np.concatenate([np.zeros(record.samples - errors.size), errors])

@@ -27,6 +27,7 @@ by_criterion = attrgetter("criterion")
 def judged(signals: FitSignals, fit: PoleFit) -> Selected:
     """A fit with its criterion, infinite where it failed; a load or a drift of no size is none."""
     fit = fit._replace(noise=fit.noise.counted)
+    # A colour without a load or a drift has no effect (`noise_model`): it is another fit.
     if not math.isfinite(fit.cost) or (fit.noise.is_white and fit.noise.colour):
         return Selected(fit, math.inf)
     return Selected(fit, criterion(signals, 2.0 * fit.cost, fit.coordinates.size, fit.noise))

@@ -7,7 +7,7 @@ poles close to each other, or one that hardly matters, may each move far without
 import numpy as np
 
 from estune.core.quantities import FloatArray
-from estune.loop_model.loop_fit import LoopFit
+from estune.loop_model.loop_fit import NORMAL_QUANTILE, LoopFit
 from estune.loop_model.model import LoopModel
 from estune.loop_model.poles import coordinates_of, difference_polynomial
 
@@ -29,7 +29,7 @@ def white_factor(fit: LoopFit) -> FloatArray:
 
 def clustered_factor(fit: LoopFit) -> FloatArray:
     """The same of the scatter between records, as wide as Student's t makes a 95 % interval."""
-    return INFLATION * fit.quantile / 1.96 * factor_of(fit.clustered)
+    return INFLATION * fit.quantile / NORMAL_QUANTILE * factor_of(fit.clustered)
 
 
 def drawn_models(fit: LoopFit, factor: FloatArray, count: int, seed: int) -> tuple[LoopModel, ...]:

@@ -96,20 +96,26 @@ until rounding errors are left."""
 
 
 def signals_of(
-    records: Sequence[LoopRecord], settling_samples: float, longest_dead: int
+    records: Sequence[LoopRecord], settling_samples: float, longest_dead: int | None = None
 ) -> FitSignals:
     """Records as deviations.
 
     A record at rest before its first sample has that rest as its past. Of others the first samples
     are the past: as many as the longest dead time and the numerator reach back.
+
+    Args:
+        records: At least one.
+        settling_samples: Settling time asked for.
+        longest_dead: Longest dead time; the settling time by default, as a search may need.
     """
+    longest = round(settling_samples) if longest_dead is None else longest_dead
     by_kind: dict[tuple[int, bool], list[int]] = {}
     for number, record in enumerate(records):
         by_kind.setdefault((record.samples, record.at_rest), []).append(number)
     groups = []
     for (samples, at_rest), members in by_kind.items():
         chosen = [records[number] for number in members]
-        history = 0 if at_rest else min(longest_dead + REACH, samples // 2)
+        history = 0 if at_rest else min(longest + REACH, samples // 2)
         effort = np.array([r.effort for r in chosen])
         measurement = np.array([r.measurement for r in chosen])
         before = [slice(0, max(r.step_index, 1) if at_rest else None) for r in chosen]

@@ -1,6 +1,5 @@
 """The loop model that records identify."""
 
-import math
 from collections.abc import Iterator, Sequence
 
 import numpy as np
@@ -28,7 +27,7 @@ from estune.loop_model.poles import mirrored
 from estune.loop_model.records import LoopRecord
 from estune.loop_model.slow_poles import is_resolved, without_slowest_pole
 from estune.loop_model.strength_fit import with_strengths
-from estune.loop_model.whiteness import is_white
+from estune.loop_model.whiteness import beyond_chance, is_white
 
 GROWTH_GAIN, GROWTH_SHARE = 10.0, 0.5
 """Decrease of the criterion, very strong evidence, from which on a plant is taken to grow, and the
@@ -79,11 +78,12 @@ def _candidates(
 ) -> Iterator[LoopFit | None]:
     """What is tried in turn until one explains the records: None is one that does not.
 
-    What the last fit was of is first, for it costs least; the last is taken as it is.
+    A bend or strengths that the last fit had come first, then a linear model or friction, which
+    stand where they explain the records, then a bend and strengths that are found anew.
     """
 
     def by_two_poles(straight: Sequence[LoopRecord]) -> LoopFit:
-        signals = signals_of(straight, settling, round(settling))
+        signals = signals_of(straight, settling)
         two = searched_dead_time(signals, first_starts(straight, settling))
         return _summarised(straight, signals, two)
 
@@ -150,26 +150,19 @@ def fit_with_excitations(
     An excitation moves the effort faster than a step, perhaps beyond what the plant follows. Where
     they spoil the fit of the steps they are left out. A mode that only excitations show spoils
     nothing, for poles are added.
-
-    Args:
-        steps: Records of step trials, at least one.
-        excitations: Records of excitations.
-        sampling_Hz: Sampling rate.
-        settling_time_s: Settling time asked for.
-        last: An earlier fit to start from.
     """
     fit = fit_loop((*steps, *excitations), sampling_Hz, settling_time_s, last)
     if not excitations or (fit.is_white and not fit.strengths):
         return fit, tuple(excitations)
     of_steps = last if last is not None and len(last.errors) == len(steps) else None
     alone = of_steps or fit_loop(steps, sampling_Hz, settling_time_s)
-    if fit.is_white and (alone.strengths or not alone.is_white):
+    if fit.is_white and (alone.strengths or not alone.is_white):  # it is not the excitations
         return fit, tuple(excitations)
     if fit.is_white:  # with another gain than the steps, which have one: a rate limit does so
         return alone, ()
     spoilt, own = (np.concatenate(one.errors[: len(steps)]) for one in (fit, alone))
-    chance = 1.0 + 5.0 * math.sqrt(2.0 / own.size)  # five deviations of the power of white noise
-    return (alone, ()) if power_of(spoilt) > chance * power_of(own) else (fit, tuple(excitations))
+    most = beyond_chance(own.size) * power_of(own)
+    return (alone, ()) if power_of(spoilt) > most else (fit, tuple(excitations))
 
 
 def _fit(
@@ -181,7 +174,8 @@ def _fit(
     again: bool,
 ) -> LoopFit:
     """The model of all records: of low order if that explains them, else by the criterion."""
-    signals = signals_of(records, settling, round(settling))
+    signals = signals_of(records, settling)
+    # With one pole from the start no spare one has to be taken off (`without_spare_pole`).
     if last is not None and last.order == 1 and not last.noise.load:
         single = searched_dead_time(signals, [_start_of(last, least=1)])
         if is_enough(signals, single):

@@ -7,7 +7,7 @@ takes friction for a load, and is white with it.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 
 import numpy as np
@@ -58,10 +58,7 @@ def fit_with_friction(
 ) -> LoopFit | None:
     """The loop model with dry friction that fits records best; None where none was found.
 
-    Args:
-        records: At least one.
-        linear: The linear model of least squares.
-        last: An earlier fit with friction to start from.
+    From the linear fit of them, and an earlier one with friction where there is one.
     """
     gain = (last or linear).model.static_gain
     if not (math.isfinite(gain) and gain != 0.0):
@@ -133,13 +130,7 @@ def _search(
 
     @remembered
     def jacobian(x: FloatArray) -> FloatArray:
-        about = _about(motion, x)
-        ends = [
-            residual_of(moved, [force[i] for force in about])
-            for i, moved in enumerate(_beside(x), 1)
-        ]
-        pairs = zip(ends[::2], ends[1::2], strict=True)
-        return np.stack([(up - down) / (2.0 * DIFFERENCE) for up, down in pairs], axis=1)
+        return np.stack(_numerical_slopes(motion, x, residual_of), axis=1)
 
     @remembered
     def residual(x: FloatArray) -> FloatArray:
@@ -160,11 +151,29 @@ def _search(
 
 
 def _solution(
-    motion: FrictionMotion, x: FloatArray, forces: list[FloatArray], dead: int
+    motion: FrictionMotion,
+    x: FloatArray,
+    forces: list[FloatArray],
+    dead: int,
+    numerator: FloatArray | None = None,
 ) -> Solution:
-    """Best numerator for given forces of each group, shape (records, samples)."""
+    """Best or given numerator for given forces of each group, shape (records, samples)."""
     driven = less_friction(motion.signals, forces)
-    return Solution.at(driven, motion.split(x)[0], dead, motion.noise_at(x))
+    return Solution.at(driven, motion.split(x)[0], dead, motion.noise_at(x), numerator)
+
+
+def _numerical_slopes(
+    motion: FrictionMotion,
+    x: FloatArray,
+    residual_of: Callable[[FloatArray, list[FloatArray]], FloatArray],
+) -> list[FloatArray]:
+    """Slopes along each coordinate of a residual by coordinates and their forces."""
+    about = _about(motion, x)
+    ends = [
+        residual_of(moved, [force[i] for force in about]) for i, moved in enumerate(_beside(x), 1)
+    ]
+    pairs = zip(ends[::2], ends[1::2], strict=True)
+    return [(up - down) / (2.0 * DIFFERENCE) for up, down in pairs]
 
 
 def _about(motion: FrictionMotion, x: FloatArray) -> list[FloatArray]:
@@ -187,31 +196,19 @@ def _summarise(motion: FrictionMotion, best: PoleFit) -> LoopFit:
     x = best.coordinates
     at = _solution(motion, x, [f[0] for f in _about(motion, x)], best.dead)
     friction = max(motion.split(x)[1], FRICTION_MIN * motion.scale)
-    slopes = _slopes(motion, x, at, best.dead)
-    return summarise(motion.records, motion.signals, at, slopes, friction)
+    return summarise(motion.records, motion.signals, at, _slopes(motion, x, at), friction)
 
 
-def _slopes(motion: FrictionMotion, x: FloatArray, at: Solution, dead: int) -> FloatArray:
+def _slopes(motion: FrictionMotion, x: FloatArray, at: Solution) -> FloatArray:
     """Slopes of the residual along the model's parameters, shape (residuals of all, parameters).
 
     What holds at rest counts as known: without a reversal it cannot be told from the friction.
     """
-    about = _about(motion, x)
-    ends = [
-        Solution.at(
-            less_friction(motion.signals, [force[i] for force in about]),
-            motion.split(moved)[0],
-            dead,
-            motion.noise_at(moved),
-            at.numerator,
-        ).residual
-        for i, moved in enumerate(_beside(x), 1)
-    ]
-    moved = [
-        (up - down) / (2.0 * DIFFERENCE) for up, down in zip(ends[::2], ends[1::2], strict=True)
-    ]
-    n = motion.poles
-    sign = math.copysign(1.0, x[n])
-    friction = sign * moved[n][:, np.newaxis] / motion.scale
+
+    def residual_of(x: FloatArray, forces: list[FloatArray]) -> FloatArray:
+        return _solution(motion, x, forces, at.dead, at.numerator).residual
+
+    moved, n = _numerical_slopes(motion, x, residual_of), motion.poles
+    friction = math.copysign(1.0, x[n]) * moved[n][:, np.newaxis] / motion.scale
     further = [column[:, np.newaxis] for column in moved[n + 2 :]]
     return np.concatenate([np.stack(moved[:n], 1), -at.regressors, friction, *further], axis=1)

@@ -52,8 +52,8 @@ class FrictionMotion(NamedTuple):
     @classmethod
     def of(cls, records: Sequence[LoopRecord], like: LoopFit) -> "FrictionMotion":
         """The motion of records of a plant like an earlier fit."""
-        gain, settling = like.model.static_gain, like.settling_samples
-        signals = signals_of(records, settling, round(settling))
+        gain = like.model.static_gain
+        signals = signals_of(records, like.settling_samples)
         rests = [float(r.measurement[: max(r.step_index, 1)].mean()) for r in records]
         means = [float(r.measurement.mean()) for r in records]
         if any(r.at_rest for r in records):

@@ -14,7 +14,7 @@ import numpy as np
 
 from estune.core.quantities import FloatArray
 from estune.loop_model.fit_signals import FitSignals
-from estune.loop_model.least_squares import EVALUATIONS, Solution
+from estune.loop_model.least_squares import EVALUATIONS, NOISE_EVALUATIONS, Solution
 from estune.loop_model.noise_model import WHITE, NoiseModel
 
 T = TypeVar("T")
@@ -139,10 +139,7 @@ def remembered(f: Callable[[FloatArray], T]) -> Callable[[FloatArray], T]:
 def improve(signals: FitSignals, start: PoleFit, tolerance: float = FINE) -> PoleFit:
     """Poles and noise of least squares from a start, by Levenberg and Marquardt.
 
-    Args:
-        signals: The records.
-        start: Where the search begins.
-        tolerance: Relative decrease of the sum of squares below which it ends.
+    The search ends below a relative decrease of the sum of squares.
     """
     from scipy.optimize import leastsq  # noqa: PLC0415  slow to import
 
@@ -172,7 +169,7 @@ def improve(signals: FitSignals, start: PoleFit, tolerance: float = FINE) -> Pol
             Dfun=jacobian,
             full_output=True,
             **dict(zip(("ftol", "xtol", "gtol"), tolerances, strict=True)),
-            maxfev=EVALUATIONS if first.noise.is_white else 15,
+            maxfev=EVALUATIONS if first.noise.is_white else NOISE_EVALUATIONS,
         )
     best = at(x)
     return PoleFit(best.cost, best.coordinates, start.dead, best.noise)

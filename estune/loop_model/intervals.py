@@ -11,7 +11,6 @@ from estune.core.pidf import ControllerSettings
 from estune.core.quantities import FloatArray
 from estune.loop_model.allowed_models import Draws, allowed_draws, plain_draws
 from estune.loop_model.drawn_models import INFLATION
-from estune.loop_model.fit_signals import signals_of
 from estune.loop_model.limited_loop import setpoint_response
 from estune.loop_model.loop_fit import LoopFit
 from estune.loop_model.margins import loop_response, robustness
@@ -162,8 +161,7 @@ def setpoint_deviation(
         answers.append(LoopRecord(effort, output, moves, record.gains, record.at_rest))
     if not answers:
         return math.inf
-    model, settling = fit.model, fit.settling_samples
-    signals = signals_of(answers, settling, model.dead_samples)
+    model, signals = fit.model, fit.signals(answers)
     count = model.order + len(model.numerator)
     with np.errstate(over="ignore", invalid="ignore"):  # of an answer that hardly dies out
         slopes_of_all = fit.solution(signals).slopes(signals)

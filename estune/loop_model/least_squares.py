@@ -56,8 +56,9 @@ COORDINATE_STEP = 1e-6
 NOISE_STEP = 1e-4
 """Steps of numerical slopes, in coordinates of the poles and in those with a noise model."""
 
-EVALUATIONS = 40
-"""Most evaluations of a search for poles with white noise."""
+EVALUATIONS, NOISE_EVALUATIONS = 40, 15
+"""Most evaluations of a search for poles with white noise, and with a load or a drift, where all
+slopes are numerical."""
 
 
 class Solution(NamedTuple):

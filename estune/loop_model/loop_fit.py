@@ -8,7 +8,7 @@ import numpy as np
 
 from estune.core.quantities import FloatArray
 from estune.loop_model.error_filters import whiten
-from estune.loop_model.fit_signals import FitSignals
+from estune.loop_model.fit_signals import FitSignals, signals_of
 from estune.loop_model.identification import PoleFit
 from estune.loop_model.least_squares import Solution
 from estune.loop_model.model import LoopModel
@@ -17,6 +17,9 @@ from estune.loop_model.records import LoopRecord
 from estune.loop_model.whiteness import is_white
 
 T = TypeVar("T")
+
+NORMAL_QUANTILE = 1.96
+"""That of 95 % in the middle of a normal distribution."""
 
 RESPONSE_MIN = 10.0
 """Least response in standard deviations of the noise: a trial below 40 is refused as ill-posed."""
@@ -72,12 +75,25 @@ class LoopFit(NamedTuple):
     @property
     def responds(self) -> bool:
         """Whether the measurement follows the effort, beyond the noise."""
-        left_std = self.noise_std if self.noise.is_white else self.residual_std
-        return self.response_peak > RESPONSE_MIN * left_std
+        return self.response_peak > RESPONSE_MIN * self.error_std
+
+    @property
+    def error_std(self) -> float:
+        """Standard deviation of the white errors: of the noise, or of what drives its model."""
+        return self.noise_std if self.noise.is_white else self.residual_std
+
+    @property
+    def is_output_error(self) -> bool:
+        """Whether errors are those of the output: not with friction, a load or growing poles."""
+        return self.noise.is_white and not (self.model.friction or self.model.grows)
 
     def fitted(self, of_records: Sequence[T]) -> list[T]:
         """Of one value for each record those of the records that were fitted."""
         return [one for i, one in enumerate(of_records) if i not in self.left_out]
+
+    def signals(self, records: Sequence[LoopRecord]) -> FitSignals:
+        """Records as deviations, with as much of the past as the model needs."""
+        return signals_of(records, self.settling_samples, self.model.dead_samples)
 
     def solution(self, signals: FitSignals) -> Solution:
         """The prediction errors of the model, without its friction, on signals."""

@@ -72,13 +72,13 @@ def changes_with_motion(
 
     moved = [
         (record, motion)
-        for number, record in enumerate(records)
-        if number not in fit.left_out and (motion := _motion(fit, record, controller)) is not None
+        for record in fit.fitted(records)
+        if (motion := _motion(fit, record, controller)) is not None
     ]
     if fit.model.friction or _motions(fit, [motion.speed for _, motion in moved]) < MOTIONS:
         return False
     kept = [record for record, _ in moved]
-    signals = signals_of(kept, fit.settling_samples, round(fit.settling_samples))
+    signals = signals_of(kept, fit.settling_samples)
     resolution = max(signals.resolution, *(rounding_std(record.measurement) for record in kept))
     model = fit.model
     at = fit.solution(signals)

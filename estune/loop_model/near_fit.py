@@ -54,18 +54,10 @@ def fit_near(
     *,
     misfit: float,
 ) -> NearFit | None:
-    """The fit of the trials near some gains; None where these are too few.
+    """The fit of the trials near some gains, by the misfit of all; None where these are too few.
 
     Excitations of other gains are fitted too where there are none near, and these spoil nothing.
     Those near that spoil the fit of the steps stay in it, with their errors by it.
-
-    Args:
-        gains: The gains.
-        steps: Records of step trials.
-        excitations: Records of excitations.
-        sampling_Hz: Sampling rate.
-        settling_time_s: Settling time asked for.
-        misfit: That of the fit of all trials.
     """
     numbers = tuple(i for i, record in enumerate(steps) if is_near(record, gains))
     if len(numbers) < TRIALS_MIN:

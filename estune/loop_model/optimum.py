@@ -64,26 +64,27 @@ class RobustnessLimits:
     def __post_init__(self) -> None:
         check_settings(self)
 
+    @property
+    def _values(self) -> tuple[float | None, float | None, float | None]:
+        return self.max_sensitivity, self.max_overshoot, self.min_phase_margin_deg
+
     def excess(self, p: Prediction) -> FloatArray:
         """By how much a prediction exceeds each limit, shape (3,).
 
         Sensitivity as a logarithm, overshoot as a share of the step, phase margin in radians.
         """
+        Ms, overshoot, angle = self._values
         return np.array(
             [
-                -1.0
-                if self.max_sensitivity is None
-                else math.log(p.sensitivity / self.max_sensitivity),
-                -1.0 if self.max_overshoot is None else p.overshoot - self.max_overshoot,
-                -1.0
-                if self.min_phase_margin_deg is None
-                else math.radians(self.min_phase_margin_deg - p.phase_margin_deg),
+                -1.0 if Ms is None else math.log(p.sensitivity / Ms),
+                -1.0 if overshoot is None else p.overshoot - overshoot,
+                -1.0 if angle is None else math.radians(angle - p.phase_margin_deg),
             ]
         )
 
     def excesses(self, found: Sequence[Prediction]) -> FloatArray:
         """The same with the sensitivity of each band, (predictions, bands + 2), without kinks."""
-        Ms, overshoot, angle = self.max_sensitivity, self.max_overshoot, self.min_phase_margin_deg
+        Ms, overshoot, angle = self._values
         values = np.array([(*p.peaks, p.overshoot, p.phase_margin_deg) for p in found])
         values[:, :-2] = -1.0 if Ms is None else np.log(values[:, :-2] / Ms)
         values[:, -2] = -1.0 if overshoot is None else values[:, -2] - overshoot
@@ -93,7 +94,7 @@ class RobustnessLimits:
     @property
     def tolerated(self) -> "RobustnessLimits":
         """The limits with what may exceed them and still counts as kept."""
-        Ms, overshoot, angle = self.max_sensitivity, self.max_overshoot, self.min_phase_margin_deg
+        Ms, overshoot, angle = self._values
         return RobustnessLimits(
             None if Ms is None else min((1.0 + KEPT) * Ms, 100.0),
             None if overshoot is None else min((1.0 + KEPT) * overshoot, 1.0),
@@ -126,7 +127,7 @@ class RobustnessLimits:
 
         Half of a small overshoot and of the logarithm of a small Ms is left at least.
         """
-        Ms, overshoot, angle = self.max_sensitivity, self.max_overshoot, self.min_phase_margin_deg
+        Ms, overshoot, angle = self._values
         wide, over, turn = beside
         over -= KEPT * (overshoot or 0.0)
         turn -= KEPT * (angle or 0.0)
@@ -139,14 +140,11 @@ class RobustnessLimits:
 
     def loosened_to(self, p: Prediction) -> "RobustnessLimits":
         """The limits, widened where a prediction exceeds them."""
+        Ms, overshoot, angle = self._values
         return RobustnessLimits(
-            None
-            if self.max_sensitivity is None
-            else max(self.max_sensitivity, min(p.sensitivity, 100.0)),
-            None if self.max_overshoot is None else max(self.max_overshoot, min(p.overshoot, 1.0)),
-            None
-            if self.min_phase_margin_deg is None
-            else max(min(self.min_phase_margin_deg, p.phase_margin_deg), 1e-3),
+            None if Ms is None else max(Ms, min(p.sensitivity, 100.0)),
+            None if overshoot is None else max(overshoot, min(p.overshoot, 1.0)),
+            None if angle is None else max(min(angle, p.phase_margin_deg), 1e-3),
         )
 
 

@@ -85,14 +85,11 @@ def select_order(signals: FitSignals, start: PoleFit) -> PoleFit:
 
 
 def _selected(signals: FitSignals, start: PoleFit, *, has_load: bool) -> PoleFit:
-    """The fit of the least criterion, with a load or drift or without.
-
-    They come first, then the colour of what they leave, which else stands for them.
-    """
+    """The fit of the least criterion, with a load or drift or without."""
     if not has_load:
         start = start._replace(noise=WHITE)
     best = judged(signals, start)
-    while has_load:
+    while has_load:  # before the colour, which else stands for load and drift
         solution = best.fit.solution(signals)
         if is_white(signals, solution.residual):
             return best.fit
@@ -101,7 +98,7 @@ def _selected(signals: FitSignals, start: PoleFit, *, has_load: bool) -> PoleFit
             break
         best = better
     while True:
-        if signals.in_motion:
+        if signals.in_motion:  # before further poles, which else stand for the sensor's colour
             best = _recoloured(signals, best)
         solution = best.fit.solution(signals)
         if is_white(signals, solution.residual):
@@ -186,11 +183,7 @@ def is_enough(signals: FitSignals, fit: PoleFit) -> bool:
 
 
 def _with_noise(signals: FitSignals, solution: Solution) -> list[Selected]:
-    """Starts of fits with a load or a drift more.
-
-    Not of trials from rest that show none before their step: what looks like a load there is the
-    answer to the step of what no model has.
-    """
+    """Starts of fits with a load or a drift more."""
     poles, noise, dead = solution.coordinates, solution.noise, solution.dead
     options = [noise._replace(load=size) for size in LOADS if not noise.load]
     options += [noise._replace(drift=size) for size in DRIFTS if not noise.drift]

@@ -12,12 +12,10 @@ import numpy as np
 from estune.core.gains import Gains
 from estune.core.quantities import FloatArray
 from estune.loop_model.intervals import Interval
-from estune.loop_model.loop_fit import LoopFit
+from estune.loop_model.loop_fit import NORMAL_QUANTILE, LoopFit
 from estune.loop_model.model import close_loop
 from estune.loop_model.prediction import StepTrial, expected_response
 from estune.loop_model.records import LoopRecord
-
-NORMAL_QUANTILE = 1.96
 
 
 def shown_overshoot(
@@ -36,10 +34,9 @@ def shown_overshoot(
     window = _upper_half(response, trial)
     own = [
         record.measurement - record.setpoint[0]
-        for i, record in enumerate(records)
+        for record in fit.fitted(records)
         if record.at_rest
         and record.gains == gains
-        and i not in fit.left_out
         and record.samples == trial.samples
         and record.step_index == trial.step.sample
     ]
@@ -72,11 +69,10 @@ def load_deviation(fit: LoopFit, trial: StepTrial, gains: Gains) -> float:
 
 def _deviation(fit: LoopFit, trial: StepTrial, gains: Gains, weights: FloatArray) -> float:
     """Standard deviation of a weighted sum of a measurement, its weights run backwards."""
-    std = fit.noise_std if fit.noise.is_white else fit.residual_std
     before = 0 if fit.noise.is_white else trial.samples  # a load acts before the trial, too
     answer = fit.disturbance(np.concatenate([weights, np.zeros(before)]))
     found = close_loop(fit.model, gains, trial.controller).noise_response(answer)[0]
-    return std * float(np.linalg.norm(found)) / abs(trial.step.size)
+    return fit.error_std * float(np.linalg.norm(found)) / abs(trial.step.size)
 
 
 def _upper_half(response: FloatArray, trial: StepTrial) -> FloatArray:

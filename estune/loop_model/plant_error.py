@@ -151,11 +151,11 @@ def _spectra(
     fit: LoopFit, record: LoopRecord, number: int, centres: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """Power of what is left, of the effort and of the noise, and bins, in each band."""
-    left, effort, noise_std = fit.unexplained[number], record.effort, fit.noise_std
+    left, effort = fit.unexplained[number], record.effort
     if not fit.noise.is_white:
         H = shaping(fit.model.coordinates, fit.noise, fit.settling_samples)
         effort = whiten((effort - effort[0])[np.newaxis], H.zeros, H.poles)[0]
-        left, noise_std = fit.errors[number], fit.residual_std
+        left = fit.errors[number]
     start = int(np.argmax(left != 0.0))
     if record.at_rest:
         left = _without_jump(left, start, record.step_index)
@@ -164,7 +164,7 @@ def _spectra(
     (remaining, bins), (driven, _) = (
         _in_bands(power(signal[start:]), samples, centres) for signal in (left, effort)
     )
-    return remaining, driven, noise_std**2 * bins, bins
+    return remaining, driven, fit.error_std**2 * bins, bins
 
 
 def _in_bands(
@@ -245,12 +245,7 @@ def error_margin(
 
 
 def unknown_band(unknown: tuple[float, float], sampling_Hz: float) -> str:
-    """A band of which nothing is known, in words.
-
-    Args:
-        unknown: Its ends, rad/sample.
-        sampling_Hz: Sampling rate.
-    """
+    """A band of which nothing is known, by its ends in rad/sample, in words."""
     low, high = (theta * sampling_Hz / (2.0 * math.pi) for theta in unknown)
     if high > 0.45 * sampling_Hz:
         return f"above {low:.3g} Hz"

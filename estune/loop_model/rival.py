@@ -33,8 +33,7 @@ def rival_model(fit: LoopFit, records: Sequence[LoopRecord]) -> LoopModel | None
 
     if fit.model.friction or fit.order % 2 or fit.order + 2 > POLES_MAX:
         return None
-    settling = fit.settling_samples
-    signals = signals_of(fit.fitted(records), settling, round(settling))
+    signals = signals_of(fit.fitted(records), fit.settling_samples)
     more = with_further_pair(signals, fit.poles)
     before, after = (one.solution(signals) for one in (fit.poles, more))
     # Below the resolution of the measurement nothing is left to explain.

@@ -9,7 +9,7 @@ from estune.core import pidf
 from estune.core.gains import Gains
 from estune.core.pidf import ControllerSettings
 from estune.core.quantities import FloatArray
-from estune.loop_model.bend import LEAST, MOST, POWERS, Bend
+from estune.loop_model.bend import LEAST, MOST, POWERS
 from estune.loop_model.model import LoopModel, exchanged
 
 NEWTON = 4
@@ -45,7 +45,7 @@ def sampled_response(
             taps,
             exchanged(np.array(model.numerator)),
             [rest_effort, model.friction],
-            _bend_at(model.bend),
+            [model.bend.size, *model.bend.terms],  # a step trial begins at x = -1 of it
         ]
     )
     run = _loop(
@@ -58,11 +58,6 @@ def sampled_response(
     _, signals = run(first, columns)
     output, effort = np.asarray(signals.full())
     return output, effort - rest_effort
-
-
-def _bend_at(bend: Bend) -> FloatArray:
-    """The size and the terms of a bend, of which a step trial begins at x = -1."""
-    return np.array([bend.size, *bend.terms])
 
 
 def _bent(straight: Any, bend: Any) -> tuple[Any, Any]:

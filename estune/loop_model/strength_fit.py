@@ -16,8 +16,7 @@ import numpy as np
 
 from estune.core.quantities import FloatArray
 from estune.loop_model.bend_fit import Fits, explains, is_plain, may_explain
-from estune.loop_model.fit_signals import signals_of
-from estune.loop_model.loop_fit import LoopFit
+from estune.loop_model.loop_fit import NORMAL_QUANTILE, LoopFit
 from estune.loop_model.records import LoopRecord
 
 FEWEST = 3
@@ -29,8 +28,6 @@ ROUNDS, MOVED, MOST = 4, 1e-3, 0.3
 DRIFTS_FROM = 3.5
 """Slope of the strengths over its standard error from which they drift: by chance in one of 100
 runs of eight trials."""
-
-NORMAL_QUANTILE = 1.96
 
 
 class Present(NamedTuple):
@@ -108,11 +105,10 @@ def _scaled(records: Sequence[LoopRecord], logs: FloatArray) -> list[LoopRecord]
 
 def _step(fit: LoopFit, records: Sequence[LoopRecord]) -> FloatArray | None:
     """The step of ln g of all records, shape (records,); None of a model of another kind."""
-    model = fit.model
-    if model.friction or model.grows or not fit.noise.is_white:
+    if not fit.is_output_error:
         return None
     kept = fit.fitted(range(len(records)))
-    signals = signals_of(fit.fitted(records), fit.settling_samples, model.dead_samples)
+    signals = fit.signals(fit.fitted(records))
     at = fit.solution(signals)
     answer = at.regressors @ at.numerator
     columns = np.zeros((answer.size, len(kept)))

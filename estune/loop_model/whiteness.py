@@ -39,6 +39,11 @@ def is_white(signals: FitSignals, errors: FloatArray) -> bool:
     )
 
 
+def beyond_chance(samples: int) -> float:
+    """Ratio of the powers of so much white noise, five deviations above one, that none reaches."""
+    return 1.0 + 5.0 * math.sqrt(2.0 / samples)
+
+
 def is_contradicted(signals: FitSignals, errors: FloatArray) -> bool:
     """Whether trials from rest contradict a load before their steps, where nothing answers these.
 

@@ -20,7 +20,6 @@ from typing import NamedTuple
 import numpy as np
 
 from estune.core.quantities import FloatArray
-from estune.loop_model.fit_signals import signals_of
 from estune.loop_model.friction_motion import friction_of, less_friction
 from estune.loop_model.least_squares import Solution
 from estune.loop_model.loop_fit import LoopFit
@@ -50,7 +49,7 @@ def evidence(fit: LoopFit, record: LoopRecord) -> PlantEvidence:
     from scipy.optimize import minimize_scalar  # noqa: PLC0415  slow to import
 
     model = fit.model
-    signals = signals_of([record], fit.settling_samples, model.dead_samples)
+    signals = fit.signals([record])
     signals = less_friction(signals, friction_of(model, signals, record))
 
     def at(log_load: float) -> Solution:

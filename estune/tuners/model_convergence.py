@@ -29,14 +29,9 @@ def model_convergence(
     errors: Sequence[float],
     seed: int,
 ) -> ConvergenceEstimate | None:
-    """The state of convergence at the optimum of a loop; None where the way there is long.
+    """The state of convergence at the optimum of a loop within limits as far inside as `beside`.
 
-    Args:
-        loop: The loop.
-        optimum: Its optimum.
-        beside: How far inside the limits that lies.
-        errors: Errors of the predictions of the log cost.
-        seed: Of the draws.
+    None where the way there is long.
     """
     close = loop.log_cost(loop.base) - log_of_cost(optimum.prediction) < WORTH_DRAWING
     if beside.is_wide or not (close and optimum.feasible) or loop.holds_back(optimum):
