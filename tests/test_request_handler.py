@@ -12,7 +12,7 @@ import pytest
 from estune.core.gains import Gains
 from estune.errors import RigError
 from estune.remote.ledger import MemoryLedger
-from estune.remote.messages import VERBS, Answer, Inquire, Status, digest
+from estune.remote.messages import VERBS, Answer, Inquire, Status, decode, digest
 from estune.remote.messages.commands import Clear, Estop, Lease, Submit, Void
 from estune.remote.state_machine.reply_codes import ReplyCode
 from estune.remote.state_machine.state import LEASE_S, Mode
@@ -104,6 +104,22 @@ def test_verbs_all_have_a_handler():
     assert all(callable(getattr(RequestHandler, name)) for name in VERBS)
     without = {n for n, v in VERBS.items() if "lease" not in {f.name for f in fields(v.message)}}
     assert without == {"estop", "clear"}
+
+
+@pytest.mark.parametrize("text", ["\udcff", "x"], ids=["no text", "too long"])
+def test_error_that_no_message_can_carry_is_answered_by_one_that_says_so(text):
+    """Its thread would end, and leave every later command of its kind unanswered."""
+    rig, replies, text = ScriptedRig(), [], 100_000 * text
+
+    def fail():
+        raise RigError(text)
+
+    with handling(rig) as handler:
+        rig.describe = fail
+        handler.query(handler.describe, replies.append)
+        handler.query(handler.status, replies.append)
+    assert decode(Answer, replies[0]).error == "ProtocolError"
+    assert decode(Status, replies[1]).mode is Mode.LEASED
 
 
 # --- trials ---

@@ -66,7 +66,10 @@ class MessageDispatcher:
             made = answer()
             data = made if isinstance(made, bytes) else messages.encode(made)
         except BaseException as error:  # noqa: BLE001  even SystemExit: a client waits for it
-            data = messages.encode(refusal(to_estune_error(error, activity)))
+            try:
+                data = messages.encode(refusal(to_estune_error(error, activity)))
+            except ProtocolError as unsendable:  # else the thread would end, and serve nobody more
+                data = messages.encode(refusal(unsendable))
         reply(data)
 
     @staticmethod
