@@ -175,6 +175,36 @@ def test_lost_frame_is_asked_for_again(bus, lost, within_s):
             thread.join()
 
 
+def test_torques_that_the_interface_does_not_take_are_a_fault(bus):
+    """The axis keeps the last torque, though all other frames pass."""
+    address, listener = bus
+    settings = {"newton_metres_per_count": 1.0, "counts_per_turn": 1, "write_within_s": 0.1}
+    odrive = ODrive(address, 0, heartbeat_s=60.0, answer_within_s=PATIENT_s, **settings)
+    send = odrive._bus.send
+
+    def refuse_torques(frame):
+        send(frame)
+        if frame.identifier == 0x0E:
+            odrive._bus.fault = "the CAN interface takes no frame"
+
+    port, _ = listener.accept()
+    with port:
+        port.send(Frame(0x01, struct.pack("<IBBBB", 0, 8, 0, 0, 0)).pack())
+        odrive.enable()
+        odrive._bus.send = refuse_torques
+        time.sleep(0.15)
+        odrive.write(1)
+        odrive.request()
+        port.send(Frame(0x09, struct.pack("<ff", 5.0, 0.0)).pack())
+        assert "no torque was commanded" in odrive.position().fault
+        odrive._bus.send = send
+        odrive.write(1)
+        odrive.request()
+        port.send(Frame(0x09, struct.pack("<ff", 5.0, 0.0)).pack())
+        assert odrive.position() == (5, "")
+    odrive.close()
+
+
 def test_axis_without_heartbeats_is_a_fault(bus):
     address, listener = bus
     settings = {"newton_metres_per_count": 1.0, "counts_per_turn": 1, "write_within_s": 60.0}

@@ -284,6 +284,7 @@ def _fault(  # noqa: PLR0911  a return for each fault, the most severe first
             f"the gauge has read exactly {sample.gauge_counts:g} counts for "
             f"{_ms(now - following.changed_s)}; limit {_ms(limits.frozen_s)}",
         )
+    # A trial that goes on for longer holds the reel by gains that nobody has tried before.
     if not now - watch.start_s <= limits.duration_s:
         return GuardTrip(
             Reason.DEADLINE,
@@ -300,6 +301,7 @@ def _crossed(  # noqa: PLR0911  a return for each limit, the most severe first
     measured, unit, current, current_unit = limits.words
     if tension > limits.tension_max_N:
         return _over(Reason.TENSION, measured, tension, limits.tension_max_N, unit)
+    # The loop pulls against no tension: the drum speeds up until the cable jerks taut.
     if now - following.taut_s > limits.slack_s:
         return GuardTrip(
             Reason.SLACK,
@@ -307,11 +309,13 @@ def _crossed(  # noqa: PLR0911  a return for each limit, the most severe first
             f"{_ms(now - following.taut_s)} ({measured} {tension:.4g} {unit}); "
             f"limit {_ms(limits.slack_s)}",
         )
+    # A jerk shows here before the tension has reached its limit.
     rate = (tension - watch.tension_N) / (now - watch.time_s)
     if abs(rate) > limits.rate_max_N_s:  # no number at the first sample
         return _over(
             Reason.RATE, f"rate of the {measured}", rate, limits.rate_max_N_s, f"{unit}/s"
         )
+    # A motor bears its peak current for a short time only; then it overheats.
     if now - following.within_s > limits.current_s:
         return GuardTrip(
             Reason.CURRENT,

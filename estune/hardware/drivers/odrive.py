@@ -146,7 +146,7 @@ class ODrive:
         """The encoder's counts, after a request, which is repeated.
 
         They have a fault where they do not come, and where the axis has left closed loop or fallen
-        silent, or the controller has stopped writing.
+        silent, or no torque has been sent for long.
         """
         turns = self._answered()
         if turns is None:
@@ -190,7 +190,10 @@ class ODrive:
         """Commands a torque."""
         self._send(INPUT_TORQUE, _TORQUE.pack(current_counts * self._torque_Nm))
         self._frames[INPUT_TORQUE] += 1
-        self._written_s = time.monotonic()
+        # Not where it was not sent: the axis keeps its last torque, and the next frame, which may
+        # pass, clears the fault of this one.
+        if not self._bus.fault:
+            self._written_s = time.monotonic()
 
     def disable(self) -> None:
         """Takes the torque away and lets the axis idle."""

@@ -65,6 +65,7 @@ class ReelStateMachine:
     def begin(self, trial: BeginTrial) -> None:
         """Accepts a trial, or refuses it."""
         reel = self._reel
+        # The word, too: a stop since the last sample is not latched yet.
         if reel.latched or self._memory.words[Word.ESTOP]:
             why = self._memory.reason or "emergency stop"
             reel.answer = Refused(f"it has stopped ({why}); check it, then clear it")

@@ -210,6 +210,7 @@ class BoardRig(Closing):
                     f"{2.0 * longest_s + 5.0:.0f} s; it is stopped: check its sampling rate"
                 )
             time.sleep(_POLL_s)
+        # Its memory is empty: the record would be that of no trial, by gains of the file.
         if status.trial != self._number:
             raise RigError(
                 f"the board of rig {self._description.name} was restarted; check it, then start "

@@ -235,6 +235,7 @@ def clear(state: RigState, _event: events.ClearEvent, _now_s: float) -> Transiti
 
 def clear_while_busy(state: RigState, _event: events.ClearEvent, _now_s: float) -> Transition:
     """Refuse: a trial is active."""
+    # The stop that is ending it would be undone before it has ended.
     return _busy(state)
 
 
