@@ -169,7 +169,7 @@ def test_tally_of_all_trials_is_that_of_one_after_the_other():
         (Phase.CONFIRM, Outcome.GUARD, math.nan),
     ]
     whole = Tally(None).after(trials)
-    assert whole == (None, 7, 2, 1, (2.0, 4.0))
+    assert whole == (None, 7, 2, 1, (2.0, 4.0), (2.0, 0))
     one_by_one = Tally(None)
     for trial in trials:
         one_by_one = one_by_one.after([trial])

@@ -20,6 +20,8 @@ class Tally(NamedTuple):
         eta_max_given: The cost above which a trial is unsafe, where the plan gives one.
         number: Trials that count: all but void ones.
         baseline: Costs of the initial gains.
+        best: Lowest cost of a safe trial of the initial gains or of the search, and its number;
+            not of a repeat, which is of gains that were chosen for a low cost.
     """
 
     eta_max_given: float | None
@@ -27,29 +29,38 @@ class Tally(NamedTuple):
     unsafe: int = 0
     declined: int = 0
     baseline: tuple[float, ...] = ()
+    best: tuple[float, int] | None = None
+
+    @property
+    def start_cost(self) -> float | None:
+        """Mean cost of the initial gains; None until there is one."""
+        return fmean(self.baseline) if self.baseline else None
 
     @property
     def eta_max(self) -> float:
         """The cost above which a trial is unsafe; infinite until there is a baseline."""
         if self.eta_max_given is not None:
             return self.eta_max_given
-        return UNSAFE_RATIO * fmean(self.baseline) if self.baseline else math.inf
+        return math.inf if self.start_cost is None else UNSAFE_RATIO * self.start_cost
 
     def after(self, trials: Iterable[tuple[Phase, Outcome, float]]) -> Self:
         """The tally after further trials, each by its phase, outcome and cost."""
-        number, unsafe, declined, baseline = self[1:]
+        number, unsafe, declined, baseline, best = self[1:]
         eta_max = self.eta_max  # once, and after each cost of the initial gains: runs are long
         for phase, outcome, cost in trials:
             if outcome is not Outcome.DONE and outcome.is_void:
                 continue
-            number += 1
-            declined += outcome is Outcome.DECLINED
             if is_unsafe(phase, outcome, cost, eta_max):
                 unsafe += 1
-            elif phase is Phase.BASELINE and outcome is Outcome.DONE:
-                baseline = (*baseline, cost)
-                eta_max = self._replace(baseline=baseline).eta_max
-        return self._replace(number=number, unsafe=unsafe, declined=declined, baseline=baseline)
+            elif outcome is Outcome.DECLINED:
+                declined += 1
+            elif phase in (Phase.BASELINE, Phase.SEARCH):
+                best = min(best or (math.inf, 0), (cost, number))
+                if phase is Phase.BASELINE:
+                    baseline = (*baseline, cost)
+                    eta_max = self._replace(baseline=baseline).eta_max
+            number += 1
+        return type(self)(self.eta_max_given, number, unsafe, declined, baseline, best)
 
 
 def is_safe(phase: Phase, outcome: Outcome, cost: float, eta_max: float) -> bool:

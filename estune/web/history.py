@@ -9,9 +9,9 @@ import numpy as np
 from estune.core.quantities import FloatArray
 from estune.run.journal import JournalEntry
 from estune.run.phase import Phase
-from estune.run.tally import is_safe
+from estune.run.tally import was_safe, was_unsafe
 from estune.support.quantity_text import axis_label
-from estune.trial import Outcome, RigDescription, TrialRecord
+from estune.trial import RigDescription, TrialRecord
 
 HISTORY_MAX = 4000
 """Trials of the past that a page is sent: of more, the best and the worst of each stretch."""
@@ -23,20 +23,8 @@ PHASES = tuple(Phase)
 
 def row(entry: JournalEntry, eta_max: float) -> tuple[float, ...]:
     """Number, cost, kind, phase and gains of a trial."""
-    kind = _kind(entry, eta_max)
+    kind = DONE if was_safe(entry, eta_max) else UNSAFE if was_unsafe(entry, eta_max) else VOID
     return (entry.number, entry.cost, kind, PHASES.index(entry.phase), *entry.gain_values)
-
-
-def is_good(entry: JournalEntry, eta_max: float) -> bool:
-    """Whether a trial may be the best so far: a safe one of the initial gains or of the search."""
-    is_searched = entry.phase in (Phase.BASELINE, Phase.SEARCH)
-    return is_searched and _kind(entry, eta_max) == DONE
-
-
-def _kind(entry: JournalEntry, eta_max: float) -> int:
-    if entry.outcome is None or entry.outcome.is_void or entry.outcome is Outcome.DECLINED:
-        return VOID
-    return DONE if is_safe(entry.phase, entry.outcome, entry.cost, eta_max) else UNSAFE
 
 
 def thinned(entries: Sequence[JournalEntry]) -> Sequence[JournalEntry]:

@@ -9,11 +9,8 @@ from typing import Any
 from estune.errors import EstuneError
 from estune.run.journal import FILE_NAME, Journal, being_written
 from estune.run.labels import LABELS, NUMBERS, ListedNumbers, read_labels, read_numbers
-from estune.run.phase import Phase
+from estune.run.tally import Tally
 from estune.run.targets import is_endpoint
-from estune.trial import Outcome
-
-_COMPARED = (Phase.BASELINE, Phase.SEARCH)
 
 
 class ListedRun:
@@ -69,7 +66,8 @@ class ListedRun:
     def _row(self) -> dict[str, Any]:
         try:
             with Journal.open(self.folder, briefly=True) as journal:
-                entries = [e for e in journal.entries() if e.outcome is not None]
+                entries = [(e.phase, e.outcome, e.cost) for e in journal.entries() if e.outcome]
+                tally = Tally(journal.fact("plan").get("eta_max")).after(entries)
                 status, begun = str(journal.fact("status")), journal.fact("created_at")
                 rig = journal.fact("rig")["name"]
                 self.target = journal.fact("target") or ""
@@ -79,12 +77,7 @@ class ListedRun:
         begun_at = datetime.fromisoformat(begun).astimezone()
         self.last_at = ended[-1] if ended else begun_at
         self.took_s = (self.last_at - begun_at).total_seconds()
-        done = [e for e in entries if e.outcome is Outcome.DONE and e.phase in _COMPARED]
-        baseline = [e.cost for e in done if e.phase is Phase.BASELINE]
-        shown = ListedNumbers(
-            start_cost=sum(baseline) / len(baseline) if baseline else None,
-            cost=min((e.cost for e in done), default=None),
-        )
+        shown = ListedNumbers(start_cost=tally.start_cost, cost=tally.best and tally.best[0])
         stored = read_numbers(self.folder)._asdict().items()
         numbers = shown._replace(**{name: x for name, x in stored if x is not None})
         return {

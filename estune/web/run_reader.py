@@ -7,7 +7,6 @@ import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from pathlib import Path
-from statistics import fmean
 from typing import Any
 
 from estune import api
@@ -99,7 +98,6 @@ class _FollowedRun:
         self._entries: list[JournalEntry] = []
         self._rows = self._latest = 0
         self._latest_at_s = -LATEST_S
-        self._best: JournalEntry | None = None
         self._tuning: TuningRun | None = None
         self._live: LivePrediction | None = None
         self._status = ""
@@ -125,8 +123,12 @@ class _FollowedRun:
             return
         self._status = status
         self._entries += added
+        before = self._tally.best
         self._tally = self._tally.after((e.phase, e.outcome, e.cost) for e in added if e.outcome)
         self._show_trials(added, restart=is_first)
+        best = self._tally.best
+        if best is not None and best != before:
+            self._put_curve("best", {entry.number: entry for entry in added}[best[1]])
         self._show_latest()
         self._follow_session()
         self._show_state(pending)
@@ -145,7 +147,6 @@ class _FollowedRun:
 
     def _show_trials(self, added: Sequence[JournalEntry], *, restart: bool) -> None:
         eta_max = self._tally.eta_max
-        good = [entry for entry in added if history.is_good(entry, eta_max)]
         if self._rows + len(added) > 2 * history.HISTORY_MAX:  # a page may be open for days
             added, restart = self._entries, True
         shown = history.thinned(added) if restart else added
@@ -153,10 +154,6 @@ class _FollowedRun:
         self._board.extend("trials", [history.row(e, eta_max) for e in shown], restart=restart)
         if added and len(self._entries) == len(added):
             self._put_curve("start", added[0])
-        best = min((*good, *([self._best] if self._best else ())), key=_cost, default=None)
-        if best is not None and best is not self._best:
-            self._best = best
-            self._put_curve("best", best)
 
     def _show_latest(self) -> None:
         """Shows the latest trial, of fast ones only some."""
@@ -171,7 +168,7 @@ class _FollowedRun:
             self._board.put(f"curve.{name}", shown | {"number": entry.number})
 
     def _show_state(self, pending: JournalEntry | None) -> None:
-        tally, best, session = self._tally, self._best, self._session
+        tally, session = self._tally, self._session
         ended = self.journal.ended_at(_TIMES)
         begun = self.journal.fact("created_at")
         taken_s = (ended[-1] - ended[0]).total_seconds() if len(ended) > 1 else None
@@ -188,11 +185,11 @@ class _FollowedRun:
                 "ended_at": ended[-1].isoformat() if ended else begun,
                 "unsafe": tally.unsafe,
                 "eta_max": tally.eta_max,
-                "start_cost": fmean(tally.baseline) if tally.baseline else None,
+                "start_cost": tally.start_cost,
                 "repeatability": repeatability((tally.baseline,))
                 if len(tally.baseline) > 1
                 else None,
-                "best": best and {"number": best.number, "cost": best.cost},
+                "best": tally.best and {"number": tally.best[1], "cost": tally.best[0]},
                 "next": list(pending.gain_values) if pending else None,
                 "text": _search_text(self._board.get("expected"), pending),
             },
@@ -266,10 +263,6 @@ def _about(
         "gains": list(GAIN_NAMES),
         "gain_labels": history.gain_labels(rig),
     }
-
-
-def _cost(entry: JournalEntry) -> float:
-    return entry.cost
 
 
 def _search_text(expected: dict[str, Any] | None, pending: JournalEntry | None) -> str:
