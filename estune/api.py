@@ -156,7 +156,7 @@ class TuneOptions(Search):
 
 
 @keywords(TuneOptions)
-def tune(target: Any, options: TuneOptions) -> "TuneResult":  # noqa: D417  from the declaration
+def tune(target: Any, options: TuneOptions) -> "TuneResult":
     """Tunes the PIDF gains of a rig by step trials.
 
     Trials use temporary gains: the rig restores its live gains after each. The tuned gains are in

@@ -20,7 +20,6 @@ class FoxgloveViewer:
     Clients can only look: the server offers them nothing to publish, call or set.
 
     Args:
-        rig: The rig's name.
         at: Loopback address and port of the server; port 0 takes a free one.
 
     Raises:

@@ -78,7 +78,6 @@ class Ros2Viewer:
 
     Args:
         put: Session with the router of the ROS network.
-        rig: The rig's description.
         domain: Domain id of ROS.
         dds: Whether the messages go to DDS by zenoh-bridge-ros2dds.
         drum_radius_m: Radius that turns the current's force into a torque; None for no torque.

@@ -116,10 +116,8 @@ def unlimited_effort(
 
     Args:
         settings: The fixed part of the controller.
-        gains: The gains.
         setpoint: Setpoint before its filter, shape (samples,).
         measurement: Measurement, shape (samples,).
-        first_effort: Effort of the first sample.
         form: As of `controller_polynomials`.
     """
     c = controller_polynomials(settings, gains, form)

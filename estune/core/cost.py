@@ -143,7 +143,6 @@ class StepCost:
         """The cost eta of a sampled step response, or of a batch of them.
 
         Args:
-            sampling_Hz: Sampling rate.
             step: The step, whose size is dT, and the load.
             setpoint: Setpoint r before its filter, shape (samples,) or (..., samples).
             measurement: Measurement y, shape (..., samples).

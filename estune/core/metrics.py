@@ -79,7 +79,6 @@ def step_metrics(
     Args:
         time_s: Time of each sample, s, shape (samples,).
         measurement: Measured response, shape (samples,), any unit.
-        step_time_s: Time of the step, s.
         initial: Setpoint before the step, in the unit of the measurement.
         final: Setpoint after the step.
         band: Half-width of the settling band without noise, as a fraction of the step.

@@ -61,7 +61,6 @@ def checked_array(
     Args:
         name: Name of the quantity, for the error.
         values: The values, any shape.
-        unit: Their unit, for the error.
         above: Bound that every value must exceed.
         least: Least value allowed.
 

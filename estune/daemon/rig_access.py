@@ -145,7 +145,6 @@ class RigAccess:
         """Makes gains the live ones, and reads them back.
 
         Args:
-            gains: The gains.
             original: The original gains, for another daemon that takes the rig over.
 
         Raises:
@@ -266,8 +265,6 @@ def apply_nominal_gains(
     """Makes the nominal gains live; stores the rig's original gains the first time.
 
     Args:
-        rig: Supervision of the rig.
-        access: Its connection.
         home: Name of the nominal gains.
         shared: Whether other daemons may take the rig over: it then keeps its original gains, and
             gains that one of them has left are taken over as accepted ones.

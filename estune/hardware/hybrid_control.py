@@ -50,8 +50,6 @@ class HybridControl:
         """Whether tension is to be controlled, and its setpoint, N.
 
         Args:
-            tension_N: Measured tension, N.
-            setpoint_N: Present setpoint, N.
             held_N: Setpoint from which tension control begins, N.
             solved: Whether no source asks for position control.
         """

@@ -115,7 +115,6 @@ def wanted_setpoint(
     Infinite where one of the loops is unstable by the model.
 
     Args:
-        unknown: The loop.
         samples: Length of the multisine.
         lowest: Frequency from which the loop is to be known by it, rad/sample.
         highest: Frequency up to which it is.

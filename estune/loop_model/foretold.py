@@ -29,8 +29,6 @@ def trials_to_show(
 
     Args:
         loop: The loop with the gains in question.
-        trial: The step trial.
-        limit: The limit.
         answer: Each trial to come, without noise.
     """
     Ms = margins_by_records(loop.fit, loop.records, trial, loop.gains).sensitivity

@@ -90,10 +90,7 @@ def half_widths(
     the assumed one.
 
     Args:
-        fit: The identified loop.
         records: The records given to the fit, a step trial first.
-        trial: The step trial.
-        gains: The gains.
         repeats: Trials of these gains to come.
     """
     at = margins_by_records(fit, records, trial, gains)

@@ -64,9 +64,6 @@ def predict_with_intervals(
     What the records leave unexplained or do not excite is not in them (`plant_error`).
 
     Args:
-        fit: The identified loop.
-        trial: The step trial.
-        gains: The gains.
         draws: The models; those that the covariances allow by default.
         model_error: Error of Ms that always remains, relative to it.
     """

@@ -68,9 +68,6 @@ def price_of(
     """The price of limits about the tuned gains.
 
     Args:
-        fit: The identified loop.
-        trial: The step trial.
-        limits: The limits.
         gains_of: From coordinates to gains.
         at: Coordinates of the tuned gains, shape (n,).
         bounds: Least and greatest coordinates.

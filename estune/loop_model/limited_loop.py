@@ -30,9 +30,7 @@ def setpoint_response(
     From rest at the first sample. Not finite where the loop is unstable and no limit holds it.
 
     Args:
-        model: The loop.
         record: The record, with the limits at which its effort was held.
-        gains: The gains.
         settings: The fixed part of the controller.
     """
     moves = record.setpoint - record.setpoint[0]

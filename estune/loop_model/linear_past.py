@@ -36,7 +36,6 @@ def linear_past(signals: FitSignals, lags: int) -> FloatArray:
     """The past of effort and measurement behind each residual, shape (residuals, columns).
 
     Args:
-        signals: The records.
         lags: Samples before that are known one by one; beyond them exponential means are.
     """
     longest = max(MEANS_TO * signals.settling_samples, 2.0 ** (MEANS_FROM + 1))
@@ -63,7 +62,6 @@ def linear_answers(
     """What a linear loop may still answer to its setpoint, shape (residuals, columns).
 
     Args:
-        signals: The records.
         answers: Output and effort by which the model answers the setpoint of each record.
     """
     lags = np.unique(np.linspace(0.0, ANSWERED * signals.settling_samples, ANSWERS + 1).round())

@@ -26,8 +26,6 @@ def shown_overshoot(
     Args:
         fit: The identified loop, stable with the gains.
         records: The records given to the fit.
-        trial: The step trial.
-        gains: The gains.
         told: The interval by the model.
     """
     response = expected_response(fit.model, trial, gains)

@@ -93,7 +93,6 @@ def predictions(
 
     Args:
         models: Of one order and dead time; one for all gains, or one for each.
-        trial: The step trial.
         gains: One for all models, or one for each.
         noise_std: Standard deviation of the measurement noise.
     """
@@ -192,7 +191,6 @@ def _expected_costs(
     one fixed sequence of noise and its negative, which leaves out the terms of odd order.
 
     Args:
-        trial: The step trial.
         output: Shape (loops, samples).
         effort: The same.
         answers: Of measurement and effort to the noise, shape (loops, 2, samples); or variances

@@ -21,7 +21,6 @@ def problem(models: Sequence[LoopModel], trial: StepTrial, noise_std: float) -> 
 
     Args:
         models: The loop as it is estimated, then models that are as likely.
-        trial: The step trial.
         noise_std: Standard deviation of the measurement noise.
     """
     cost, step, rate = trial.cost, trial.step, trial.controller.sampling_Hz

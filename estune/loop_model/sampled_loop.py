@@ -32,7 +32,6 @@ def sampled_response(
     Args:
         model: The loop; friction holds nothing at rest, and the step is that of its bend.
         settings: The fixed part of the controller.
-        gains: The gains.
         setpoint: As a deviation, shape (samples,).
         load: Added to the effort on its way to the plant, shape (samples,).
         rest_effort: Effort at rest, by which the controller's limits are judged.

@@ -152,8 +152,6 @@ def prove(
     """Runs the trials of a proof at the rig's live gains.
 
     Args:
-        rig: The rig.
-        patch: The remedy.
         pairs: Pairs of trials with it and without; even.
         say: Told of each trial before it begins.
 
@@ -202,8 +200,6 @@ def measured(
     """`MEASURES` of one turn: a step with rest, and a triangle; both trials at the live gains.
 
     Args:
-        rig: The rig.
-        about: Its description.
         place: Run and number of the first trial.
         patch: The remedy; None leaves the rig's compensations as they are.
         calm: Deviation at rest without the remedy; None runs the turn without it.

@@ -231,7 +231,6 @@ def unit_by_name(table: ColumnTable, channel: Channel, si: str, drum: Drum) -> s
 
     Args:
         table: The map's entry.
-        channel: The channel.
         si: The record's own unit; empty for a plain number.
         drum: Numbers of the reel, for lengths and torques.
     """

@@ -66,7 +66,6 @@ def read_loop_log(
     """Reads the log of a control loop from a file of a known format.
 
     Args:
-        path: The file.
         sources: Channels of the columns that are not found by their names.
         sampling_Hz: Rate, where the file has no times.
 

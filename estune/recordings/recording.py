@@ -76,7 +76,6 @@ def read_recording(
     """Reads a file of a known format and the `.json` beside it.
 
     Args:
-        path: The file.
         column_map: Names, units and scales of the columns that are not as a record's.
         drum: Numbers of the reel, for lengths and torques.
 

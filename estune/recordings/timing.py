@@ -308,7 +308,6 @@ def _off_grid(time_s: FloatArray, rate: float, counts: FloatArray | None = None)
     """Greatest deviation of stamps from the even grid that suits them best, in samples.
 
     Args:
-        time_s: The stamps.
         rate: Of the grid.
         counts: Samples of the grid that the stamps are of; by default all in turn.
     """

@@ -137,7 +137,6 @@ class FrictionFeedForward:
             direction: Direction z.
             velocity_rad_s: Known velocity of the drum, rad/s.
             tension_N: Known tension, that of the filtered setpoint, N.
-            drum_radius_m: Radius of the cable on the drum, m.
         """
         dry_N = float(self.friction.size_Nm(velocity_rad_s)) / drum_radius_m
         return self.fraction * direction * (dry_N + self.load_share * max(tension_N, 0.0))

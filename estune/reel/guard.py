@@ -138,11 +138,8 @@ class Sample(NamedTuple):
     """Input of the guard at one sample.
 
     Attributes:
-        time_s: Time of the reading, s.
         tension_N: Tension, N; NaN if the reading is outside the calibration.
-        gauge_counts: Reading of the gauge, counts.
         current_A: Current commanded at the last sample, A.
-        angle_rad: Angle of the drum, rad.
         late: Whether the sample was late.
         silence_s: Time since the last heartbeat of the supervisor, s.
         cost: Cost of the trial so far, this sample included.
@@ -175,11 +172,7 @@ class GuardState(NamedTuple):
 
 
 class GuardTrip(NamedTuple):
-    """Decision of the guard that the reel must go to its safe state.
-
-    Attributes:
-        reason: The reason.
-    """
+    """Decision of the guard that the reel must go to its safe state."""
 
     reason: Reason
     sentence: str
@@ -206,9 +199,7 @@ def check_sample(
     """One sample of the guard.
 
     Args:
-        limits: Limits of the reel.
         watch: State after the last sample; `begin` at the first.
-        sample: The sample.
 
     Returns:
         The next state, and the trip, if any. Of several violations at once the most severe is

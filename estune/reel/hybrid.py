@@ -49,7 +49,6 @@ class SwitchingRules:
 
         Args:
             previous: The selection at the last sample.
-            tension_N: Measured tension, N.
             solved: Whether the tension distribution has a solution.
         """
         release = self.tension_min_N + np.where(previous, self.margin_N, 0.0)

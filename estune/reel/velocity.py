@@ -122,10 +122,7 @@ def step(
     """One sample of the estimator.
 
     Args:
-        windows: The settings.
         state: After the last sample; `MotionState()` at the start.
-        time_s: Time of the reading, s.
-        angle_rad: The angle, rad.
 
     Raises:
         InvalidInput: the time or the angle is not finite, or time does not increase.
@@ -187,7 +184,6 @@ def motion(windows: Windows, time_s: ArrayLike, angle_rad: ArrayLike) -> DrumMot
     """The motion at each sample of a record, by `step`.
 
     Args:
-        windows: The settings.
         time_s: Times of the readings, s, shape (samples,).
         angle_rad: The angles, rad, shape (samples,).
 

@@ -192,7 +192,6 @@ class FileLedger(_RigFacts):
         """Opens or creates the ledger of a rig; ends the trials that an earlier start left open.
 
         Args:
-            path: The file.
             rig: Name of the rig; a ledger serves no other.
             frames_max_bytes: Limit of the frames of the youngest trials.
             trials_max: Limit of the number of trials.

@@ -55,8 +55,6 @@ def measure_behaviour(
     """Runs a step with the rest after it, and a slow triangle.
 
     Args:
-        rig: The rig.
-        about: Its description.
         gains: Gains of both trials.
         run: Name under which the rig knows the two trials; they run once.
         journal: Where they are noted; None without one.

@@ -41,7 +41,6 @@ class ForeseenExcitation(NamedTuple):
     """An excitation, what it does and what it will leave unknown, by the model.
 
     Attributes:
-        trial: The trial.
         answer: Its record, without noise.
         margin: What the plant's error will leave of the loop in question.
     """
@@ -139,9 +138,6 @@ def _allowed(
     """The largest multisine about the preload, and about the middle of the step.
 
     Args:
-        unknown: The loop.
-        plan: The plan.
-        rig: The rig.
         moved: Largest deviation of setpoint and measurement for a multisine of rms one.
         driven: That of the effort.
     """

@@ -198,8 +198,6 @@ def run(
     `tuning` is up to date throughout, also after an exception.
 
     Args:
-        tuning: The run.
-        rig: The rig.
         listeners: Called after each trial.
         ask: Approval callback, where the plan requires one. A declined trial is not run but
             committed as declined, and the run continues.

@@ -54,8 +54,6 @@ def missing_trials(
         loop: The identified loop with the confirmed gains.
         claimed: What is claimed of them.
         overshoot: Its interval, as a share of the step, and the number of trials that it rests on.
-        plan: The plan.
-        rig: The rig.
     """
     limits, trial = plan.limits, step_trial(rig, plan.step, plan.cost)
     if limits is None or limits.min_phase_margin_deg is not None:

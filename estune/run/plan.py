@@ -106,7 +106,6 @@ class Plan(Search):
     Attributes:
         run: Name of the run; its trial ids begin with it.
         tuner: The tuner with its settings; its search space is centred on `start`.
-        start: Initial gains.
         ask_first: Whether the operator must approve gains outside the region shown to be safe.
         start_source: Where initial gains come from that were not tried on the rig; the first
             record refuses them if their loop is not robust.

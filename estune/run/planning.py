@@ -44,7 +44,6 @@ def make_tuner(
 
     Args:
         tuner: Its name, or the tuner.
-        start: The gains at the start.
         bounds: Of single parameters, in place of the usual ones.
         accepted: Bounds of a trial's gains that the rig accepts.
 

@@ -22,7 +22,6 @@ def table_of(
     """Adds the settings of dataclasses to a table as its keys.
 
     Args:
-        kinds: The dataclasses.
         leave_out: Settings that are no keys.
         own: Whether a key that is not given has the default of its declaration, or must be given
             without one; else it is None, and left to the rig.

@@ -114,11 +114,8 @@ def quality_remarks(
     """Sentences on what makes the trials of a run doubtful.
 
     Args:
-        plan: The plan.
-        rig: The rig.
         first: Record of the first trial, or None.
         cost: Mean cost of the initial gains.
-        fit: The identified loop, or None.
     """
     remarks = []
     share = 0.0 if first is None else _shares(first, plan, rig, cost)[1]

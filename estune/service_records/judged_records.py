@@ -44,7 +44,6 @@ class JudgedRecords:
         judgement: What the records show.
         replay: Comparison of the last logged effort with that of the gains; None without one.
         trial: The step response that cost and overshoot are predicted for.
-        fit: The identified loop.
         stretches: What was used.
         gains_by_log: The gains that ran, by the log's name.
         ran_otherwise: Names of logs before the last in which other gains ran than those stated.

@@ -90,8 +90,6 @@ def judge(
     """Whether the records show the margins of a loop with these gains.
 
     Args:
-        loop: The identified loop.
-        gains: The gains in question.
         margins: The predictions at these gains.
         margin: What the error of the identified plant leaves of them.
         is_thin: Whether the effort moved between the rows: then the errors show that, and would

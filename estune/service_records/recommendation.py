@@ -80,7 +80,6 @@ def recommend(
     """The recommended gains; None where no gains keep the limits by their intervals.
 
     Args:
-        loop: The identified loop.
         trial: The step by which costs and overshoots are predicted.
         in_use: The gains that the search begins from.
         limits: What the gains have to keep.

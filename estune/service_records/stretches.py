@@ -87,7 +87,6 @@ def find_stretches(
     """The stretches of a log in which the controller's equation holds, and the rest with reasons.
 
     Args:
-        log: The log.
         P: Proportional gain that ran, by which it is known whether the effort should have moved;
             None estimates it from the moves of effort and error.
         shortest: Samples of the shortest stretch.

@@ -87,10 +87,6 @@ def observe(
     """A loop with one record more, and whether its plant has changed.
 
     Args:
-        known: The loop.
-        record: The record.
-        sampling_Hz: Its sampling rate.
-        settling_time_s: Settling time asked for.
         refit: Whether the fit follows the records; whether a plant has changed, which is told by
             the reference, does not depend on it.
     """
@@ -144,7 +140,6 @@ def is_another(known: WatchedLoop, shown: Sequence[PlantEvidence], starts: int) 
     """Whether records are of another plant than a known one, whichever one is left out.
 
     Args:
-        known: The loop.
         shown: What the records show.
         starts: Beginnings of a change that they were chosen from; each could be chance.
     """
@@ -176,7 +171,6 @@ def judged_margins(
     Args:
         known: A loop with at least one record.
         trial: The step that cost and overshoot are predicted for.
-        gains: The gains.
         settings: The fixed part of the controller.
     """
     assert known.fit is not None  # noqa: S101  it has a record

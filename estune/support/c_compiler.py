@@ -42,7 +42,6 @@ def load(source: str, optimise: str = "-O3") -> ctypes.CDLL:
     """The library of a C source, compiled or from the cache.
 
     Args:
-        source: The C source.
         optimise: The compiler's option for it: what is run once may be worth less compiling.
 
     The cache is the folder `ESTUNE_CACHE`, or `estune` in the user's cache folder; if it cannot be

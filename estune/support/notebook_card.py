@@ -24,7 +24,6 @@ def card(
     Args:
         heading: The result in one line, marked green, red or orange.
         good: Green if true, red if false, orange if None.
-        tables: Tables below it.
         sentences: Sentences below the tables.
         figure: A figure at the end, on white.
     """

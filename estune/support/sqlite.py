@@ -95,8 +95,6 @@ class SqliteFile(Closing):
         """Opens a file for the one process that writes it.
 
         Args:
-            path: The file.
-            kind: Its kind.
             create: Whether to begin the file if there is none, and its folder.
             prepare: Called with the file before its new or migrated tables are committed.
 
@@ -125,8 +123,6 @@ class SqliteFile(Closing):
         """Opens an existing file for reading; migrates one of an older schema first.
 
         Args:
-            path: The file.
-            kind: Its kind.
             briefly: Whether a file that nobody writes is read without the shared index that a
                 reader beside a writer needs, which takes longer to make than a small file to
                 read. For a reader that reads again what changes.

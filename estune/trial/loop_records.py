@@ -73,7 +73,6 @@ def recomputed_effort(
     Args:
         record: A trial in which no limit acted.
         rig: Gives the fixed part of the controller.
-        first_effort: Effort of the first sample.
         form: Of the controller; the rig's own by default.
     """
     return unlimited_effort(

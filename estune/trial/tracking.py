@@ -53,8 +53,6 @@ def tracking_profile(
     """The slow triangle that belongs to a rig's step: about the middle of it.
 
     Args:
-        step: The rig's step.
-        settling_time_s: Desired settling time, s.
         limits: Limits of the tension, within which the triangle is as wide as they allow; it then
             turns the drum as far as the tension can, which waves over its angle ask for, and asks
             for as much current as the rig may.
@@ -86,9 +84,6 @@ def tracking_of(
     """Tracking of a triangle.
 
     Args:
-        profile: The triangle.
-        settling_time_s: Desired settling time, s.
-        sampling_Hz: Sampling rate.
         error: Setpoint less tension, shape (samples,); NaN is returned for one cut short.
     """
     if error.size < profile.samples(sampling_Hz) or not np.isfinite(error).all():

@@ -76,7 +76,6 @@ class ExtremumSeeking(ABC):
         step_limit: Longest step of the centre between two trials, in logarithms.
         low_pass_share: lambda, weight of the newest slope in the low-pass filter.
         washout_h: h, between 0 and 1.
-        name: The registered name.
 
     Raises:
         InvalidInput: a setting is out of its range, or the scale is not logarithmic.

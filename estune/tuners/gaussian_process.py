@@ -161,7 +161,6 @@ def fit_gaussian_process(
         points: Shape (trials, n).
         values: Observations, the log cost first, shape (trials, quantities).
         noise: Standard deviation of an observation.
-        prior: The prior.
     """
     k = prior_covariance(prior, points, points)
     k[np.diag_indices(len(points))] += noise**2
@@ -185,7 +184,6 @@ def likeliest_noise(points: FloatArray, values: FloatArray, prior: CostPrior) ->
     Args:
         points: Shape (trials, n).
         values: Observations, the log cost first, shape (trials, quantities).
-        prior: The prior.
     """
     k = prior_covariance(prior, points, points)
     deviations = values[:, 0] - prior_mean(prior, points)

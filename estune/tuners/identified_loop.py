@@ -70,7 +70,6 @@ class IdentifiedLoopTuner:
         limits: Limits of sensitivity, overshoot and phase margin.
         reach: Greatest distance of a trial from the best one in each logarithm.
         memory: Records that are fitted.
-        name: Registered name.
 
     Raises:
         InvalidInput: a setting is out of its range, or the scale is not logarithmic.

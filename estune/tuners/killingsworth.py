@@ -54,7 +54,6 @@ class Killingsworth:
         frequency_base: a, between 0 and 1.
         frequency_exponents: The power of a for each parameter; left empty, 1, 2, ... as printed.
         washout_h: h, between 0 and 1.
-        name: The registered name.
 
     Raises:
         InvalidInput: a setting is out of its range, or there is not one for each parameter.

@@ -52,7 +52,6 @@ class LeastSquaresGradient:
         dither_amplitude: Distance of the neighbours from the centre, in logarithms.
         adaptation_gain: gamma, step in logarithms per slope of the logarithm of the cost.
         step_limit: Longest step of the centre between two trials, in logarithms.
-        name: The registered name.
 
     Raises:
         InvalidInput: a setting is out of its range, or the scale is not logarithmic.

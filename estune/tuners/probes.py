@@ -43,7 +43,6 @@ def axis_probe_point(
 
     Args:
         direction: Twice the number of the axis, and one more for down.
-        model: The cost.
         region: Centre, bounds and constraints.
         radius: Longest distance from the centre.
         rise: Greatest predicted rise of the log cost.
@@ -98,7 +97,6 @@ def next_scan_point(
         direction: Twice the number of the parameter, and one more for down.
         steps: Steps made along it before.
         point: Where the step begins, shape (n,).
-        region: The bounds.
     """
     parameter, down = divmod(direction, 2)
     length = STEP if steps >= CAREFUL_STEPS else 0.5 * STEP

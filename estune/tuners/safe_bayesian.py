@@ -107,7 +107,6 @@ class SafeBayesianTuner:
         probe_rise: Rise of the cost, relative to it, that bounds the axis probe.
         constraint_margin_min: Least constraint margin of a safe point, 0 to 1.
         memory: Number of trials kept; older ones are forgotten.
-        name: The registered name.
 
     Raises:
         InvalidInput: a setting is out of its range, or the scale is not logarithmic.

@@ -105,7 +105,6 @@ class SearchSpace:
         A gain that is zero has no logarithm: it is held at zero, and bounds for it are refused.
 
         Args:
-            gains: The start.
             factor: Extent to either side, above one.
             bounds: (low, high) of single parameters, in place of the factor.
             form: The form whose parameters are tuned.
@@ -224,7 +223,6 @@ class SearchSpace:
         """The parameters at a bound, where the cost may still be falling, and which bound.
 
         Args:
-            point: The point.
             tolerance: Greatest distance from a bound, as a share of the range in coordinates.
         """
         bounds: dict[str, Literal["low", "high"]] = {}

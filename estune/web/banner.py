@@ -48,9 +48,7 @@ def banner(
 
     Args:
         kind: Whether the page is that of a run, a rig or a daemon.
-        values: The values of the board.
         ages: Time since each source answered, s.
-        now: The time.
     """
     return next(_banners(kind, values, ages, now))
 

@@ -42,7 +42,6 @@ class RunReader(Reader):
     """Follows a journal ten times a second; only new trials are read.
 
     Args:
-        board: The board.
         choose: The run to show now, or None; a run, to show that one alone.
         predict: Whether to restore the tuner's state, for what it expects; not in a process that
             has other work.

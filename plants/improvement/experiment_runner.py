@@ -152,7 +152,6 @@ def begin(rig: Rig, folder: Path, model: str, say: Say) -> ExperimentRunner:
     """Begins an improvement in a new folder, or continues the one that a folder holds.
 
     Args:
-        rig: The rig.
         folder: The folder; made if it is missing.
         model: The model to begin from, as text; one that is continued must be of the same.
         say: Callback for progress in words.

@@ -52,7 +52,6 @@ class EffectStages:
         """State, and the effects' torque at the drum; each effect sees the sum of those before it.
 
         Args:
-            x: The state.
             site: With the velocity at the end of the span if no effect gave a torque.
             velocity_per_torque: Velocity at the end of the span per torque held over it.
         """
@@ -72,7 +71,6 @@ class EffectStages:
         """State at rest, and the port's input for a steady output.
 
         Args:
-            x: The state.
             signal: The port's output.
             site: The port and its conditions.
             keep_memory: Whether the effects start from their present states instead of zero.

@@ -152,7 +152,6 @@ def prepare_effects(
     """Parameters and prepared constants of each effect.
 
     Args:
-        parameters: The parameters by name.
         p: The plant's own, as amended by the effects.
         preload: Preload of the trial, N.
         **facts: Further facts about the plant that effects ask for.

@@ -43,8 +43,6 @@ def behaviour(
 
     Args:
         plant: A plant model.
-        gains: The controller's gains.
-        settling_time_s: Desired settling time, s.
         remedy: Compensations beside the controller; None for none.
         truth: Tension that is there at a reading of the gauge, of which tracking and reversal then
             are; None where the gauge reads the tension.

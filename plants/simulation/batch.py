@@ -66,7 +66,6 @@ def simulate(
 
     Args:
         plant: The plant, with the fixed part of the controller.
-        gains: The controller's gains.
         profile: The setpoint; None is the plant's own step.
         noise_N: Measurement noise, N, shape (samples,); None is no noise.
         bound_N: Magnitude of the measurement at which the trial ends; None is 100 times the
@@ -122,10 +121,8 @@ def batch_costs(
     """Costs of many sets of gains, computed on all cores in bounded memory.
 
     Args:
-        plant: The plant.
         gains: P, I, D and setpoint filter, one row per trial, shape (trials, 4).
         step: The setpoint; None is the plant's own step.
-        cost: The cost (35).
         seed: Seed of the measurement noise; row n is trial n. None is no noise.
         workers: Threads; None is one per core available to this process.
 

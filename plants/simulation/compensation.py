@@ -51,7 +51,6 @@ def trial_compensation(
     """The compensations of a table on a simulated reel.
 
     Args:
-        table: The table `[compensation]`.
         scale: Sizes of the plant, `plants.effects.plant_scale.PlantScale`.
         settings: The fixed part of the controller.
         name: What the plant is called in a message.

@@ -86,7 +86,6 @@ def loop_functions(plant: Equations, *, compensated: bool = True) -> Functions:
     """The closed loop of a plant and the PIDF.
 
     Args:
-        plant: The plant.
         compensated: Whether what is fed forward and taken off has any effect; where it has none,
             the compiler leaves it out, with the second sensing of each sample.
     """

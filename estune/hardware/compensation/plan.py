@@ -135,7 +135,6 @@ class Notch(NamedTuple):
             frequency_Hz: Its middle, below half the sampling rate.
             width_Hz: Width between the points of -3 dB of a notch to zero.
             depth: Gain in its middle; one is no notch.
-            sampling_Hz: Sampling rate.
         """
         from scipy.signal import iirnotch  # noqa: PLC0415  slow to import
 

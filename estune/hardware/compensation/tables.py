@@ -283,11 +283,8 @@ class CompensationTable(TomlTable):
         """The compensations of a reel.
 
         Args:
-            sampling_Hz: Sampling rate.
             encoder_counts: Encoder counts per turn, of any sign.
-            drum_radius_m: Radius of the cable on the drum, m.
             cable_length_m: Length at an angle of zero, m; None where it is not known.
-            effort_max_N: Greatest effort, N.
             newtons_per_ampere: Effort per motor current, N/A.
 
         Raises:

@@ -107,7 +107,6 @@ def check_order(settings: FloatArray, response: FloatArray, name: str, unit: str
         settings: Shape (n, k); the last column is compared among points that agree in the others.
         response: Shape (n,).
         name: Of the last column, for the error.
-        unit: Its unit.
 
     Raises:
         InvalidInput: a reversal.

@@ -14,7 +14,6 @@ class PutSession(ClosingSession):
     """A client of a router, for puts and liveliness tokens alone. A context manager.
 
     Args:
-        router: Endpoint of the router.
         remedy: What to start where nothing listens there.
 
     Raises:

@@ -137,7 +137,6 @@ class RemoteRig(Closing):
         """Sets the live gains.
 
         Args:
-            gains: The gains.
             original: The gains that ran before any daemon that shares the rig set others; a rig
                 that cannot keep them sets the gains all the same.
         """
@@ -171,7 +170,6 @@ class RemoteRig(Closing):
         """Sends a setpoint, without waiting for the reply; `SetpointStream` sends many.
 
         Args:
-            setpoint: The setpoint.
             receive: Takes the reply, in a thread of the network that must not wait; it is not
                 called without a reply.
             within_s: Time after which a reply is ignored, s.

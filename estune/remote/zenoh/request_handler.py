@@ -70,7 +70,6 @@ class RequestHandler(MessageDispatcher):
         Args:
             rig: The rig. It is called by one thread at a time, not always the same; `abort`,
                 `estop`, `clear`, `follow` and `telemetry` by others.
-            ledger: Ledger of its trials.
             changed: Called when the status has changed.
             instance: Identity of this start of the rig.
             part_bytes: Size of the parts of records; 0 sends them whole.

@@ -184,7 +184,6 @@ class TrialExecutor:
         """Sets the live gains.
 
         Args:
-            gains: The gains.
             original: What a daemon would restore later, which the rig must accept, too.
 
         Raises:

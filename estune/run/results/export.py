@@ -64,7 +64,6 @@ def export_run(
     """Writes every trial of a run into two files, `samples` and `trials`.
 
     Args:
-        run_folder: The run.
         out: Folder for the files; made if it is missing. Earlier files are replaced.
         form: `csv` or `parquet`.
         on_trial: Called after each trial with the number of trials done, and of all.
@@ -105,7 +104,6 @@ def export_trials(
     """Writes every record of a run, one file per trial; `export_run` writes fewer.
 
     Args:
-        run_folder: The run.
         out: Folder for the files; made if it is missing. Files of the same trials are replaced.
         form: As of `record_files.write_columns`.
         on_trial: As of `export_run`.

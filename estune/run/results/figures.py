@@ -73,7 +73,6 @@ def draw_cost(ax: Axes | None, trials: Trials, start_cost: float, eta_max: float
     """Cost per trial by phase, the lowest so far, and the unsafe trials.
 
     Args:
-        ax: Axes.
         trials: The trials, as of `RunResult.columns`.
         start_cost: Mean cost of the initial gains; nan if there is none.
         eta_max: The cost above which a trial is unsafe; may be infinite.
@@ -228,9 +227,7 @@ def draw_gains(
     """Each gain over the search, relative to its initial value, on a logarithmic axis.
 
     Args:
-        ax: Axes.
         trials: The trials, as of `RunResult.columns`.
-        start: Initial gains.
         recommended: The gains of the result, drawn behind the last trial.
         intervals: Confidence interval of each optimum, by name, drawn as bars.
         units: Units of the gains, by name.

@@ -88,23 +88,16 @@ class RunResult(OptimizeResult):  # type: ignore[misc]  # scipy ships no type in
         message: How the run ended, in a sentence.
         ending: How the run ended.
         gains: The gains to use; the initial ones without a significant improvement.
-        start_gains: Initial gains.
-        verdict: Summary of the run.
         limits: Whether the tuned gains keep the limits of the run; None without tuned gains.
         fitted_form: Form of the rig's controller by its logged effort, where the rig declares none
             and does not run estune's own.
         entries: Every completed trial, void ones too.
         folder: The run on disk, or None.
-        plan: Plan of the run.
-        rig: Description of the rig at the start of the run.
         first_record: Record of the first trial with the initial gains, or None.
         tuned_record: Record of the last confirmation trial with the tuned gains, or None.
         improvement: Relative change of the cost from the initial gains, with its 95 % confidence
             interval; None if they were not compared.
-        unsafe: Unsafe trials of the run.
-        session: Session at the end of the run.
         recent_records: Records of the last step trials.
-        excitations: Records of the excitations.
     """
 
     x: "np.ndarray[tuple[int], np.dtype[np.float64]]"

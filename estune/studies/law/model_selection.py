@@ -136,7 +136,6 @@ def select_form(
     """The simplest form within one standard error of the best that is positive over the range.
 
     Args:
-        points: The tunings.
         scores: Scores of the candidates; without any, only a constant and a line are considered.
         reference: The fit they were validated with.
         length_matters: Whether the slope over length is significant; otherwise only constants are

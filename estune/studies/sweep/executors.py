@@ -43,7 +43,6 @@ def run_cell(
     """Tunes the rig of a cell; a failure is an outcome too, so that the other cells go on.
 
     Args:
-        cell: The cell.
         runs: Folder in which the run is journalled, to be resumed if it is cut off; None for a
             model, whose outcome the cell alone reproduces.
         watch: Called after each trial.

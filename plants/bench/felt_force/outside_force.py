@@ -16,7 +16,6 @@ def with_outside_force(record: ForceRecord, path: Path, clock_s: float) -> Force
     """A record with the force of a file in place of the felt force.
 
     Args:
-        record: The record.
         path: File with the columns `time_s`, Unix time, and `force_N`.
         clock_s: Unix time at which the clock of the record was zero.
 

@@ -58,7 +58,6 @@ class Smoother(NamedTuple):
 
         Args:
             signal: Shape (samples,).
-            delay_s: Delay, s.
             *coefficients: Of the derivatives, from order zero.
         """
         reach = self.reach + int(np.ceil(delay_s * self.sampling_Hz)) + 1

@@ -65,7 +65,6 @@ def next_experiment(
         verdict: The verdict; only `ambiguous` and `unknown` leave a question.
         base: The base model with its parameters fitted.
         rivals: The models that the records do not distinguish, by effect.
-        evidence: The evidence.
         rig: Description of the rig; None derives one from the records and the model.
     """
     if verdict not in ("ambiguous", "unknown"):

@@ -133,8 +133,6 @@ def with_values(
     """The model with effects as the balance has them.
 
     Args:
-        fitter: Model and records.
-        effects: The effects.
         judged: What the balance says.
         sized: Whether a prediction that names a part of them sizes them all; otherwise only values
             of single records are fitted.

@@ -52,7 +52,6 @@ def _explained(turning: ResidualOverAngle, step: float, size: int) -> FloatArray
     """Share of a detrended residual that a wave explains, shape (size/2,).
 
     Args:
-        turning: The residual.
         step: Step of the angle that samples are summed over, rad.
         size: Length of the transforms; the nth of them is of n periods in `size` steps.
     """

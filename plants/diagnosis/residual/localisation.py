@@ -153,9 +153,7 @@ def localise(
     """Localises what a model leaves unexplained.
 
     Args:
-        measurements: The records.
         numbers: Numbers of the model, without its effects, at each record.
-        floor: The noise.
         runs: Channels of each record as the model with its effects has them: what these leave of
             a balance is not unexplained. None for a model without.
     """

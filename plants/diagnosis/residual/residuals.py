@@ -36,9 +36,7 @@ def prepared(
     """The measurements of the usual sampling rate, so that spectra share a grid.
 
     Args:
-        measurements: The records.
         numbers: Numbers of the model, of each record.
-        floor: The noise.
         runs: Channels of each record as a model with effects has them.
     """
     rng = np.random.default_rng(0)

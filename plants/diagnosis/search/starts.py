@@ -31,9 +31,6 @@ def fit_added(
     """The current model with one more effect, not yet fitted to the end.
 
     Args:
-        fitter: Model and records.
-        current: The current model.
-        screened: The effect's screening.
         simpler: The model with a simpler law that has a part of the effect, if there is one.
         least: J of the best other model: a fit that stays far above it is ended.
     """
@@ -127,8 +124,6 @@ def _beside(
     Each from the calibrations of that fit, and from those of the model as given.
 
     Args:
-        fitter: Model and records.
-        screened: The effect's screening.
         simpler: The model with the simpler law.
         current: The model without either.
         rests: Whether the effect adds to the simpler law at rest, rather than takes of its size.

@@ -104,7 +104,6 @@ def torque_balance(
     """The balance of some records; None where they show too little motion above the noise.
 
     Args:
-        measurements: The records.
         numbers: Numbers of the model, of each record.
         encoder: Noise of the angle.
         narrower: Width of the kernel relative to the widest; it is not below the least.

@@ -99,7 +99,6 @@ def judge(
     """The laws that a balance shows.
 
     Args:
-        balance: The balance.
         effects: Effects to choose from; those that are no law of a torque are not looked at.
         declared: Effects that the model has, which are part of what laws are compared with.
         narrower: The same with a narrower kernel: what no law explains shifts values by about as
