@@ -67,7 +67,6 @@ class ListedRun:
         try:
             with Journal.open(self.folder, briefly=True) as journal:
                 entries = [(e.phase, e.outcome, e.cost) for e in journal.entries() if e.outcome]
-                tally = Tally(journal.fact("plan").get("eta_max")).after(entries)
                 status, begun = str(journal.fact("status")), journal.fact("created_at")
                 rig = journal.fact("rig")["name"]
                 self.target = journal.fact("target") or ""
@@ -77,6 +76,8 @@ class ListedRun:
         begun_at = datetime.fromisoformat(begun).astimezone()
         self.last_at = ended[-1] if ended else begun_at
         self.took_s = (self.last_at - begun_at).total_seconds()
+        # Without the limit of the plan: the start is below it, and the best below the start.
+        tally = Tally(None).after(entries)
         shown = ListedNumbers(start_cost=tally.start_cost, cost=tally.best and tally.best[0])
         stored = read_numbers(self.folder)._asdict().items()
         numbers = shown._replace(**{name: x for name, x in stored if x is not None})
