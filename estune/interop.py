@@ -166,7 +166,11 @@ def linear_model(system: "TransferFunction | StateSpace", dead_time_s: float = 0
             f"the plant is a {type(system).__name__}; give a TransferFunction or StateSpace: "
             "linearise a nonlinear system with control.linearize, fit frequency data first"
         )
-    _check_siso_continuous(system, "plant")
+    check_siso(system)
+    if not system.isctime():
+        raise InvalidInput(
+            f"the plant is discrete, sampled every {system.dt} s; give it in continuous time"
+        )
     if isinstance(system, TransferFunction):
         A, B, C, E = _state_space(system)
     else:
@@ -201,15 +205,12 @@ def as_control(system: Any) -> Any:
     return tf(ratio.num, ratio.den, *interval)
 
 
-def _check_siso_continuous(system: "TransferFunction | StateSpace", what: str) -> None:
+def check_siso(system: Any) -> None:
+    """Raises InvalidInput unless a system has one input and one output."""
     if (system.ninputs, system.noutputs) != (1, 1):
         raise InvalidInput(
-            f"the {what} has {system.ninputs} inputs and {system.noutputs} outputs; choose one of "
+            f"the plant has {system.ninputs} inputs and {system.noutputs} outputs; choose one of "
             "each, as in system[0, 0]"
-        )
-    if not system.isctime():
-        raise InvalidInput(
-            f"the {what} is discrete, sampled every {system.dt} s; give it in continuous time"
         )
 
 

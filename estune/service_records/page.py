@@ -12,8 +12,7 @@ from estune.loop_model.optimum import SENSITIVITY_MAX
 from estune.run.results.frequency_figures import (
     Loop,
     PlantResponse,
-    draw_bode,
-    draw_nyquist,
+    loop_drawings,
 )
 from estune.service_records.cause.page import sections
 from estune.service_records.judged_records import JudgedRecords
@@ -31,7 +30,6 @@ from estune.support.plot_style import (
     BLUE,
     GREY,
     ORANGE,
-    figure_of,
     finish,
     legend,
     new_figure,
@@ -149,20 +147,8 @@ def _loop(suggestion: JudgedRecords) -> Iterator[Block]:
         f"time of {dead} {'sample' if dead == 1 else 'samples'}; poles faster than a sample are "
         "dead time, too."
     )
-    yield Drawing(
-        figure_of(draw_bode(response, settings, loops)),
-        "bode",
-        "Magnitude and phase of the loop gain over frequency",
-        "Bode diagram. The phase margin is read where |L| = 1, the gain margin at -180 degrees.",
-    )
     limit = suggestion.limits.max_sensitivity or SENSITIVITY_MAX
-    yield Drawing(
-        figure_of(draw_nyquist(response, settings, loops, limit)),
-        "nyquist",
-        "Loop gain in the complex plane",
-        "Nyquist diagram with the unit circle. A curve that stays outside the grey disc about -1 "
-        f"has a sensitivity below {limit:g}.",
-    )
+    yield from loop_drawings(response, settings, loops, limit)
 
 
 def _records(suggestion: JudgedRecords) -> Iterator[Block]:

@@ -18,6 +18,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 from typing import Literal, NamedTuple
 
+from estune.core.quantities import check_positive
 from estune.tuners.observation import Observation, log_cost
 from estune.tuners.perturbation import (
     dither,
@@ -27,7 +28,7 @@ from estune.tuners.perturbation import (
     washout_response,
 )
 from estune.tuners.search_space import Coordinates, Point, SearchSpace
-from estune.tuners.settings import check_above_zero, check_below_one, check_logarithmic
+from estune.tuners.settings import check_below_one, check_logarithmic
 from estune.tuners.step_control import (
     best_after,
     clip_norm,
@@ -92,7 +93,7 @@ class ExtremumSeeking(ABC):
     def __post_init__(self) -> None:
         check_logarithmic(self.name, self.space)
         for setting in ("dither_amplitude", "adaptation_gain", "step_limit"):
-            check_above_zero(self.name, setting, getattr(self, setting))
+            check_positive(f"{self.name}: {setting}", getattr(self, setting))
         for setting in ("low_pass_share", "washout_h"):
             check_below_one(self.name, setting, getattr(self, setting))
 

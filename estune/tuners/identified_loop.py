@@ -19,6 +19,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from estune.core.quantities import check_positive
 from estune.loop_model.excitation import UnknownLoop
 from estune.loop_model.fitting import fit_loop, fit_with_excitations
 from estune.loop_model.half_widths import HalfWidths, half_widths
@@ -36,7 +37,7 @@ from estune.tuners.residual_surface import ResidualSurface
 from estune.tuners.safe_bayesian import SafeBayesianTuner
 from estune.tuners.search_space import Coordinates, Point, SearchSpace
 from estune.tuners.searched_loop import SearchedLoop
-from estune.tuners.settings import check_above_zero, check_logarithmic
+from estune.tuners.settings import check_logarithmic
 
 MISFIT_MAX = 0.02
 """Misfit above which the fallback proposes. Up to it searches on plants outside the class (play,
@@ -84,8 +85,8 @@ class IdentifiedLoopTuner:
 
     def __post_init__(self) -> None:
         check_logarithmic(self.name, self.space)
-        check_above_zero(self.name, "reach", self.reach)
-        check_above_zero(self.name, "memory", self.memory)
+        check_positive(f"{self.name}: reach", self.reach)
+        check_positive(f"{self.name}: memory", self.memory)
 
     def for_trial(
         self, trial: StepTrial, limits: RobustnessLimits | None

@@ -20,11 +20,12 @@ import math
 from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
+from estune.core.quantities import check_positive
 from estune.errors import InvalidInput
 from estune.tuners.observation import Observation, usable_cost
 from estune.tuners.perturbation import washout, washout_at_rest
 from estune.tuners.search_space import Coordinates, Point, SearchSpace
-from estune.tuners.settings import check_above_zero, check_below_one
+from estune.tuners.settings import check_below_one
 from estune.tuners.step_control import best_after, recover_after_safe, shrink_after_unsafe
 
 RELATIVE_AMPLITUDE = 0.2
@@ -84,7 +85,7 @@ class Killingsworth:
                     f"{self.name}: {len(values)} {setting} for {n} parameters; give one for each"
                 )
             for value in values:
-                check_above_zero(self.name, setting, value)
+                check_positive(f"{self.name}: {setting}", value)
         check_below_one(self.name, "frequency_base", self.frequency_base)
         check_below_one(self.name, "washout_h", self.washout_h)
 

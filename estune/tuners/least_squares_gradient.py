@@ -16,10 +16,11 @@ import math
 from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
+from estune.core.quantities import check_positive
 from estune.tuners.observation import Observation, log_cost
 from estune.tuners.perturbation import dither
 from estune.tuners.search_space import Coordinates, Point, SearchSpace
-from estune.tuners.settings import check_above_zero, check_logarithmic
+from estune.tuners.settings import check_logarithmic
 from estune.tuners.step_control import (
     best_after,
     clip_norm,
@@ -66,7 +67,7 @@ class LeastSquaresGradient:
     def __post_init__(self) -> None:
         check_logarithmic(self.name, self.space)
         for setting in ("dither_amplitude", "adaptation_gain", "step_limit"):
-            check_above_zero(self.name, setting, getattr(self, setting))
+            check_positive(f"{self.name}: {setting}", getattr(self, setting))
 
     def start(self) -> LeastSquaresGradientState:
         """The state before the first trial."""

@@ -36,7 +36,7 @@ from typing import Literal
 
 import numpy as np
 
-from estune.core.quantities import FloatArray
+from estune.core.quantities import FloatArray, check_positive
 from estune.errors import InvalidInput
 from estune.tuners.acquisition import TrustRegion, minimise_confidence_bound
 from estune.tuners.gaussian_process import (
@@ -64,7 +64,7 @@ from estune.tuners.probes import (
 from estune.tuners.remaining_improvement import expected_improvement, sample_quadratics
 from estune.tuners.safe_bayesian_state import UNSAFE, SafeBayesianState, clip_log_costs
 from estune.tuners.search_space import Point, SearchSpace
-from estune.tuners.settings import check_above_zero, check_logarithmic
+from estune.tuners.settings import check_logarithmic
 from estune.tuners.step_control import best_after, recover_after_safe, shrink_after_unsafe
 
 PROBE_BELOW = 0.05
@@ -135,7 +135,7 @@ class SafeBayesianTuner:
         check_logarithmic(self.name, self.space)
         for field in fields(self):
             if field.name not in ("space", "constraint_margin_min", "global_noise", "name"):
-                check_above_zero(self.name, field.name, getattr(self, field.name))
+                check_positive(f"{self.name}: {field.name}", getattr(self, field.name))
         if not 0.0 <= self.constraint_margin_min < 1.0:
             raise InvalidInput(
                 f"{self.name}: constraint_margin_min is {self.constraint_margin_min}; it must lie "

@@ -1,13 +1,7 @@
 """Checks of the settings that tuners share."""
 
-from estune.core.quantities import check_positive
 from estune.errors import InvalidInput
 from estune.tuners.search_space import SearchSpace
-
-
-def check_above_zero(tuner: str, setting: str, value: float) -> None:
-    """Raises InvalidInput unless the value is finite and above zero."""
-    check_positive(f"{tuner}: {setting}", value)
 
 
 def check_below_one(tuner: str, setting: str, value: float) -> None:

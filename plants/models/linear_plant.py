@@ -12,7 +12,7 @@ from estune.core.margins import SampledPlant, loop_margins, sample_plant
 from estune.core.pidf import ControllerSettings
 from estune.core.quantities import FloatArray, check_not_negative, check_positive
 from estune.errors import InvalidInput, PlantError
-from estune.interop import as_control, linear_model
+from estune.interop import as_control, check_siso, linear_model
 from estune.loop_model.cautious_gains import cautious_gains
 from estune.trial import LinearModel, RigDescription, RigLimits
 from estune.trial.description import UNLIMITED_N
@@ -279,11 +279,7 @@ def _rate(system: Any, sampling_Hz: float | None) -> float:
 def _as_sampled(system: Any, dead_time_s: float, sampling_Hz: float) -> SampledPlant:
     from control import ss  # noqa: PLC0415  slow to import
 
-    if (system.ninputs, system.noutputs) != (1, 1):
-        raise InvalidInput(
-            f"the plant has {system.ninputs} inputs and {system.noutputs} outputs; choose one of "
-            "each, as in system[0, 0]"
-        )
+    check_siso(system)
     delay, fraction = split_dead_time(dead_time_s, sampling_Hz)
     if fraction:
         raise PlantError(

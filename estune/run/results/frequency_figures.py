@@ -1,6 +1,6 @@
 """Bode and Nyquist figures of the loop of a run, before and after."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,12 +16,14 @@ from estune.loop_model.claim import Claim
 from estune.loop_model.drawn_models import drawn_models, white_factor
 from estune.loop_model.loop_fit import LoopFit
 from estune.loop_model.margins import frequency_response
+from estune.support.html_page import Drawing
 from estune.support.plot_style import (
     BLUE,
     GREY,
     LIGHT,
     ORANGE,
     ShownAxes,
+    figure_of,
     finish,
     legend,
     new_figure,
@@ -95,6 +97,30 @@ _LOOKS: tuple[dict[str, Any], ...] = (
 
 _THIN = {"linewidth": 0.7}
 """Phases on the axes of the gains."""
+
+
+def loop_drawings(
+    response: PlantResponse,
+    settings: ControllerSettings,
+    loops: Sequence[Loop],
+    sensitivity_limit: float,
+    csv: str = "",
+) -> Iterator[Drawing]:
+    """Both figures for a page; `csv` is offered with the first."""
+    yield Drawing(
+        figure_of(draw_bode(response, settings, loops)),
+        "bode",
+        "Magnitude and phase of the loop gain over frequency",
+        "Bode diagram. The phase margin is read where |L| = 1, the gain margin at -180 degrees.",
+        csv=csv,
+    )
+    yield Drawing(
+        figure_of(draw_nyquist(response, settings, loops, sensitivity_limit)),
+        "nyquist",
+        "Loop gain in the complex plane",
+        "Nyquist diagram with the unit circle. A curve that stays outside the grey disc about -1 "
+        f"has a sensitivity below {sensitivity_limit:g}.",
+    )
 
 
 def draw_bode(

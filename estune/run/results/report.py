@@ -14,8 +14,7 @@ from estune.loop_model.optimum import RobustnessLimits
 from estune.run.results import figures
 from estune.run.results.frequency_figures import (
     PlantResponse,
-    draw_bode,
-    draw_nyquist,
+    loop_drawings,
     response_columns,
 )
 from estune.run.results.run_result import RunResult
@@ -32,7 +31,7 @@ from estune.support.html_page import (
     Table,
     Warnings,
 )
-from estune.support.plot_style import figure_of, new_figure
+from estune.support.plot_style import new_figure
 from estune.support.quantity_text import time_text
 from estune.trial import TrialRecord
 from estune.trial.profiles import LoadStepProfile
@@ -198,21 +197,8 @@ def _loop(result: RunResult) -> Iterator[Block]:
         return
     loops = result.loops
     yield Paragraph(known)
-    yield Drawing(
-        figure_of(draw_bode(response, rig.controller, loops)),
-        "bode",
-        "Magnitude and phase of the loop gain over frequency",
-        "Bode diagram. The phase margin is read where |L| = 1, the gain margin at -180 degrees.",
-        csv=_csv(response_columns(response, rig.controller, loops)),
-    )
-    limit = result.sensitivity_limit
-    yield Drawing(
-        figure_of(draw_nyquist(response, rig.controller, loops, limit)),
-        "nyquist",
-        "Loop gain in the complex plane",
-        "Nyquist diagram with the unit circle. A curve that stays outside the grey disc about -1 "
-        f"has a sensitivity below {limit:g}.",
-    )
+    csv = _csv(response_columns(response, rig.controller, loops))
+    yield from loop_drawings(response, rig.controller, loops, result.sensitivity_limit, csv)
 
 
 def _tuning(result: RunResult) -> Iterator[Block]:
