@@ -147,10 +147,8 @@ def _print_note(text: str) -> None:
 
 
 def _show(matching: Matching) -> None:
-    out = output.console()
-    out.print()
-    style = "bold green" if matching.passed else "bold yellow"
-    out.print(Text(matching.heading(), style=style), soft_wrap=True)
+    print()
+    output.show_outcome(matching.heading(), good=matching.passed)
     output.show_study(matching.table())
 
 

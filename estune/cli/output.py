@@ -34,11 +34,25 @@ def console() -> Console:
     return out
 
 
+def show_line(text: str, style: str = "") -> None:
+    """Prints a line, however long."""
+    console().print(Text(text, style=style), soft_wrap=True)
+
+
+def show_outcome(text: str, *, good: bool) -> None:
+    """Prints how it ended, green or yellow."""
+    show_line(text, "bold green" if good else "bold yellow")
+
+
+def show_issue(level: str, sentence: str) -> None:
+    """Prints an issue of data: in red where they are refused, else in yellow."""
+    colour = "red" if level == "refused" else "yellow"
+    console().print(Text.assemble((f"{level}  ", colour), sentence), soft_wrap=True)
+
+
 def show_result(result: "TuneResult") -> None:
     """Prints how a run ended, its before/after table and its warnings."""
-    out = console()
-    style = "bold green" if result.ending.good else "bold yellow"
-    out.print(Text(result.heading(), style=style), soft_wrap=True)
+    show_outcome(result.heading(), good=result.ending.good)
     table = Table(box=None, pad_edge=False, padding=(0, 3, 0, 0))
     table.add_column("", style="dim")
     table.add_column("start", justify="right")
@@ -46,15 +60,15 @@ def show_result(result: "TuneResult") -> None:
         table.add_column("tuned", justify="right", style="bold")
     for row in result.rows():
         table.add_row(*(row if result.tuned else row[:2]))
-    out.print(table)
+    console().print(table)
     for remark in result.remarks():
-        out.print(Text(remark), soft_wrap=True)
+        show_line(remark)
 
 
 def show_doubts(issues: Iterable["DataIssue"]) -> None:
     """Prints what all that follows depends on, each once."""
     for sentence in dict.fromkeys(i.sentence for i in issues if i.level == "doubt"):
-        console().print(Text.assemble(("doubt  ", "yellow"), sentence), soft_wrap=True)
+        show_issue("doubt", sentence)
 
 
 def save_figure(result: "TuneResult") -> Path | None:
@@ -105,7 +119,7 @@ def show_study(table: "StudyTable") -> None:
     show_table(table.heads, table.cells())
     for row in table.rows:
         if row.reason:
-            console().print(Text(f"{row.label}: {row.reason}"), soft_wrap=True)
+            show_line(f"{row.label}: {row.reason}")
 
 
 def local_time(at: str) -> str:

@@ -119,9 +119,8 @@ def prove(
                 proof = replace(proof, tuned=(tuned.start.cost, tuned.tuned.cost))
     told = replace(told, proof=proof.to_json())
     told.write(patch)
-    style = "bold green" if proof.proven else "bold yellow"
     state = "PROVEN" if proof.proven else "NOT PROVEN"
-    output.console().print(Text(f"{state}: {proof.sentence}", style=style), soft_wrap=True)
+    output.show_outcome(f"{state}: {proof.sentence}", good=proof.proven)
     facts: dict[str, object] = {"patch": patch}
     if proof.proven:
         facts["apply it"] = command_line("apply", patch, "my-rig.toml")
@@ -168,7 +167,7 @@ def check_applied(patch: Patch, rig_file: Path) -> str:
 
 def _confirm(patch: Patch, name: str, pairs: int) -> None:
     told = f"{patch.title}: {patch.toml()}May harm: {patch.harm or 'nothing known'}"
-    output.console().print(Text(told), soft_wrap=True)
+    output.show_line(told)
     if not _asked(f"Run {4 * pairs} trials on rig {name}, half of them with it?"):
         raise InvalidInput("nobody confirmed: no trial was run; use --yes")
 

@@ -7,8 +7,6 @@ from pathlib import Path
 from statistics import fmean
 from typing import TYPE_CHECKING, Any
 
-from rich.text import Text
-
 import estune
 from estune.cli import output
 from estune.cli.values import Flag, RunName, command_line
@@ -57,7 +55,7 @@ def list_runs(folder: Path = Path(RUNS), *, json: Flag = False) -> None:
         output.show_table(_COLUMNS, ([show(row) for show in _COLUMNS.values()] for row in rows))
         for row in rows:
             if reason := _state_and_reason(row)[1]:
-                output.console().print(Text(f"{row['run']}: {reason}"), soft_wrap=True)
+                output.show_line(f"{row['run']}: {reason}")
 
 
 def show(

@@ -4,7 +4,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, get_args, get_type_hints
 
 from cyclopts import Parameter
-from rich.text import Text
 
 from estune.cli import output
 from estune.cli.options import NO_LIMITS, LimitOptions
@@ -17,7 +16,6 @@ if TYPE_CHECKING:
     from estune.core.controller_form import ControllerForm
     from estune.service_records.suggestion import GainsUnknown, Suggestion
 
-_STYLES = {"change": "bold green", "keep": "bold green"}
 _CAUSES = {"none": "bold green", "sticking": "bold red", "sensor": "bold red"}
 
 
@@ -112,11 +110,8 @@ def _cause_alone(error: "GainsUnknown", report: Path | None, *, json: bool) -> i
         found = {"verdict": "no gains", "heading": cause.heading(), "reason": str(error)}
         output.print_json({**found, "cause": cause.to_json()})
     else:
-        out = output.console()
-        out.print(
-            Text(cause.heading(), style=_CAUSES.get(cause.name, "bold yellow")), soft_wrap=True
-        )
-        out.print(Text(f"No gains are judged: {error}."), soft_wrap=True)
+        output.show_line(cause.heading(), _CAUSES.get(cause.name, "bold yellow"))
+        output.show_line(f"No gains are judged: {error}.")
         if report is not None:
             output.show_next({"report": report})
     return 9 if cause.name == "unknown" else 0
@@ -150,16 +145,13 @@ def _written(found: "Suggestion", folder: Path) -> Path | None:
 
 
 def _show(found: "Suggestion", report: Path | None, trial: Path | None) -> None:
-    out = output.console()
     output.show_doubts(found.issues)
     if found.cause is not None:
-        style = _CAUSES.get(found.cause.name, "bold yellow")
-        out.print(Text(found.cause.heading(), style=style), soft_wrap=True)
-    style = _STYLES.get(found.verdict, "bold yellow")
-    out.print(Text(found.heading(), style=style), soft_wrap=True)
+        output.show_line(found.cause.heading(), _CAUSES.get(found.cause.name, "bold yellow"))
+    output.show_outcome(found.heading(), good=found.verdict in ("change", "keep"))
     for sentence in found.remarks():
-        out.print(Text(sentence), soft_wrap=True)
-    out.print()
+        output.show_line(sentence)
+    print()
     output.show_table(("", "in use", "recommended"), found.rows())
     print()
     used = sum(s.samples for s in found.stretches) / found.trial.controller.sampling_Hz
@@ -181,5 +173,4 @@ def _show(found: "Suggestion", report: Path | None, trial: Path | None) -> None:
     for issue in found.issues:
         if issue.level == "doubt":
             continue  # said above
-        color = "red" if issue.level == "refused" else "yellow"
-        out.print(Text.assemble((f"{issue.level}  ", color), str(issue)), soft_wrap=True)
+        output.show_issue(issue.level, str(issue))

@@ -6,8 +6,6 @@ from collections import defaultdict
 from collections.abc import Sequence
 from pathlib import Path
 
-from rich.text import Text
-
 from estune.cli import output
 from estune.cli.values import Flag, check_folder_exists, command_line
 from estune.errors import EstuneError, InvalidInput
@@ -132,15 +130,13 @@ def _show_plan(cells: Sequence[Cell]) -> None:
 
 
 def _show(result: SweepResult) -> None:
-    out = output.console()
-    style = "bold yellow" if result.excluded else "bold green"
-    out.print(Text(result.heading(), style=style))
+    output.show_outcome(result.heading(), good=not result.excluded)
     for series in result.series:
         law = series.law_or_reason()
         if isinstance(law, str):
-            out.print(Text(f"{series.label}: no law: {law}", style="yellow"), soft_wrap=True)
+            output.show_line(f"{series.label}: no law: {law}", "yellow")
         else:
-            out.print(Text(f"{series.label}: {law.sentence}."), soft_wrap=True)
+            output.show_line(f"{series.label}: {law.sentence}.")
     excluded = result.excluded
     lines = [
         f"{'failed' if outcome.failed else 'left out'}: {outcome.cell.label}: {outcome.excluded}"
@@ -150,7 +146,7 @@ def _show(result: SweepResult) -> None:
         counted = exclusion_sentences(result.outcomes)
         lines = [f"left out: {sentence}; see {CELLS}" for sentence in counted]
     for line in lines:
-        out.print(Text(line, style="yellow"), soft_wrap=True)
+        output.show_line(line, "yellow")
 
 
 def _as_json(result: SweepResult) -> dict[str, object]:

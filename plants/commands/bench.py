@@ -89,7 +89,7 @@ def bench(
     heads = ("reel", "at (N)", "gains", *COLUMNS.values())
     output.show_table(heads, [row for reel in reels for row in reel.rows()])
     for note in (headline(reels), *(note for reel in reels for note in reel.stalls())):
-        output.console().print(Text(note), soft_wrap=True)
+        output.show_line(note)
     output.show_next({"page": report})
 
 

@@ -176,7 +176,7 @@ def _show(diagnosis: "Diagnosis") -> None:
     output.show_doubts(diagnosis.findings)
     out.print(Text(diagnosis.heading(), style=_STYLES.get(diagnosis.verdict, "bold yellow")))
     for text in summary.sentences(diagnosis):
-        out.print(Text(text), soft_wrap=True)
+        output.show_line(text)
     out.print()
     out.print(_table(summary.gaps(diagnosis)))
     if diagnosis.effects:
@@ -188,7 +188,7 @@ def _show(diagnosis: "Diagnosis") -> None:
         columns = ("what can be done", *remedies.COLUMNS[1:])
         out.print(_table(summary.TextTable(columns, remedies.rows(offers))))
     for text in remedies.sentences(diagnosis, offers):
-        out.print(Text(text), soft_wrap=True)
+        output.show_line(text)
     best = summary.fitted(diagnosis, _CANDIDATES)
     if best.rows:
         out.print()
@@ -197,9 +197,7 @@ def _show(diagnosis: "Diagnosis") -> None:
     for head, names, why in _not_shown(diagnosis):
         out.print(Text.assemble((f"{head}  ", "dim"), f"{names}{why}"), soft_wrap=True)
     for issue in diagnosis.findings:
-        style = "red" if issue.level == "refused" else "yellow"
-        line = Text.assemble((f"{issue.level}  ", style), str(issue))
-        out.print(line, soft_wrap=True)
+        output.show_issue(issue.level, str(issue))
     following = diagnosis.next_experiment or diagnosis.next_recording
     if following is not None:
         sentence = following.sentence

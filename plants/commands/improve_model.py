@@ -7,8 +7,6 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rich.text import Text
-
 from estune.cli import output
 from estune.cli.values import (
     Effects,
@@ -143,7 +141,7 @@ def improve_model(
             facts["try it"] = command_line("tune", save)
     output.show_next(facts)
     if improvement.conclusion:
-        output.console().print(Text(improvement.conclusion, style="bold"), soft_wrap=True)
+        output.show_line(improvement.conclusion, "bold")
 
 
 @contextmanager
@@ -162,10 +160,9 @@ def _continuable(command: str) -> Iterator[None]:
 def _show(improvement: "Improvement") -> None:
     from plants.improvement.result import COLUMNS  # noqa: PLC0415  slow to import
 
-    out = output.console()
-    out.print()
-    out.print(Text(improvement.heading(), style="bold"), soft_wrap=True)
+    print()
+    output.show_line(improvement.heading(), "bold")
     if improvement.costs:
         output.show_table(COLUMNS, improvement.rows())
     for remark in improvement.remarks:
-        out.print(Text(remark), soft_wrap=True)
+        output.show_line(remark)
