@@ -39,7 +39,7 @@ def show_line(text: str, style: str = "") -> None:
     console().print(Text(text, style=style), soft_wrap=True)
 
 
-def show_outcome(text: str, *, good: bool) -> None:
+def show_outcome(text: str, *, good: bool | None) -> None:
     """Prints how it ended, green or yellow."""
     show_line(text, "bold green" if good else "bold yellow")
 

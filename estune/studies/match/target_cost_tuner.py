@@ -22,11 +22,12 @@ from numpy.typing import NDArray
 
 from estune.core.comparison import interval_factor
 from estune.core.gains import Gains
+from estune.core.quantities import check_positive
 from estune.errors import InvalidInput
 from estune.tuners.interface import ConvergenceEstimate, CostPrediction
 from estune.tuners.observation import Observation, log_cost
 from estune.tuners.search_space import Point, SearchSpace
-from estune.tuners.settings import check_above_zero, check_logarithmic
+from estune.tuners.settings import check_logarithmic
 
 DETUNING_MAX = 20.0
 """Greatest reduction factor of the loop gain."""
@@ -98,7 +99,7 @@ class TargetCostTuner:
 
     def __post_init__(self) -> None:
         check_logarithmic("level_seeker", self.space)
-        check_above_zero("level_seeker", "target", self.target)
+        check_positive("level_seeker: target", self.target)
         if len(self.space.names) != 1 or self.space.start != self.space.high:
             raise InvalidInput(
                 f"level_seeker: the space tunes {', '.join(self.space.names)} from "
