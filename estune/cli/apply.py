@@ -7,7 +7,15 @@ from typing import TYPE_CHECKING
 import estune
 from estune.cli import output
 from estune.cli.runs import find_run
-from estune.cli.values import Flag, RunName, command_line, security_from, share_from
+from estune.cli.values import (
+    Flag,
+    RunName,
+    RunsFolder,
+    SecurityFile,
+    command_line,
+    security_from,
+    share_from,
+)
 from estune.core.gain_forms import backed_off
 from estune.core.gains import GAIN_NAMES, Gains
 from estune.errors import InvalidInput, RigError
@@ -32,8 +40,8 @@ def apply(
     yes: Flag = False,
     backoff: str = "0%",
     rig: str | None = None,
-    security: Path | None = None,
-    folder: Path = Path(RUNS),
+    security: SecurityFile = None,
+    folder: RunsFolder = Path(RUNS),
 ) -> None:
     """Make the gains of a run, or its start gains, live on a rig; or put a patch in a rig's file.
 
@@ -45,8 +53,6 @@ def apply(
         yes: Apply gains that break a limit of the run without a prompt.
         backoff: Share by which P, I and D are lowered, such as 25%, for margin beside the optimum.
         rig: Name of the rig; the rig of the run by default.
-        security: Credentials file, if the rig requires authentication.
-        folder: Folder of runs.
     """
     if target.endswith(PATCH_SUFFIX) or is_endpoint(run):
         run, target = target, run

@@ -2,10 +2,9 @@
 
 import threading
 from contextlib import ExitStack
-from pathlib import Path
 from typing import Literal
 
-from estune.cli.values import Flag, security_from
+from estune.cli.values import Flag, RigName, SecurityFile, security_from
 from estune.core.quantities import check_positive
 from estune.errors import InvalidInput
 from estune.remote import zenoh
@@ -21,11 +20,11 @@ def bridge(
     /,
     *,
     to: str | None = None,
-    rig: str | None = None,
+    rig: RigName = None,
     domain: int = 0,
     dds: Flag = False,
     drum_radius_m: float | None = None,
-    security: Path | None = None,
+    security: SecurityFile = None,
 ) -> None:
     """Show a rig in ROS 2, PlotJuggler or Foxglove, until Ctrl-C. Read-only: it commands nothing.
 
@@ -37,12 +36,10 @@ def bridge(
         to: Address of the viewer: of the Zenoh router of ROS (tcp/127.0.0.1:7447), or of the UDP
             server of PlotJuggler (127.0.0.1:9870). For Foxglove, where it is served
             (127.0.0.1:8765).
-        rig: Name of the rig, if several answer at the endpoint.
         domain: Domain id of ROS.
         dds: Send to DDS by zenoh-bridge-ros2dds, whose address --to is then.
         drum_radius_m: Drum radius, which turns the current into the joint's torque; without it the
             joint state has no effort.
-        security: Credentials file, if the rig requires authentication.
     """
     if viewer != "ros2" and (domain or dds or drum_radius_m is not None):
         raise InvalidInput("--domain, --dds and --drum-radius-m are of ros2; leave them out")

@@ -18,7 +18,15 @@ from estune.cli.options import (
     StepOptions,
 )
 from estune.cli.tune import tuning_choices
-from estune.cli.values import Flag, Values, ranges_from, security_from
+from estune.cli.values import (
+    Flag,
+    Quiet,
+    RigName,
+    SecurityFile,
+    Values,
+    ranges_from,
+    security_from,
+)
 from estune.studies.compare import comparison
 from estune.studies.compare.comparison import COMPARED, Comparison
 from estune.support.whole_file import write_file
@@ -34,12 +42,12 @@ def compare(
     tuners: Annotated[str, Parameter(show_default=False)] = ",".join(COMPARED),
     start: Values = (),
     bounds: Values = (),
-    rig: str | None = None,
-    security: Path | None = None,
+    rig: RigName = None,
+    security: SecurityFile = None,
     patience: float | None = None,
     folder: Path | None = None,
     json: Flag = False,
-    quiet: Flag = False,
+    quiet: Quiet = False,
     search: SearchOptions = NO_SEARCH,
     step: StepOptions = NO_STEP,
     cost: CostOptions = NO_COST,
@@ -54,14 +62,11 @@ def compare(
             least_squares_gradient and otis.
         start: As of estune tune; the start of every tuner.
         bounds: As of estune tune.
-        rig: Name of the rig, if several answer at the endpoint.
-        security: Credentials file, if the rig requires authentication.
         patience: How long to wait for the rig to appear, and where it stops
             replying, s; 3 s and 30 s by default.
         folder: Folder for the runs, the page, the figure and the table; comparisons/TIME by
             default. An interrupted comparison continues with the same command and this folder.
         json: Print the outcome as JSON.
-        quiet: Show no progress.
         search: The search of each tuner.
         step: The step trial.
         cost: The cost of a trial.

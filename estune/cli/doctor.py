@@ -2,7 +2,6 @@
 
 import sys
 from contextlib import ExitStack
-from pathlib import Path
 
 from rich.text import Text
 
@@ -15,7 +14,7 @@ from estune.cli.checks import (
     run_checks,
     run_file_checks,
 )
-from estune.cli.values import Flag, security_from
+from estune.cli.values import Flag, RigName, SecurityFile, security_from
 from estune.errors import InvalidInput, RigError
 from estune.remote import zenoh
 from estune.remote.security import OPEN
@@ -31,9 +30,9 @@ def doctor(
     *,
     move: Flag = False,
     repeats: int = REPEATS,
-    rig: str | None = None,
+    rig: RigName = None,
     json: Flag = False,
-    security: Path | None = None,
+    security: SecurityFile = None,
 ) -> None:
     """Check a rig. Lists failed checks with remedies, and exits with code 4 until all pass.
 
@@ -45,9 +44,7 @@ def doctor(
         move: Have the rig repeat a gentle step with its live gains, and once in an open loop,
             without a prompt.
         repeats: Number of repeats.
-        rig: Name of the rig, if several answer at the endpoint.
         json: Print the results as JSON.
-        security: Credentials file, if the rig requires authentication.
     """
     if repeats < 2:
         raise InvalidInput(f"{repeats} repeats show no repeatability; ask for 2 or more")

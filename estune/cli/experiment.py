@@ -5,7 +5,7 @@ from pathlib import Path
 from rich.text import Text
 
 from estune.cli import output
-from estune.cli.values import security_from
+from estune.cli.values import RigName, SecurityFile, security_from
 from estune.run.results.export import write_record
 from estune.run.targets import open_target
 from estune.run.trial_file import read_trial, run_trial
@@ -18,8 +18,8 @@ def run_experiment(
     /,
     *,
     data: Path = Path("data"),
-    rig: str | None = None,
-    security: Path | None = None,
+    rig: RigName = None,
+    security: SecurityFile = None,
 ) -> None:
     """Run the trial of a file on a rig, and add its record to a folder of records.
 
@@ -28,8 +28,6 @@ def run_experiment(
         target: The rig: an endpoint such as tcp/127.0.0.1:7447, a model file such as reel.toml,
             or module:attribute such as plants:reference_reel.
         data: Folder for the record; made if it is missing.
-        rig: Name of the rig, if several answer at the endpoint.
-        security: Credentials file, if the rig requires authentication.
 
     Raises:
         InvalidInput: the file holds no trial, or the rig's limits do not allow it.

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from estune.cli import output
-from estune.cli.values import Flag, security_from
+from estune.cli.values import Json, security_from
 from estune.errors import InvalidInput
 
 _EVENTS = 1000
@@ -30,7 +30,7 @@ def faults(
     rig: str | None = None,
     limit: int = 50,
     security: Path | None = None,
-    json: Flag = False,
+    json: Json = False,
 ) -> None:
     """Show the faults of rigs, oldest first: when, which code, what was said, what to do.
 
@@ -40,7 +40,6 @@ def faults(
         rig: The rig; all of them by default.
         limit: Largest number of faults, the newest.
         security: Credentials file, if the daemon requires authentication.
-        json: Print JSON.
 
     Raises:
         InvalidInput: the source is none of these.

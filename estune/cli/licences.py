@@ -4,17 +4,13 @@ import re
 from importlib import metadata
 
 from estune.cli.output import print_json
-from estune.cli.values import Flag
+from estune.cli.values import Json
 
 _NAME = re.compile(r"[A-Za-z0-9._-]+")
 
 
-def licences(*, json: Flag = False) -> None:
-    """List the packages that estune needs, directly and indirectly, each with its licence.
-
-    Args:
-        json: Print JSON.
-    """
+def licences(*, json: Json = False) -> None:
+    """List the packages that estune needs, directly and indirectly, each with its licence."""
     found = sorted(_installed("estune").items(), key=lambda item: item[0].lower())
     if json:
         print_json({name: {"version": v, "licence": text} for name, (v, text) in found})

@@ -13,7 +13,7 @@ from estune.cli import output
 from estune.cli.interruption import continued_by_same_command
 from estune.cli.options import NO_COST, NO_STEP, CostOptions, StepOptions, TunerName
 from estune.cli.tune import trial_of
-from estune.cli.values import Flag, check_folder_exists, security_from
+from estune.cli.values import Flag, Quiet, check_folder_exists, security_from
 from estune.errors import EstuneError, InvalidInput, RigError
 from estune.run.targets import is_endpoint, open_target
 from estune.studies.match import procedure
@@ -46,7 +46,7 @@ def match(
     json: Flag = False,
     security: Path | None = None,
     patience: float | None = None,
-    quiet: Flag = False,
+    quiet: Quiet = False,
     step: StepOptions = NO_STEP,
     cost: CostOptions = NO_COST,
 ) -> None:
@@ -69,7 +69,6 @@ def match(
         security: Credentials file, if a rig requires authentication.
         patience: How long to wait for a rig to appear, and where it stops
             replying, s; 3 s and 30 s by default.
-        quiet: Show no progress.
         step: The step trial of all reels; by default what the first reel suggests.
         cost: The cost of all reels; the settling time is by default the longest a rig suggests.
     """

@@ -8,7 +8,7 @@ from rich.prompt import Confirm
 from rich.text import Text
 
 from estune.cli import output
-from estune.cli.values import Flag, command_line, security_from
+from estune.cli.values import Flag, RigName, SecurityFile, command_line, security_from
 from estune.errors import InvalidInput
 from estune.proof.patch import SUFFIX, Patch, patch_of, read_patch
 from estune.run.targets import open_target
@@ -72,8 +72,8 @@ def prove(
     pairs: int = 2,
     trials: int = 20,
     yes: Flag = False,
-    rig: str | None = None,
-    security: Path | None = None,
+    rig: RigName = None,
+    security: SecurityFile = None,
 ) -> int:
     """Prove a remedy on a rig: trials with it and without, at the live gains, then a tuning.
 
@@ -87,8 +87,6 @@ def prove(
         pairs: Pairs of trials with it and without; 2 show 5 % of a cost, 16 show 1 %.
         trials: Trials of the tuning with it on, where it is proven; 0 for none.
         yes: Begin without a prompt.
-        rig: Name of the rig, if several answer at the endpoint.
-        security: Credentials file, if the rig requires authentication.
 
     Exits with 1 where the remedy is not proven.
 

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from estune.cli import output
-from estune.cli.values import Flag, command_line, security_from
+from estune.cli.values import Json, RigName, SecurityFile, command_line, security_from
 from estune.errors import RigError
 from estune.remote import messages, zenoh
 from estune.remote.security import Security
@@ -17,13 +17,12 @@ STOP_PRIORITY = 20
 """Real-time priority of an emergency stop, where the system grants it."""
 
 
-def discover(endpoint: str, /, *, security: Path | None = None, json: Flag = False) -> None:
+def discover(endpoint: str, /, *, security: Path | None = None, json: Json = False) -> None:
     """List the rigs at an endpoint and their status.
 
     Args:
         endpoint: Where to look, such as tcp/127.0.0.1:7447.
         security: Credentials file, if the rigs require authentication.
-        json: Print JSON.
     """
     credentials = security_from(security)
     presences = zenoh.discover_rigs(endpoint, security=credentials)
@@ -41,17 +40,15 @@ def estop(
     endpoint: str,
     /,
     *,
-    rig: str | None = None,
+    rig: RigName = None,
     reason: str = "estune estop",
-    security: Path | None = None,
+    security: SecurityFile = None,
 ) -> None:
     """Stop a rig at once, whichever client controls it; it stays in its safe state until reset.
 
     Args:
         endpoint: Address of the rig, such as tcp/127.0.0.1:7447.
-        rig: Name of the rig, if several answer at the endpoint.
         reason: Reason, reported to the client that controls the rig.
-        security: Credentials file, if the rig requires authentication.
     """
     from estune.hardware.real_time import prioritised  # noqa: PLC0415  of no use elsewhere
 
@@ -64,13 +61,11 @@ def estop(
         print(f"{the_rig.name} is stopped and held; once it is safe, reset it with: {reset}")
 
 
-def clear(endpoint: str, /, *, rig: str | None = None, security: Path | None = None) -> None:
+def clear(endpoint: str, /, *, rig: RigName = None, security: SecurityFile = None) -> None:
     """Reset the emergency stop of a rig, once you have checked that it is safe.
 
     Args:
         endpoint: Address of the rig, such as tcp/127.0.0.1:7447.
-        rig: Name of the rig, if several answer at the endpoint.
-        security: Credentials file, if the rig requires authentication.
     """
     with zenoh.connect(endpoint, rig=rig, security=security_from(security)) as the_rig:
         the_rig.clear()

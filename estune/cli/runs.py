@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import estune
 from estune.cli import output
-from estune.cli.values import Flag, RunName, command_line
+from estune.cli.values import Flag, Json, Quiet, RunName, RunsFolder, command_line
 from estune.errors import EstuneError, InvalidInput, JournalError
 from estune.run.ending import RunEnding
 from estune.run.journal import FILE_NAME, RUNS, Journal, being_written
@@ -38,13 +38,8 @@ _COLUMNS: dict[str, Callable[[dict[str, Any]], str]] = {
 """Columns of the list of runs."""
 
 
-def list_runs(folder: Path = Path(RUNS), *, json: Flag = False) -> None:
-    """List the runs of a folder, newest first.
-
-    Args:
-        folder: Folder of runs.
-        json: Print JSON.
-    """
+def list_runs(folder: RunsFolder = Path(RUNS), *, json: Json = False) -> None:
+    """List the runs of a folder, newest first."""
     rows = [_summary(path.parent) for path in sorted(folder.glob(f"*/{FILE_NAME}"))]
     rows.sort(key=_begun, reverse=True)
     if json:
@@ -62,19 +57,17 @@ def show(
     run: RunName,
     /,
     *,
-    folder: Path = Path(RUNS),
+    folder: RunsFolder = Path(RUNS),
     trials: Flag = False,
     forms: Flag = False,
-    json: Flag = False,
+    json: Json = False,
 ) -> None:
     """Show the result of a run.
 
     Args:
         run: The run: its name, or its folder.
-        folder: Folder of runs.
         trials: Show every trial too.
         forms: Show the gains as Kp, Ti and Td, in series and parallel form, and per sample too.
-        json: Print JSON.
     """
     path = find_run(run, folder)
     result = estune.load(path)
@@ -110,14 +103,13 @@ def report(
     /,
     *,
     out: Path | None = None,
-    folder: Path = Path(RUNS),
+    folder: RunsFolder = Path(RUNS),
 ) -> None:
     """Write the report of a run as one HTML page that works offline and prints well.
 
     Args:
         run: The run: its name, or its folder.
         out: The page; report.html in the run's own folder by default.
-        folder: Folder of runs.
     """
     path = find_run(run, folder)
     output.show_next({"report": estune.load(path).report(out or path / REPORT_NAME)})
@@ -132,8 +124,8 @@ def export(
     mcap: Flag = False,
     per_trial: Flag = False,
     out: Path | None = None,
-    folder: Path = Path(RUNS),
-    quiet: Flag = False,
+    folder: RunsFolder = Path(RUNS),
+    quiet: Quiet = False,
 ) -> None:
     """Write a run's trial records as files, Parquet unless CSV is chosen.
 
@@ -145,8 +137,6 @@ def export(
         per_trial: Write a file for each trial instead: TRIAL.csv with the columns and TRIAL.json
             with everything else, or TRIAL.parquet.
         out: Folder for the files; csv, parquet or mcap in the run's own folder by default.
-        folder: Folder of runs.
-        quiet: Show no progress.
     """
     from estune.run.progress import counting  # noqa: PLC0415  slow to import
     from estune.run.results.export import export_run, export_trials  # noqa: PLC0415  slow to import

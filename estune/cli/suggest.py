@@ -8,7 +8,7 @@ from cyclopts import Parameter
 from estune.cli import output
 from estune.cli.options import NO_LIMITS, LimitOptions
 from estune.cli.stated_controller import stated_controller
-from estune.cli.values import Flag, Values, check_folder_exists, command_line, words_from
+from estune.cli.values import Flag, Json, Values, check_folder_exists, command_line, words_from
 from estune.errors import InvalidInput
 from estune.support.quantity_text import time_text
 
@@ -35,7 +35,7 @@ def suggest(
     limits: LimitOptions = NO_LIMITS,
     report: Path | None = None,
     next_: Annotated[Path | None, Parameter(name="--next")] = None,
-    json: Flag = False,
+    json: Json = False,
 ) -> int:
     """Judge the gains of a running loop by its records, and recommend better ones.
 
@@ -57,7 +57,6 @@ def suggest(
         report: Write a report as one HTML page that works offline.
         next_: Folder for the trial that would show what these records do not, for estune
             run-experiment.
-        json: Print JSON.
 
     The first line says whether it is the tuning, the actuator, the sensor or something outside;
     without gains it comes alone. Exits with 9 where the records do not show enough, and with 10

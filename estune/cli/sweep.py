@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from estune.cli import output
-from estune.cli.values import Flag, check_folder_exists, command_line
+from estune.cli.values import Flag, Quiet, check_folder_exists, command_line
 from estune.errors import EstuneError, InvalidInput
 from estune.run.loop import Stopped
 from estune.run.progress import duration
@@ -34,7 +34,7 @@ def sweep(
     dask: str | None = None,
     report: Path | None = None,
     dry_run: Flag = False,
-    quiet: Flag = False,
+    quiet: Quiet = False,
     json: Flag = False,
     example: Flag = False,
 ) -> None:
@@ -51,7 +51,6 @@ def sweep(
             tcp://127.0.0.1:8786.
         report: File of the report page; report.html in the folder of the sweep by default.
         dry_run: Only check the limits and list what would be commanded; nothing moves.
-        quiet: Show no progress.
         json: Print the laws as JSON.
         example: Print a complete file, of a simulated reel, and exit.
 

@@ -23,7 +23,11 @@ from estune.cli.options import (
 from estune.cli.runs import find_run, result_facts
 from estune.cli.values import (
     Flag,
+    Quiet,
+    RigName,
     RunName,
+    RunsFolder,
+    SecurityFile,
     Values,
     check_folder_exists,
     command_line,
@@ -58,14 +62,14 @@ def tune(
     tracking: Flag = False,
     start: Values = (),
     bounds: Values = (),
-    rig: str | None = None,
-    security: Path | None = None,
+    rig: RigName = None,
+    security: SecurityFile = None,
     patience: float | None = None,
     run: str | None = None,
-    folder: Path = Path(RUNS),
+    folder: RunsFolder = Path(RUNS),
     records: int | None = None,
     report: Path | None = None,
-    quiet: Flag = False,
+    quiet: Quiet = False,
     json: Flag = False,
     search: SearchOptions = NO_SEARCH,
     step: StepOptions = NO_STEP,
@@ -92,16 +96,12 @@ def tune(
             in service); or the initial value of a gain, as P=0.5. Repeat for more.
         bounds: Lowest and highest value of a gain, as P=0.1:10; repeat for more. The gains are P,
             I, D and setpoint_filter_s.
-        rig: Name of the rig, if several answer at the endpoint.
-        security: Credentials file, if the rig requires authentication.
         patience: How long to wait for the rig to appear, and where it stops
             replying, s; 3 s and 30 s by default.
         run: Name of the run; the time of day by default.
-        folder: Folder of runs.
         records: Number of records that the run keeps on disk, the latest and those of repeats; all
             by default. Gains and costs are kept for ever.
         report: Write a report of the run as one HTML page that works offline.
-        quiet: Show no progress.
         json: Print the result as JSON.
         search: The search.
         step: The step trial.
@@ -139,11 +139,11 @@ def resume(
     *,
     target: str | None = None,
     trials: int | None = None,
-    security: Path | None = None,
+    security: SecurityFile = None,
     patience: float | None = None,
-    folder: Path = Path(RUNS),
+    folder: RunsFolder = Path(RUNS),
     report: Path | None = None,
-    quiet: Flag = False,
+    quiet: Quiet = False,
     json: Flag = False,
 ) -> int:
     """Continue a run that was stopped or interrupted, or extend a finished search.
@@ -152,12 +152,9 @@ def resume(
         run: The run: its name, or its folder.
         target: Present address of its rig; the earlier one by default.
         trials: Another maximum number of search trials, with which a finished search goes on.
-        security: Credentials file, if the rig requires authentication.
         patience: How long to wait for the rig to appear, and where it stops
             replying, s; 3 s and 30 s by default.
-        folder: Folder of runs.
         report: Write a report of the run as one HTML page that works offline.
-        quiet: Show no progress.
         json: Print the result as JSON.
     """
     check_folder_exists("--report", report)

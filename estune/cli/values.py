@@ -20,6 +20,17 @@ if TYPE_CHECKING:
 Flag = Annotated[bool, Parameter(negative=(), show_default=False)]
 """An option without a value."""
 
+Json = Annotated[Flag, Parameter(help="Print JSON.")]
+Quiet = Annotated[Flag, Parameter(help="Show no progress.")]
+RigName = Annotated[
+    str | None, Parameter(help="Name of the rig, if several answer at the endpoint.")
+]
+RunsFolder = Annotated[Path, Parameter(help="Folder of runs.")]
+SecurityFile = Annotated[
+    Path | None, Parameter(help="Credentials file, if the rig requires authentication.")
+]
+"""Options that many commands have."""
+
 OptionalText = Annotated[str, Parameter(show_default=False)]
 """A text that is empty unless given."""
 

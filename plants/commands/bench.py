@@ -12,7 +12,14 @@ from rich.text import Text
 from estune import api
 from estune.cli import output
 from estune.cli.runs import find_run
-from estune.cli.values import Flag, Values, check_folder_exists, numbers_from, security_from
+from estune.cli.values import (
+    Json,
+    RunsFolder,
+    Values,
+    check_folder_exists,
+    numbers_from,
+    security_from,
+)
 from estune.core.gains import GAIN_NAMES, Gains
 from estune.errors import InvalidInput
 from estune.run.journal import RUNS
@@ -34,9 +41,9 @@ def bench(
     drum_radius: float = 0.025,
     part: float = 9.0,
     seed: int = 0,
-    folder: Path = Path(RUNS),
+    folder: RunsFolder = Path(RUNS),
     report: Path = Path("bench.html"),
-    json: Flag = False,
+    json: Json = False,
     security: Path | None = None,
 ) -> None:
     """Measure the force felt at a reel's cable while its end moves, by an outside sensor.
@@ -58,9 +65,7 @@ def bench(
         drum_radius: Drum radius of rigs, m.
         part: Duration of each of the three parts of a test, s.
         seed: Seed of simulated noise.
-        folder: Folder of runs.
         report: File of the report page.
-        json: Print JSON.
         security: Credentials file, if a rig requires authentication.
     """
     from estune.support.html_page import write  # noqa: PLC0415  slow to import

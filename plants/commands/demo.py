@@ -8,7 +8,7 @@ from pathlib import Path
 from estune import api
 from estune.cli.options import TunerName
 from estune.cli.tune import finish
-from estune.cli.values import Flag
+from estune.cli.values import Flag, RunsFolder
 from estune.cli.watch import watch
 from estune.run.journal import RUNS
 from estune.run.loop import Stopped
@@ -29,7 +29,7 @@ def demo(
     pace: float = 0.1,
     page: Flag = False,
     port: int | None = None,
-    folder: Path = Path(RUNS),
+    folder: RunsFolder = Path(RUNS),
 ) -> int:
     """Tune a simulated reel, which runs in another process, over Zenoh.
 
@@ -40,7 +40,6 @@ def demo(
         pace: Wall-clock seconds per simulated second: 1 is real time, 0 is as fast as possible.
         page: Show the reel on a page in the browser instead, from which it is tuned, until Ctrl-C.
         port: Port of the page; by default 8765, or a free one where that is taken.
-        folder: Folder of runs.
     """
     with served_reel(seed, pace) as endpoint:
         print(

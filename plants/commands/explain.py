@@ -12,7 +12,7 @@ from rich.text import Text
 
 from estune.cli import output
 from estune.cli.stated_controller import stated_controller
-from estune.cli.values import Effects, Flag, Values, check_folder_exists, command_line
+from estune.cli.values import Effects, Flag, Json, Quiet, Values, check_folder_exists, command_line
 from estune.core.gains import Gains
 from estune.errors import InvalidInput
 from estune.run.progress import showing_phases
@@ -32,7 +32,7 @@ def explain(
     *,
     model: str | None = None,
     data: Path | None = None,
-    json: Flag = False,
+    json: Json = False,
     report: Path | None = None,
     save: Path | None = None,
     next_: Annotated[Path | None, Parameter(name="--next")] = None,
@@ -44,7 +44,7 @@ def explain(
     unit: Values = (),
     scale: Values = (),
     save_map: Path | None = None,
-    quiet: Flag = False,
+    quiet: Quiet = False,
     example: Flag = False,
 ) -> int:
     """Identify the effect missing from a model, from records.
@@ -53,7 +53,6 @@ def explain(
         model: The model: a file such as reel.toml, or module:attribute such as
             plants:reference_reel or plants:unloaded_reel.
         data: Folder of records, as estune export writes them or in any format of estune records.
-        json: Print JSON.
         report: Write a report as one HTML page that works offline.
         save: Write the model with the identified effects as a model file.
         next_: Folder for the trial that would distinguish the candidates, for estune
@@ -69,7 +68,6 @@ def explain(
         unit: Their units, such as angle=mm,tension=lbf.
         scale: Factors to the unit, such as current=35.15.
         save_map: Write the map as a TOML file, for --map.
-        quiet: Show no progress.
         example: Print a model file, of the reel that estune serve-hardware --example emulates, and
             exit.
 

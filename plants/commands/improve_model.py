@@ -10,7 +10,10 @@ from typing import TYPE_CHECKING
 from estune.cli import output
 from estune.cli.values import (
     Effects,
-    Flag,
+    Json,
+    Quiet,
+    RigName,
+    SecurityFile,
     Values,
     check_folder_exists,
     command_line,
@@ -43,12 +46,12 @@ def improve_model(
     trials: int = 40,
     repeats: int = REPEATS,
     effects: Effects = (),
-    json: Flag = False,
+    json: Json = False,
     report: Path | None = None,
     save: Path | None = None,
-    rig: str | None = None,
-    security: Path | None = None,
-    quiet: Flag = False,
+    rig: RigName = None,
+    security: SecurityFile = None,
+    quiet: Quiet = False,
 ) -> None:
     """Improve a rig's model by experiment, then tune the rig with it.
 
@@ -69,12 +72,8 @@ def improve_model(
         trials: Maximum number of search trials on the rig.
         repeats: Trials of each set of gains whose cost is compared.
         effects: Effects of your own that join the search, each as module:Class.
-        json: Print JSON.
         report: Write costs, the last diagnosis and the tuning as one HTML page.
         save: Write the improved model as a model file.
-        rig: Name of the rig, if several answer at the endpoint.
-        security: Credentials file, if the rig requires authentication.
-        quiet: Show no progress.
     """
     check_folder_exists("--report", report)
     check_folder_exists("--save", save)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from rich.text import Text
 
 from estune.cli import output
-from estune.cli.values import Flag, Values, command_line, words_from
+from estune.cli.values import Json, Values, command_line, words_from
 from estune.errors import InvalidInput
 from plants.commands.columns import Sources, column_map
 
@@ -35,7 +35,7 @@ def records(
     model: str | None = None,
     out: Path | None = None,
     form: Literal["csv", "parquet", "mcap"] = "csv",
-    json: Flag = False,
+    json: Json = False,
 ) -> None:
     """Show how recorded data are understood: columns, units, rate, gaps, trials and signs.
 
@@ -52,7 +52,6 @@ def records(
         model: The model whose drum turns lengths into angles and torques into currents.
         out: Folder for the records as a model's diagnosis takes them, one file each.
         form: Format of these files.
-        json: Print JSON.
 
     Raises:
         InvalidInput: there is no record, or an option cannot be used.
