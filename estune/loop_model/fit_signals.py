@@ -101,12 +101,8 @@ def signals_of(
     """Records as deviations.
 
     A record at rest before its first sample has that rest as its past. Of others the first samples
-    are the past: as many as the longest dead time and the numerator reach back.
-
-    Args:
-        records: At least one.
-        settling_samples: Settling time asked for.
-        longest_dead: Longest dead time; the settling time by default, as a search may need.
+    are the past: as many as the longest dead time, in a search the settling time, and the
+    numerator reach back.
     """
     longest = round(settling_samples) if longest_dead is None else longest_dead
     by_kind: dict[tuple[int, bool], list[int]] = {}

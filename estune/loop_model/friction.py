@@ -18,6 +18,7 @@ from estune.loop_model.friction_score import SHARES, grid_of_poles, shows_fricti
 from estune.loop_model.identification import (
     PoleFit,
     by_cost,
+    least_point,
     remembered,
     search_dead_time,
 )
@@ -33,6 +34,9 @@ fewer local minima, and number of those that all records then improve."""
 EVALUATIONS, FEW_EVALUATIONS = 25, 5
 """Evaluations of a search, and of one by which starts are compared: all of 54 fits, of reels with
 0.002 to 0.05 N m and of plants without friction, ended at the cost that 25 lead to, to 0.1 %."""
+
+TOLERANCES = (1e-6, 1e-5, 0.0)
+"""Relative changes of the sum of squares and of the point at which a search ends."""
 
 DIFFERENCE = 1e-4
 """Half the distance of the points of a numerical slope, in each coordinate."""
@@ -119,8 +123,7 @@ def _starts(motion: FrictionMotion, linear: LoopFit) -> list[PoleFit]:
 def _search(
     motion: FrictionMotion, start: PoleFit, dead: int, evaluations: int = EVALUATIONS
 ) -> PoleFit:
-    """Least squares from a start, by Levenberg and Marquardt."""
-    from scipy.optimize import leastsq  # noqa: PLC0415  slow to import
+    """Least squares from a start."""
 
     def residual_of(x: FloatArray, forces: list[FloatArray]) -> FloatArray:
         # Without a reversal only the change of the friction shows: then it holds nothing at rest.
@@ -136,16 +139,7 @@ def _search(
     def residual(x: FloatArray) -> FloatArray:
         return residual_of(x, [force[0] for force in _about(motion, x)])
 
-    with np.errstate(over="ignore", invalid="ignore"):  # of a covariance that nobody uses
-        x, *_ = leastsq(
-            residual,
-            start.coordinates,
-            Dfun=jacobian,
-            full_output=True,
-            xtol=1e-5,
-            ftol=1e-6,
-            maxfev=evaluations,
-        )
+    x = least_point(residual, start.coordinates, jacobian, TOLERANCES, evaluations)
     left = residual(x)
     return PoleFit(0.5 * float(left @ left), x, dead)
 

@@ -136,13 +136,29 @@ def remembered(f: Callable[[FloatArray], T]) -> Callable[[FloatArray], T]:
     return value
 
 
-def improve(signals: FitSignals, start: PoleFit, tolerance: float = FINE) -> PoleFit:
-    """Poles and noise of least squares from a start, by Levenberg and Marquardt.
+def least_point(
+    residual: Callable[[FloatArray], FloatArray],
+    start: FloatArray,
+    slopes: Callable[[FloatArray], FloatArray],
+    tolerances: tuple[float, float, float],
+    evaluations: int,
+) -> FloatArray:
+    """Where a sum of squares is least, by Levenberg and Marquardt from a start.
 
-    The search ends below a relative decrease of the sum of squares.
+    The tolerances are of the sum, of the point and of the gradient.
     """
     from scipy.optimize import leastsq  # noqa: PLC0415  slow to import
 
+    limits = dict(zip(("ftol", "xtol", "gtol"), tolerances, strict=True))
+    with np.errstate(over="ignore", invalid="ignore"):  # of a covariance that nobody uses
+        x, *_ = leastsq(
+            residual, start, Dfun=slopes, full_output=True, maxfev=evaluations, **limits
+        )
+    return np.asarray(x)
+
+
+def improve(signals: FitSignals, start: PoleFit, tolerance: float = FINE) -> PoleFit:
+    """Poles and noise of least squares; ends at this relative decrease of the sum of squares."""
     tolerances = (tolerance, 100.0 * tolerance, FINE)
     if start.noise.is_white:
         found = Solution.improved(signals, start.coordinates, start.dead, tolerances)
@@ -162,14 +178,6 @@ def improve(signals: FitSignals, start: PoleFit, tolerance: float = FINE) -> Pol
         slopes = here.search_slopes(signals)
         return np.asarray(slopes - here.basis @ (here.basis.T @ slopes))
 
-    with np.errstate(over="ignore", invalid="ignore"):  # of a covariance that nobody uses
-        x, *_ = leastsq(
-            lambda x: at(x).residual,
-            first.searched,
-            Dfun=jacobian,
-            full_output=True,
-            **dict(zip(("ftol", "xtol", "gtol"), tolerances, strict=True)),
-            maxfev=EVALUATIONS if first.noise.is_white else NOISE_EVALUATIONS,
-        )
-    best = at(x)
+    most = EVALUATIONS if first.noise.is_white else NOISE_EVALUATIONS
+    best = at(least_point(lambda x: at(x).residual, first.searched, jacobian, tolerances, most))
     return PoleFit(best.cost, best.coordinates, start.dead, best.noise)

@@ -160,13 +160,8 @@ def summarise(
 ) -> LoopFit:
     """The fit of a solution with its covariances and its misfit.
 
-    Args:
-        records: The records.
-        signals: The same as deviations.
-        at: The solution.
-        slopes: Of its residual along the model's real parameters and further ones that all
-            records share, shape (residuals of all, parameters).
-        friction: Size of the dry friction.
+    The slopes are of its residual along the model's real parameters and further ones that all
+    records share, shape (residuals of all, parameters).
     """
     model, noise, errors = model_of(at, friction), at.noise, at.residual
     J, n = slopes, model.parameters.size

@@ -32,8 +32,7 @@ from estune.tuners.interface import ConvergenceEstimate, CostPrediction
 from estune.tuners.model_convergence import model_convergence
 from estune.tuners.observation import Observation, log_cost
 from estune.tuners.points_by_loop import furthest_stable, with_other_derivative
-from estune.tuners.predictions import cost_noise, difference, log_of_cost, measured_overshoot
-from estune.tuners.residual_surface import ResidualSurface
+from estune.tuners.predictions import ComparedTrial, difference, log_of_cost, measured_overshoot
 from estune.tuners.safe_bayesian import SafeBayesianTuner
 from estune.tuners.search_space import Coordinates, Point, SearchSpace
 from estune.tuners.searched_loop import SearchedLoop
@@ -155,7 +154,7 @@ class IdentifiedLoopTuner:
         self, state: IdentifiedLoopState, *, excited: bool = False
     ) -> IdentifiedLoopState:
         """The state with the next trial: the model's, or the fallback's where that fails."""
-        recent = [abs(error) for error in state.errors[-3:]]
+        recent = [abs(trial.error) for trial in state.trials[-3:]]
         failed = len(recent) == 3 and float(np.median(recent)) > PREDICTION_FAILED  # not with NaN
         if state.fit is None or state.best_cost is None or failed:
             return self._fall_back(state)
@@ -165,7 +164,7 @@ class IdentifiedLoopTuner:
         held = math.isfinite(self._loop(state, state.fit).predicted(state.base).cost)
         if not (held or state.fit.is_white):
             return self._fall_back(state)
-        foreseen = abs(state.errors[-1]) < FORESEEN and not excited  # not with NaN
+        foreseen = abs(state.trials[-1].error) < FORESEEN and not excited  # not with NaN
         return self._propose(state, state.fit, foreseen=foreseen)
 
     def _overshoot_margin(self, observation: Observation) -> float:
@@ -198,9 +197,9 @@ class IdentifiedLoopTuner:
         """Whether the model predicts of the next trial what it predicts of one that was run."""
         if state.fit is None or state.fallen_back:
             return False
-        loop, run = self._loop(state, state.fit), state.points[-self.memory :]
+        loop, run = self._loop(state, state.fit), state.trials[-self.memory :]
         following = loop.predicted(self.space.coordinates(state.proposal))
-        return any(difference(loop.predicted(x), following) < tolerance for x in run)
+        return any(difference(loop.predicted(one.x), following) < tolerance for one in run)
 
     def predict(self, state: IdentifiedLoopState, point: Point) -> CostPrediction:
         """The predicted cost of a point, by the fallback's model of the cost."""
@@ -237,16 +236,12 @@ class IdentifiedLoopTuner:
     ) -> IdentifiedLoopState:
         """The state with the model fitted to one more record, of an unsafe trial too."""
         x, last = self.space.coordinates(point), state.fit
-        predicted = self._loop(state, last).log_cost(x) if last else math.nan
+        predicted = log_of_cost(self._loop(state, last).predicted(x)) if last else math.nan
         state = state._replace(records=(*state.records, record)[-self.memory :])
         if not observation.censored:
-            cost = log_cost(observation)
-            state = state._replace(
-                points=(*state.points, x),
-                costs=(*state.costs, cost),
-                overshoots=(*state.overshoots, measured_overshoot(record, self._trial)),
-                errors=(*state.errors, cost - predicted),
-            )
+            cost, overshoot = log_cost(observation), measured_overshoot(record, self._trial)
+            run = ComparedTrial(x, cost, overshoot, cost - predicted)
+            state = state._replace(trials=(*state.trials, run))
         records = (*state.records, *state.excitations)
         return self._with_fit(state, fit_loop(records, *self._scales, state.fit))
 
@@ -275,35 +270,23 @@ class IdentifiedLoopTuner:
     def _with_fit(self, state: IdentifiedLoopState, fit: LoopFit) -> IdentifiedLoopState:
         """The state with a model fitted to its records."""
         state = state._replace(fit=fit, surface=None)
-        if not state.points:
+        last = state.trials[-self.memory :]
+        if not last:
             return state
-        loop = self._loop(state, fit)
-        surface = self._surface(state, loop)
-        state, loop = state._replace(surface=surface), loop._replace(surface=surface)
+        loop = self._loop(state, fit).with_surface(last, state.trials)
         # The least measured cost may be luck, and would hold the search back where little changes.
-        recent = {one: loop.predicted(one) for one in state.points[-self.memory :]}
+        recent = {one.x: loop.predicted(one.x) for one in last}
         return state._replace(
-            base=min(recent, key=lambda one: recent[one].cost), **self._best_kept(state, recent)
-        )
-
-    def _surface(self, state: IdentifiedLoopState, loop: SearchedLoop) -> ResidualSurface | None:
-        """Differences of the last trials' measured costs from the predictions of a model."""
-        recent = slice(-self.memory, None)
-        measured = zip(state.costs[recent], state.overshoots[recent], strict=True)
-        predicted = [loop.predicted(x) for x in state.points[recent]]
-        differences = [
-            (cost - log_of_cost(p), overshoot - p.overshoot)
-            for (cost, overshoot), p in zip(measured, predicted, strict=True)
-        ]
-        return ResidualSurface.fitted(
-            state.points[recent], differences, loop.fit.model_misfit, cost_noise(state.errors)
+            surface=loop.surface,
+            base=min(recent, key=lambda x: recent[x].cost),
+            **self._best_kept(state, recent),
         )
 
     def _best_kept(
         self, state: IdentifiedLoopState, recent: Mapping[Coordinates, Prediction]
     ) -> dict[str, Any]:
         """The trial of least cost within the limits; the best of all where none kept them."""
-        costs = dict(zip(state.points, state.costs, strict=True))
+        costs = {one.x: one.log_cost for one in state.trials}
         kept = [x for x, p in recent.items() if self.limits.excess(p).max() < TOLERANCE]
         if not kept:
             return {}
@@ -314,7 +297,7 @@ class IdentifiedLoopTuner:
         self, state: IdentifiedLoopState, fit: LoopFit, *, foreseen: bool
     ) -> IdentifiedLoopState:
         """The next trial and the centre by the model."""
-        loop, known = self._loop(state, fit), len(state.costs) >= CLOSE_FROM
+        loop, known = self._loop(state, fit), len(state.trials) >= CLOSE_FROM
         search = loop.search(fit.model, HalfWidths.none() if known else None)
         best = np.array(state.base)
         optimum = search.minimise(
@@ -337,8 +320,8 @@ class IdentifiedLoopTuner:
             # Where the reach holds the optimum back the next one is another loop.
             held = loop.holds_back(optimum)
             caution = 0.0 if held else log_of_cost(optimum.prediction) - least
-            seed = len(state.costs)
-            estimate = model_convergence(loop, optimum, beside, state.errors, seed)
+            seed = len(state.trials)
+            estimate = model_convergence(loop, optimum, beside, state.trials, seed)
         centre = tuple(optimum.coordinates.tolist())
         return state._replace(
             centre=centre,

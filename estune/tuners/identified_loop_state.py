@@ -5,6 +5,7 @@ from typing import Any, NamedTuple
 from estune.loop_model.loop_fit import LoopFit
 from estune.loop_model.records import LoopRecord
 from estune.tuners.interface import ConvergenceEstimate
+from estune.tuners.predictions import ComparedTrial
 from estune.tuners.residual_surface import ResidualSurface
 from estune.tuners.search_space import Coordinates, Point
 
@@ -18,10 +19,7 @@ class IdentifiedLoopState(NamedTuple):
         best_point: The point of the best safe trial.
         records: Last records of the loop in step trials.
         excitations: Records of its excitations, of those that are fitted.
-        points: Coordinates of all trials with a record.
-        costs: Logarithms of their costs.
-        overshoots: Their overshoots, as shares of the step.
-        errors: Errors of the predictions of these before they ran; NaN before the first fit.
+        trials: All safe trials with a record, of which more are known than are fitted.
         fit: The identified loop; None before the first record.
         surface: What the last trials measured beyond its predictions; None where these stand.
         caution: Logarithm of the predicted cost of the centre over that of the optimum without a
@@ -38,10 +36,7 @@ class IdentifiedLoopState(NamedTuple):
     best_cost: float | None = None
     records: tuple[LoopRecord, ...] = ()
     excitations: tuple[LoopRecord, ...] = ()
-    points: tuple[Coordinates, ...] = ()
-    costs: tuple[float, ...] = ()
-    overshoots: tuple[float, ...] = ()
-    errors: tuple[float, ...] = ()
+    trials: tuple[ComparedTrial, ...] = ()
     fit: LoopFit | None = None
     surface: ResidualSurface | None = None
     caution: float | None = None

@@ -10,7 +10,7 @@ from estune.loop_model.drawn_optima import draw_optima, equal_range
 from estune.loop_model.half_widths import HalfWidths
 from estune.loop_model.optimum import Optimum
 from estune.tuners.interface import ConvergenceEstimate
-from estune.tuners.predictions import cost_noise, log_of_cost
+from estune.tuners.predictions import ComparedTrial, cost_noise, log_of_cost
 from estune.tuners.searched_loop import SearchedLoop
 
 ONE_SIDED_95 = 1.645
@@ -26,15 +26,16 @@ def model_convergence(
     loop: SearchedLoop,
     optimum: Optimum,
     beside: HalfWidths,
-    errors: Sequence[float],
+    trials: Sequence[ComparedTrial],
     seed: int,
 ) -> ConvergenceEstimate | None:
     """The state of convergence at the optimum of a loop within limits as far inside as `beside`.
 
     None where the way there is long.
     """
-    close = loop.log_cost(loop.base) - log_of_cost(optimum.prediction) < WORTH_DRAWING
-    if beside.is_wide or not (close and optimum.feasible) or loop.holds_back(optimum):
+    left = log_of_cost(loop.predicted(loop.base)) - log_of_cost(optimum.prediction)
+    close = left < WORTH_DRAWING and optimum.feasible
+    if beside.is_wide or not close or loop.holds_back(optimum):
         return None
     space = loop.space
     search = partial(loop.search, beside=beside)
@@ -48,7 +49,7 @@ def model_convergence(
         beyond = ONE_SIDED_95 * loop.surface.deviation(optimum.coordinates)
     ends = (space.point(tuple(x.tolist())) for x in (low, high))
     return ConvergenceEstimate(
-        noise=cost_noise(errors),
+        noise=cost_noise(trials),
         remaining_improvement=-math.expm1(-float(np.quantile(draws.gains, 0.95)) - beyond),
         expected_improvement=-math.expm1(-float(np.mean(draws.gains))),
         intervals=tuple(zip(*ends, strict=True)),

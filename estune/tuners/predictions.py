@@ -2,11 +2,13 @@
 
 import math
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 
 from estune.loop_model.prediction import Prediction, StepTrial
 from estune.loop_model.records import LoopRecord
+from estune.tuners.search_space import Coordinates
 
 NOISE_EXPECTED = 0.03
 """Relative standard deviation of the cost before enough predictions were compared."""
@@ -14,6 +16,22 @@ NOISE_EXPECTED = 0.03
 SMOOTHED = 5
 """Samples of the means by which a record's overshoot is measured: with 0.4 % noise of the step
 its largest sample is 1 % too high, its largest mean 0.5 %."""
+
+
+class ComparedTrial(NamedTuple):
+    """A trial beside what was predicted of it.
+
+    Attributes:
+        x: Its coordinates.
+        log_cost: Logarithm of its cost.
+        overshoot: As a share of the step.
+        error: Its log cost less the one predicted before it ran; NaN before the first fit.
+    """
+
+    x: Coordinates
+    log_cost: float
+    overshoot: float
+    error: float
 
 
 def difference(one: Prediction, other: Prediction) -> float:
@@ -39,7 +57,7 @@ def measured_overshoot(record: LoopRecord, trial: StepTrial) -> float:
     return max(float(np.max(smooth / trial.step.size)) - 1.0, 0.0)
 
 
-def cost_noise(errors: Sequence[float]) -> float:
+def cost_noise(trials: Sequence[ComparedTrial]) -> float:
     """Relative standard deviation of the cost, by the errors of the last predictions."""
-    recent = [error for error in errors[-8:] if math.isfinite(error)]
+    recent = [trial.error for trial in trials[-8:] if math.isfinite(trial.error)]
     return float(np.std(recent)) if len(recent) > 3 else NOISE_EXPECTED

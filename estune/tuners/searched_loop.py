@@ -1,5 +1,6 @@
 """The identified loop that a search moves on: what it predicts, and where its optimum lies."""
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -9,7 +10,7 @@ from estune.loop_model.loop_fit import LoopFit
 from estune.loop_model.model import LoopModel
 from estune.loop_model.optimum import Optimum, RegionSearch, RobustnessLimits
 from estune.loop_model.prediction import Prediction, StepTrial, predict
-from estune.tuners.predictions import difference, log_of_cost
+from estune.tuners.predictions import ComparedTrial, cost_noise, difference, log_of_cost
 from estune.tuners.residual_surface import ResidualSurface
 from estune.tuners.search_space import Coordinates, SearchSpace
 
@@ -44,9 +45,19 @@ class SearchedLoop(NamedTuple):
         found = predict(self.fit.model, self.trial, gains, self.fit.noise_std)
         return self.surface.corrected(np.array(x), found) if self.surface else found
 
-    def log_cost(self, x: Coordinates) -> float:
-        """The logarithm of the cost that is expected there."""
-        return log_of_cost(self.predicted(x))
+    def with_surface(
+        self, trials: Sequence[ComparedTrial], known: Sequence[ComparedTrial]
+    ) -> "SearchedLoop":
+        """The loop with what trials measured beyond it, by the noise of all that are known."""
+        alone = self._replace(surface=None)
+        predicted = [alone.predicted(trial.x) for trial in trials]
+        differences = [
+            (trial.log_cost - log_of_cost(p), trial.overshoot - p.overshoot)
+            for trial, p in zip(trials, predicted, strict=True)
+        ]
+        points, misfit = [trial.x for trial in trials], self.fit.model_misfit
+        surface = ResidualSurface.fitted(points, differences, misfit, cost_noise(known))
+        return self._replace(surface=surface)
 
     def search(self, model: LoopModel, beside: HalfWidths | None = None) -> RegionSearch:
         """The search for the optimum of a model within reach of the best trial.
