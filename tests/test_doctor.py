@@ -183,6 +183,12 @@ def test_record_faults_fail_their_check(check, answer):
     assert check in to_fix(Patient(answer))
 
 
+def test_nothing_moves_after_a_trial_that_did_not_run_to_its_end():
+    rig = Patient(diverged)
+    assert "trials" in to_fix(rig)
+    assert len(rig.requests) == 1
+
+
 def test_noisy_gauge_fails():
     assert "gauge" in to_fix(Patient(changed(tension_N=noisy)))
 
