@@ -375,6 +375,16 @@ def test_proven_is_a_gain_beyond_its_interval_and_no_loss(measured, proven):
     assert Proof("r", "today", GAINS, 2, ratios(**measured)).proven is proven
 
 
+def test_sentence_of_a_proof_says_of_each_measure_whether_its_interval_decides():
+    measured = ratios(tracking=(0.56, 0.54, 0.58), reversal=(1.0, 0.9, 1.2), rest=(0.9, 0.85, 1.0))
+    assert Proof("r", "today", GAINS, 2, measured).sentence.split("; ") == [
+        "cost unchanged",
+        "slow tracking error 0.56 [0.54, 0.58] of what it was",
+        "error at reversals undecided, 1.00 [0.90, 1.20] of what it was",
+        "restlessness undecided, 0.90 [0.85, 1.00] of what it was",
+    ]
+
+
 def test_rig_that_ignores_the_remedy_is_found_out():
     class Deaf:
         def __init__(self, rig):

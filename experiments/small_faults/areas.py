@@ -126,6 +126,10 @@ UNCHANGED: dict[tuple[str, str], str] = {
         "guard dropped",
     ): "a lease that has expired does so once",
     (
+        "digest, state, frame, error, sentence = rows[0]",
+        "first and last exchanged",
+    ): "the ids of trials are unique: the query gives one row at most",
+    (
         "sequence, size = oldest[0]",
         "first and last exchanged",
     ): "the query gives one row at most",
