@@ -121,10 +121,11 @@ def test_unsafe_gains_are_not_repeated():
     assert both.best is None
 
 
-def test_missing_repeats_count_down_to_zero():
-    repeats, missing = InterleavedRepeats.new((A, B), 2), []
+@pytest.mark.parametrize(("known", "most"), [(0, 4), (1, 3), (5, 2)])
+def test_missing_repeats_count_down_to_zero_whatever_is_known_of_the_first_gains(known, most):
+    repeats, missing = InterleavedRepeats.new((A, B), 2, [1.0] * known), []
     while repeats.next_index is not None:
         missing.append(repeats.missing)
         repeats = repeats.with_cost(1.0)
     assert all(after == before - 1 for before, after in pairwise([*missing, repeats.missing]))
-    assert missing[0] == 4
+    assert missing[0] == most
