@@ -1,6 +1,7 @@
 """Logs as programs and firmware write them: each read back, and their loops found by name."""
 
 import json
+import math
 import struct
 
 import numpy as np
@@ -239,6 +240,18 @@ def test_log_of_a_loop_is_read_as_its_program_writes_it(tmp_path, name, lines, s
     path = tmp_path / name
     path.write_text("\n".join([*lines(), ""]), "utf-8")
     check(read_loop_log(path, sources))
+
+
+def test_row_that_is_refused_is_that_of_the_file_after_rows_were_left_out(tmp_path):
+    rows = [f"{k},{math.sin(k)},{math.sin(k - 1)},{k % 7}" for k in range(50)]
+    rows[10] = "10,1.0,,3"  # no measurement
+    rows[20] = rows[19]  # a copy
+    rows[40] = "38,0.5,0.4,1"  # behind the row above
+    path = tmp_path / "log.csv"
+    path.write_text("\n".join(["time_s,setpoint,measurement,output", *rows]), "utf-8")
+    with pytest.raises(Unusable, match="is before that of the row above") as refused:
+        read_loop_log(path)
+    assert refused.value.issue.row == 41
 
 
 def test_loops_of_a_flight_are_listed_and_taken_by_name(tmp_path):

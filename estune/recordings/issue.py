@@ -4,6 +4,9 @@ from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from typing import Literal
 
+import numpy as np
+from numpy.typing import NDArray
+
 from estune.errors import InvalidInput
 
 LISTED = 6
@@ -37,6 +40,13 @@ class DataIssue:
         column = f", column {self.column}" if self.column else ""
         return f"{self.source}{row}{column}: {self.sentence}"
 
+    def among(self, rows: NDArray[np.intp]) -> "DataIssue":
+        """The same of the rows, counted from 0, that its rows are; its own counts these alone.
+
+        A row was named by its number after others had been left out, and looked for in vain.
+        """
+        return self if self.row is None else replace(self, row=int(rows[self.row - 1]) + 1)
+
 
 def refusals(issues: Iterable[DataIssue]) -> str:
     """The refusals among some issues, the first of them in full; empty where there is none.
@@ -62,3 +72,8 @@ class Unusable(InvalidInput):
     def __init__(self, sentence: str, column: str = "", row: int | None = None) -> None:
         super().__init__(sentence)
         self.issue = DataIssue("refused", sentence, column, row)
+
+    def among(self, rows: NDArray[np.intp]) -> "Unusable":
+        """The same of the rows that its rows are, as `DataIssue.among`."""
+        there = self.issue.among(rows)
+        return Unusable(there.sentence, there.column, there.row)

@@ -85,7 +85,13 @@ def read_loop_log(
         raise Unusable(f"the file has {few} rows; {FEWEST_SAMPLES} or more are needed")
     units = {c: _unit(channel) for c, channel in channels.items()}
     _to_one_unit(values, units)
-    grid = _on_grid(values, clocks, rate)
+    rows = np.flatnonzero(kept)
+    try:
+        grid = _on_grid(values, clocks, rate)
+    except Unusable as error:
+        raise (error if kept.all() else error.among(rows)) from None
+    if not kept.all():
+        grid = grid._replace(issues=tuple(one.among(rows) for one in grid.issues))
     parts = tuple(
         {"time" if n == "time_s" else n: v for n, v in part.items()}
         for part in grid.parts

@@ -74,8 +74,11 @@ def evened(
     rows, issues = _in_order(columns, time_s)
     if issues:
         ordered = {name: values[rows] for name, values in columns.items()}
-        found = evened(ordered, time_s[rows], stated_Hz, measured)
-        return found._replace(issues=(*issues, *found.issues))
+        try:
+            found = evened(ordered, time_s[rows], stated_Hz, measured)
+        except Unusable as error:
+            raise error.among(rows) from None
+        return found._replace(issues=(*issues, *(one.among(rows) for one in found.issues)))
     rounding_s = _rounding(time_s)
     if _is_counted(time_s, rounding_s):
         return _counted(columns, time_s, stated_Hz)
