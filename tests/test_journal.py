@@ -22,6 +22,7 @@ from estune.run.planning import (
     plan_to_json,
 )
 from estune.run.tuning_run import TuningRun
+from estune.support.sqlite import SqliteFile
 from estune.trial import Outcome
 from estune.tuners import TUNERS
 from tests.support_runs import ArithmeticRig
@@ -217,6 +218,20 @@ def test_full_disk_ends_the_run_and_keeps_committed_trials(tmp_path):
             sum(entry.outcome is not None for entry in journal.entries()) == len(run.entries) > 0
         )
     assert resume(tmp_path / "run", rig).session.phase is None
+
+
+def test_run_that_a_full_disk_lets_not_begin_leaves_nothing_and_is_begun_again(
+    tmp_path, monkeypatch
+):
+    def full(_file):
+        raise sqlite3.OperationalError("database or disk is full")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(SqliteFile, "_migrate", full)
+        with pytest.raises(JournalError, match="make room and begin again"):
+            begin(tmp_path / "run", "otis", ArithmeticRig())
+    assert not (tmp_path / "run" / FILE_NAME).exists()
+    begin(tmp_path / "run", "otis", ArithmeticRig()).journal.close()
 
 
 def test_changed_journal_is_refused_before_any_trial(tmp_path):

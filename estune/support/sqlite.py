@@ -102,11 +102,16 @@ class SqliteFile(Closing):
             JournalError: another process writes it, it is from a newer version, damaged, of
                 another kind, or cannot be written.
         """
-        with _explained(path, kind), ExitStack() as opened:
+        is_begun = create and not path.exists()
+        # There is nothing yet that could be continued.
+        so_far = kind._replace(continuation="begin again") if is_begun else kind
+        with _explained(path, so_far), ExitStack() as opened:
             if create:
                 path.parent.mkdir(parents=True, exist_ok=True)
             opened.enter_context(_lock(path, kind))
-            file = cls(path, kind, _connect(opened, path, "rwc" if create else "rw"), opened)
+            if create and not path.exists():  # asked again: nobody else begins it now
+                opened.push(lambda error, *_: error and path.unlink(missing_ok=True))
+            file = cls(path, so_far, _connect(opened, path, "rwc" if create else "rw"), opened)
             file.is_new = create and file._version() == 0
             if not file.is_new:
                 file._check()
@@ -114,7 +119,7 @@ class SqliteFile(Closing):
             with file.transaction():
                 file._migrate()
                 prepare(file)
-            file._inode = _inode(path)
+            file._inode, file._kind = _inode(path), kind
             file._opened = opened.pop_all()
         return file
 
