@@ -11,7 +11,7 @@ from estune.core.gains import Gains
 from estune.core.margins import SampledPlant, loop_margins, sample_plant
 from estune.core.pidf import ControllerSettings
 from estune.core.quantities import FloatArray, check_not_negative, check_positive
-from estune.errors import InvalidInput, PlantError
+from estune.errors import InvalidInput, PlantError, UnsafeStart
 from estune.interop import as_control, check_siso, linear_model
 from estune.loop_model.cautious_gains import cautious_gains
 from estune.trial import LinearModel, RigDescription, RigLimits
@@ -150,7 +150,17 @@ class LinearPlant(MountedModel):
 
     def describe(self, name: str, gains: Gains | None) -> RigDescription:
         safe = gains or self.mounting.gains or self._safe_gains()
+        if safe is None and self._lowers():
+            raise UnsafeStart(
+                f"more effort lowers the measurement of {name}, and no gains, which are above "
+                "zero, hold that; turn the sign of the plant, and of the effort on the machine"
+            )
         return self.mounting.describe(name, safe, self.model)
+
+    def _lowers(self) -> bool:
+        """Whether a stable plant ends lower with more effort."""
+        stable = bool((np.abs(np.linalg.eigvals(self.sampled.Phi)) < 1.0).all())
+        return stable and self._rest is not None and self._rest[-1] < 0.0
 
     def _safe_gains(self) -> Gains | None:
         """A slow PI with a gain margin of 3 and a phase margin of 60 degrees, or None."""
