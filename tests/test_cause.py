@@ -150,7 +150,14 @@ def loop_columns(names, signals):
 def test_output_that_is_at_a_limit_throughout_shows_no_cause():
     plain = flow_loop()
     switched = plain._replace(output=np.where(plain.error > 0.0, 100.0, 0.0))
-    assert "0 samples in a row" in judge_signals(between_limits(switched)).heading()
+    assert "as of an on-off controller" in judge_signals(between_limits(switched)).heading()
+
+
+def test_measurement_that_runs_away_is_said_before_any_cause():
+    found = judge_signals(flow_loop(I=-0.02))
+    assert found.name == "unknown"
+    assert "runs away from the setpoint" in found.heading()
+    assert "right direction" in found.heading()
 
 
 @pytest.mark.parametrize("scale", [1e-3, 1e3])

@@ -130,7 +130,8 @@ class Replay(NamedTuple):
         if not self.explained:
             return (
                 f"no gains explain the logged effort: the best leave {self.ran_error:.1%} of its "
-                "range; state the form of the controller, or map the signals that it sees"
+                "range; state the form of the controller, --reverse where more effort lowers the "
+                "measurement, or map the signals that it sees"
             )
         form = self._controller_text()
         if self.ran == self.stated:

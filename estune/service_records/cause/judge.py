@@ -55,6 +55,11 @@ RETURNS, LATER = 0.5, 0.3
 swings. Seven of 25 simulated loops that are too tight have Ms below `TIGHT` by the judge's plant
 and were called too slow: their correlations are 0.6 to 0.9 and 0.5 to 1; those of slow ones 0."""
 
+AWAY = 10.0
+"""Error at the end of a log, over the largest of its first half and the range of the setpoint,
+from which the measurement has run away. A controller of the wrong sign was told to take a sudden
+load away in time, and sooner with tighter gains."""
+
 _WORDS: dict[CauseName, str] = {
     "tuning": "TUNING",
     "sticking": "STICKING ACTUATOR",
@@ -156,6 +161,12 @@ def between_limits(signals: JudgedSignals) -> JudgedSignals:
 
 def judge_signals(signals: JudgedSignals, name: str = "") -> Cause:
     """The cause that signals show."""
+    if not signals.samples:
+        return _unknown(
+            "the output is at its least or its greatest value throughout, as of an on-off "
+            "controller; record a loop whose output moves between its limits",
+            name,
+        )
     if signals.samples < SHORTEST:
         why = (
             f"the log has {signals.samples} samples in a row without a gap or a limit; record "
@@ -165,11 +176,31 @@ def judge_signals(signals: JudgedSignals, name: str = "") -> Cause:
     if not np.ptp(signals.output) or not np.ptp(signals.measurement):
         still = "output" if np.ptp(signals.measurement) else "measurement"
         return _unknown(f"the {still} does not move; record the loop in automatic", name)
+    if _runs_away(signals):
+        off = abs(float(signals.error[-1]))
+        why = (
+            f"the measurement runs away from the setpoint, {off:.3g} off at the end, and "
+            "the output does not bring it back; see that the loop is in automatic and that its "
+            "output acts in the right direction, before any gains"
+        )
+        return _unknown(why, name)
     with np.errstate(all="ignore"):
         shown = evidence(signals)
     if shown.faults:
         return _of(shown, "sensor", {"sensor": 1.0}, name)
     return likeliest_cause(shown, probabilities(shown.numbers), name)
+
+
+def _runs_away(signals: JudgedSignals) -> bool:
+    """Whether the error grows to one side to the end, beyond all that the loop has mended."""
+    error, quarter = signals.error, signals.samples // 4
+    size, side = np.abs(error), np.sign(error[-1])
+    mended = max(float(size[: 2 * quarter].max()), float(np.ptp(signals.setpoint)))
+    before = float(size[2 * quarter : 3 * quarter].max())
+    end = float(size[-(quarter // 2) :].min())
+    return bool(
+        (error[3 * quarter :] * side > 0.0).all() and end > max(AWAY * mended, 2.0 * before)
+    )
 
 
 def likeliest_cause(shown: CauseEvidence, weighed: Mapping[CauseName, float], log: str) -> Cause:
