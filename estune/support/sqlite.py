@@ -110,7 +110,12 @@ class SqliteFile(Closing):
                 path.parent.mkdir(parents=True, exist_ok=True)
             opened.enter_context(_lock(path, kind))
             if create and not path.exists():  # asked again: nobody else begins it now
-                opened.push(lambda error, *_: error and path.unlink(missing_ok=True))
+
+                def discard(error: type[BaseException] | None, *_: object) -> None:
+                    if error is not None:
+                        path.unlink(missing_ok=True)
+
+                opened.push(discard)
             file = cls(path, so_far, _connect(opened, path, "rwc" if create else "rw"), opened)
             file.is_new = create and file._version() == 0
             if not file.is_new:
