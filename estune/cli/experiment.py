@@ -2,8 +2,6 @@
 
 from pathlib import Path
 
-from rich.text import Text
-
 from estune.cli import output
 from estune.cli.values import RigName, SecurityFile, security_from
 from estune.run.results.export import write_record
@@ -38,7 +36,5 @@ def run_experiment(
     path = write_record(record, data)
     done = record.outcome is Outcome.DONE
     sentence = record.outcome.sentence if done else record.reason or record.outcome.sentence
-    output.console().print(
-        Text(f"{record.trial_id}: {sentence}", style="bold green" if done else "bold yellow")
-    )
+    output.show_outcome(f"{record.trial_id}: {sentence}", good=done)
     output.show_next({"record": path, "samples": record.time_s.size, "rig": record.rig})

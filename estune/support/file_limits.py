@@ -51,7 +51,7 @@ def factor() -> float:
         stated = float(text)
     except ValueError:
         stated = 0.0
-    if not 0.0 < stated < 1e6:
+    if not 0.0 < stated < 1e6:  # with `inf`, a float too, nothing would be limited
         raise InvalidInput(f"{OPTION} is {text!r}; give a number above zero, such as 4")
     return stated
 

@@ -10,6 +10,7 @@ from estune.web.board import Board
 
 _END_WITHIN_S = 2.0
 _AGAIN_S = 1.0
+"""Time until a source that failed is read again, s: at its own rate the log would fill."""
 LINGER_S = 5.0
 """Time for which a source without a page is still read, s; pages ask for the list each 3 s."""
 

@@ -29,6 +29,7 @@ from estune.support.plot_style import (
 from estune.support.quantity_text import axis_label, time_text
 
 WITHIN = 1.05
+"""Cost over the least one up to which a tuner has come near it."""
 
 _COLOURS = (BLUE, GREEN, PURPLE, VERMILION, ORANGE, GREY)
 _MARKERS = "osD^vX"

@@ -33,6 +33,8 @@ BOUND = 1.5
 _HUBER_ROUNDS, _BISQUARE_ROUNDS, _BISECTIONS = 5, 15, 30
 _SETTLED = 1e-6
 _CONDITION_MAX = 1e7
+"""Condition of the columns from which length and tension varied together, so that any split of a
+gain between them fits alike."""
 _FLOOR = 1e-9
 """Least standard deviation of a point, relative to the largest response: rounding error."""
 

@@ -162,6 +162,7 @@ class TargetCostTuner:
         if fit is None:
             return CostPrediction(math.nan, 0.0, math.inf, explored)
         half = interval_factor(fit.degrees) * math.sqrt(fit.variance)
+        # Of few trials the interval may be of any width, and exp overflows from 710 on.
         ends = math.exp(fit.a - half), math.exp(fit.a + half) if half < 1e2 else math.inf
         return CostPrediction(math.exp(fit.a), *ends, explored)
 

@@ -97,7 +97,7 @@ class RigScale:
 
     @property
     def start_s(self) -> float:
-        """Hold before an excitation, s."""
+        """Hold before an excitation, s: it shows the noise."""
         return self.seconds(0.2)
 
     def seconds(self, units: float) -> float:
