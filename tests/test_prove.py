@@ -25,6 +25,7 @@ from estune.trial import Outcome, TrialRequest
 from estune.trial.tracking import tracking_profile
 from plants.effects import CoulombFriction
 from plants.emulator import RIG_FILE
+from tests.serve_rig import hosted
 from tests.test_compensation import friction_table, rig_with, trial
 from tests.test_remedies import GAINS, found
 
@@ -60,6 +61,16 @@ def test_rig_with_a_remedy_takes_gains_as_the_rig_itself():
         assert other != before
         RemedyRig(rig, PATCH).apply(other)
         assert rig.describe().gains == other
+
+
+def test_rig_with_a_remedy_asks_for_the_trial_that_it_ran():
+    """A rig in another process, that keeps the trials it ran and knows which have failed."""
+    with hosted("simulated") as endpoint, zenoh.connect(endpoint) as rig:
+        remedied, about = RemedyRig(rig, PATCH), rig.describe()
+        request = TrialRequest("asked", 0, about.gains, about.step)
+        assert remedied.run(request).outcome is Outcome.DONE
+        assert not remedied.has_failed(request)
+        assert rig.has_failed(request)  # without the remedy that would be another trial
 
 
 def test_wrong_sign_is_not_proven():

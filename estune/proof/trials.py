@@ -46,16 +46,13 @@ class RemedyRig:
         own = rig.describe().compensation
         self._rig, self._compensation = rig, patch.compensation(own, on=True)
 
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._rig, name)
-
     def describe(self) -> RigDescription:
         """Description of the rig."""
         return self._rig.describe()
 
     def run(self, request: TrialRequest) -> TrialRecord:
         """Runs one trial with the remedy on."""
-        return self._rig.run(replace(request, compensation=self._compensation))
+        return self._rig.run(self._with_remedy(request))
 
     def apply(self, gains: Gains) -> None:
         """Makes gains the live ones."""
@@ -65,8 +62,26 @@ class RemedyRig:
         """Stops the trial under way."""
         return self._rig.abort()
 
+    def estop(self, reason: str) -> None:
+        """Begins to bring the rig to its safe state."""
+        self._rig.estop(reason)
+
+    def clear(self) -> None:
+        """Resets the emergency stop."""
+        self._rig.clear()
+
+    def has_failed(self, request: TrialRequest) -> bool:
+        """Whether no record can ever be had under a trial's id."""
+        if not isinstance(self._rig, FailureMemory):
+            return False
+        # Without the remedy it would be another trial under the id, of which no record is had.
+        return self._rig.has_failed(self._with_remedy(request))
+
     def close(self) -> None:
         """Leaves the rig to its owner."""
+
+    def _with_remedy(self, request: TrialRequest) -> TrialRequest:
+        return replace(request, compensation=self._compensation)
 
 
 class MeasuredRatio(NamedTuple):
