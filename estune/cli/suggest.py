@@ -145,9 +145,12 @@ def _written(found: "Suggestion", folder: Path) -> Path | None:
 
 def _show(found: "Suggestion", report: Path | None, trial: Path | None) -> None:
     output.show_doubts(found.issues)
+    lines = [(found.heading(), "bold green" if found.exit_code == 0 else "bold yellow")]
     if found.cause is not None:
-        output.show_line(found.cause.heading(), _CAUSES.get(found.cause.name, "bold yellow"))
-    output.show_outcome(found.heading(), good=found.verdict in ("change", "keep"))
+        style = _CAUSES.get(found.cause.name, "bold yellow")
+        lines.insert(1 if found.verdict_first else 0, (found.cause.heading(), style))
+    for text, style in lines:
+        output.show_line(text, style)
     for sentence in found.remarks():
         output.show_line(sentence)
     print()

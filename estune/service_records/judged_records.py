@@ -79,6 +79,14 @@ class JudgedRecords:
         """
         return {"cannot tell": 9, "other gains ran": 10}.get(self.verdict, 0)
 
+    @property
+    def verdict_first(self) -> bool:
+        """Whether the verdict stands before the cause: what is refused stands first.
+
+        A log in which other gains ran than those stated began with `NOTHING WRONG`.
+        """
+        return self.exit_code != 0 and self.cause is not None and self.cause.name == "none"
+
     def heading(self) -> str:
         """The verdict in one line."""
         if self.verdict == "other gains ran":

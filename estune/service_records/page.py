@@ -71,11 +71,13 @@ def page(suggestion: JudgedRecords) -> Page:
 
 
 def _headline(suggestion: JudgedRecords) -> Status:
-    """The cause and then the verdict, as on the command line."""
+    """The cause and the verdict, in the order of the command line."""
     verdict, good = suggestion.heading(), _GOOD.get(suggestion.verdict)
     if suggestion.cause is None:
         return Status(verdict, good=good)
-    return Status(suggestion.cause.heading(), good=good, detail=verdict)
+    cause = suggestion.cause.heading()
+    title, detail = (verdict, cause) if suggestion.verdict_first else (cause, verdict)
+    return Status(title, good=good, detail=detail)
 
 
 def _replayed(suggestion: JudgedRecords) -> Iterator[Block]:
