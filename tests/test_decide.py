@@ -6,6 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from plants.diagnosis.constants import CONSTANTS
 from plants.diagnosis.result import ModelSummary, SearchStep
 from plants.diagnosis.search.conclusion import (
     Conclusion,
@@ -205,6 +206,14 @@ def test_probabilities_sum_to_one_and_favour_fewer_values():
     )
 
 
+def test_odds_of_two_models_allow_for_a_wrong_form_by_a_share_of_what_is_explained():
+    a, b = model("a", 1.0, 1), model("b", 4.0, 3)
+    p = probabilities(base(101.0), [a, b])
+    form, n = CONSTANTS.form * 100.0, CONSTANTS.effective
+    odds = 0.5 * n * math.log((4.0 + form) / (1.0 + form)) + 0.5 * (3 - 1) * math.log(n)
+    assert math.log(p[a.names] / p[b.names]) == pytest.approx(odds)
+
+
 def test_sums_over_families_count_every_model_with_one():
     models = [model("a", 1.0, 1), model("a+b", 1.0, 1)]
     p = probabilities(base(20.0), models)
@@ -270,6 +279,10 @@ def test_candidates_are_listed_best_first_each_with_the_share_that_it_explains()
         assert "explains 90 % of the error power" in by_name["coulomb_friction"].sentence
         assert math.isnan(by_name["backlash"].closure)
         assert "explains 1 % of the residual" in by_name["backlash"].sentence
+    screening, nothing = SimpleNamespace(declared=declared), SimpleNamespace(effects=())
+    conclusion = Conclusion("unknown", (nothing,), like="a further mode")
+    best, *_ = candidates(screening, models, conclusion)
+    assert best.sentence.endswith("but a further mode explains more")
 
 
 def fitted_with(residuals):

@@ -3,6 +3,7 @@
 import itertools
 import json
 from dataclasses import replace
+from types import SimpleNamespace
 
 import control
 import numpy as np
@@ -189,6 +190,15 @@ def test_experiment_that_would_move_a_drive_too_far_is_not_run(tmp_path):
         assert "step was not run: the trial would reach" in lab.remarks[0]
     done = run_trial(plants.servo(0.1, 0.0, **allowed).rig(), TrialFile("step", step))
     assert np.ptp(done.angle_rad) == pytest.approx(3.2, rel=0.02)
+
+
+def test_travel_of_a_drive_that_comes_back_counts_from_where_it_starts():
+    angle = np.concatenate([np.linspace(0.0, 0.9, 500), np.linspace(0.9, 0.45, 500)])
+    model = SimpleNamespace(response=lambda *_: angle)
+    about = plants.servo(0.1, 0.0, current_limit_A=5.0, travel_max_rad=1.0).rig().describe()
+    step = StepProfile(0.0, 1.0, 0.2, 1.0, loop="open")
+    with pytest.raises(InvalidInput, match=r"a travel of 0\.9 by the model"):
+        replace(about, linear_model=model).check_motion(step)
 
 
 @pytest.mark.parametrize("plant", [PLANT_20_N_A, REEL, plants.unloaded_reel()])
