@@ -92,11 +92,7 @@ def tracking_of(
     span = round(REVERSAL_SETTLINGS * settling_time_s * sampling_Hz)
     turns_s = profile.start_s + profile.period_s * (np.arange(2 * CYCLES) / 2.0 + 0.25)
     places = [round(float(turn) * sampling_Hz) for turn in turns_s]
-    found = [
-        float(np.abs(error[at : at + span]).max())
-        for at in places
-        if first <= at and at + span <= error.size
-    ]
+    found = [float(np.abs(error[at : at + span]).max()) for at in places if at >= first]
     return TriangleTracking(float(np.sqrt(np.mean(error[first:] ** 2))), float(np.mean(found)))
 
 
