@@ -126,6 +126,8 @@ def test_deviation_by_the_setpoint_falls_with_records_and_grows_with_the_noise(t
     assert setpoint_deviation(fit, [records[0], unknown], GAINS, c) == pytest.approx(one, rel=1e-6)
     for nothing in ([], [still], [unknown], [records[0]._replace(gains=UNSTABLE)]):
         assert setpoint_deviation(fit, nothing, GAINS, c) == math.inf
+    held = records[0]._replace(gains=UNSTABLE, limits=(-20.0, 20.0))  # by the limits alone
+    assert setpoint_deviation(fit, [held], GAINS, c) < math.inf
     moved = records[0]._replace(setpoint=records[0].setpoint + 7.0)
     assert setpoint_deviation(fit, [moved], GAINS, c) == pytest.approx(one, rel=1e-6)
 
