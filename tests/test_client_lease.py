@@ -200,3 +200,12 @@ def test_rig_held_by_another_client_is_asked_again_until_its_lease_can_have_expi
     with pytest.raises(RigError, match="held by another"):
         ClientLease(refusing, renewal, "tester").hold()
     assert len(refusing.asked) == 1
+
+
+def test_command_refused_for_want_of_a_lease_loses_none(renewal):
+    lease = ClientLease(Connection(ReplyCode.ACCEPTED), renewal, "tester")
+    lease.drop(lease.token)
+    assert lease.losses == 0
+    lease.drop(lease.hold())
+    assert (lease.token, lease.losses) == ("", 1)
+    lease.release()

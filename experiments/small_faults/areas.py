@@ -71,6 +71,7 @@ AREAS: dict[str, Area] = {
         (
             "machine",
             "machine_readings",
+            "hybrid_control",
             "tuning",
             "request_handler",
             "request_handler_stops",
