@@ -6,7 +6,7 @@ from datetime import UTC, datetime
 from typing import Protocol, runtime_checkable
 
 from estune.errors import EstuneError, Interrupted, InvalidInput
-from estune.run.submitted_trial import LedgerKeeper, SubmittedTrial, TrialNotes, lost_trial
+from estune.run.submitted_trial import LedgerKeeper, SubmittedTrial, TrialNotes
 from estune.trial import Outcome, Rig, RigDescription, TrialRecord, TrialRequest, empty_record
 
 _log = logging.getLogger(__name__)
@@ -49,12 +49,11 @@ def run_trial(
     """
     if notes is None or description.simulated or not isinstance(rig, LedgerKeeper):
         return _run_trial(rig, request, description, may_be_refused=may_be_refused)
-    ledger = rig.ledger
-    if lost := lost_trial(notes, request.trial_id, ledger):
-        assert notes.submitted is not None  # noqa: S101  it is the one that was lost
+    ledger, last = rig.ledger, notes.submitted
+    if last is not None and (doubt := last.doubt(request.trial_id, ledger)):
         # Under its old ledger: until the caller has stored this record, the id stays barred.
-        notes.submitted = SubmittedTrial(request.trial_id, notes.submitted.ledger, ended=True)
-        return _interrupted(request, description, lost)
+        notes.submitted = SubmittedTrial(request.trial_id, last.ledger, ended=True)
+        return _interrupted(request, description, doubt)
     notes.submitted = SubmittedTrial(request.trial_id, ledger, ended=False)
     record = _run_trial(rig, request, description, may_be_refused=may_be_refused)
     notes.submitted = SubmittedTrial(request.trial_id, ledger, ended=True)

@@ -15,9 +15,23 @@ class SubmittedTrial(NamedTuple):
     ledger: str
     ended: bool
 
+    def doubt(self, trial_id: str, ledger: str) -> str:
+        """Why a trial must not run before an operator has looked at the rig; empty if it may.
+
+        A ledger answers only for the trials that it has noted: to another one, the trial under way
+        is a new one, and would run a second time.
+        """
+        # An end is noted before its record is stored: a crash between has it asked for again.
+        if ledger == self.ledger or (self.ended and trial_id != self.trial_id):
+            return ""
+        return (
+            f"the rig came back with another ledger, {ledger} instead of {self.ledger}, which "
+            f"does not know whether trial {self.trial_id} has run"
+        )
+
 
 class TrialNotes(Protocol):
-    """What outlives the process that asks for trials: a run's journal, a daemon's store."""
+    """What outlives whoever asks: a journal, a daemon's store, an improvement's folder."""
 
     submitted: SubmittedTrial | None
 
@@ -30,19 +44,3 @@ class LedgerKeeper(Protocol):
     def ledger(self) -> str:
         """Identity of the ledger."""
         ...
-
-
-def lost_trial(notes: TrialNotes, trial_id: str, ledger: str) -> str:
-    """Why a trial must not run before an operator has looked at the rig; empty if it may.
-
-    A ledger answers only for the trials that it has noted: to another one, the trial under way is
-    a new one, and would run a second time.
-    """
-    then = notes.submitted
-    # An end is noted before the record is stored: after a crash between, the id is asked again.
-    if then is None or then.ledger == ledger or (then.ended and then.trial_id != trial_id):
-        return ""
-    return (
-        f"the rig came back with another ledger, {ledger} instead of {then.ledger}, which does "
-        f"not know whether trial {then.trial_id} has run"
-    )

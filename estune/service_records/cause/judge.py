@@ -198,6 +198,7 @@ def _runs_away(signals: JudgedSignals) -> bool:
     mended = max(float(size[: 2 * quarter].max()), float(np.ptp(signals.setpoint)))
     before = float(size[2 * quarter : 3 * quarter].max())
     end = float(size[-(quarter // 2) :].min())
+    # Still growing: twice the quarter before. One that has come to rest far off is another fault.
     return bool(
         (error[3 * quarter :] * side > 0.0).all() and end > max(AWAY * mended, 2.0 * before)
     )
