@@ -14,7 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from estune import tune
-from estune.errors import InvalidInput
+from estune.errors import InvalidInput, RigError
 from estune.remote.messages.rights import Right
 from estune.remote.zenoh import connect
 from estune.run.journal import Journal
@@ -243,6 +243,16 @@ def test_page_of_a_finished_run_shows_nothing_of_the_next_one_on_its_rig(tmp_pat
         assert own.board.get("live") is None
         for reader in (run_reader, own, every):
             reader.release()
+
+
+def test_emergency_stop_reaches_a_rig_that_no_reading_has_a_link_to():
+    with hosted("paced simulated") as endpoint:
+        RigReader(Board(), partial(connect, endpoint, "reel")).estop("smoke")
+        with connect(endpoint) as there:
+            assert there.status().latched == "smoke"
+        absent = RigReader(Board(), partial(connect, endpoint, "other", timeout_s=0.1))
+        with pytest.raises(RigError, match="cut its power"):
+            absent.estop("smoke")
 
 
 def test_running_journal_is_followed_from_trial_to_trial(tmp_path):

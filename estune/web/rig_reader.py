@@ -131,16 +131,28 @@ class RigReader(Reader):
     def estop(self, reason: str) -> str:
         """Brings the rig to its safe state; returns once the rig has answered.
 
+        Where no reading has a link, it makes its own: a page that has just been opened, or whose
+        rig was late once, would else refuse to stop a rig that answers.
+
         Raises:
-            RigError: there is no link to the rig, or it has not answered.
+            RigError: no link to the rig can be made, or it has not answered.
         """
         rig = self._rig
-        if rig is None:
-            if not self._is_wanted():
-                raise RigError("this run is not running; open the page of the rig to stop the rig")
-            raise RigError("there is no link to the rig: cut its power")
-        rig.estop(reason)
+        if rig is not None:
+            rig.estop(reason)
+        elif self._is_wanted():
+            self._estop_by_new_link(reason)
+        else:
+            raise RigError("this run is not running; open the page of the rig to stop the rig")
         return "the rig is on its way to its safe state"
+
+    def _estop_by_new_link(self, reason: str) -> None:
+        try:
+            rig = self._connect()
+        except EstuneError as error:
+            raise RigError(f"there is no link to the rig: cut its power ({error})") from error
+        with rig:
+            rig.estop(reason)
 
     def release(self) -> None:
         """Disconnects."""
