@@ -16,6 +16,15 @@ from plants.bench.cable_platform.examples import bench
 from tests.support_rigs import ScriptedRig
 
 HOLD_N = 15.0
+PATIENT_S = 60.0
+
+
+@pytest.fixture
+def patient(monkeypatch):
+    """Replies, setpoints and leases may be late: client, rigs and bench share a busy computer."""
+    monkeypatch.setattr("estune.remote.zenoh.setpoint_stream.SILENT_S", PATIENT_S)
+    monkeypatch.setattr("estune.remote.state_machine.setpoint_age.SETPOINT_S", PATIENT_S)
+    monkeypatch.setattr("estune.remote.state_machine.rig.LEASE_S", PATIENT_S)
 
 
 @contextmanager
@@ -104,22 +113,40 @@ def test_reel_over_its_guard_holds_its_angle_and_follows_nothing_until_cleared()
 # --- stream ---
 
 
+def is_near(value, wanted, within):
+    return abs(value - wanted) < within
+
+
+def send_until(stream, setpoints, holds):
+    """Sends setpoints until the feedback is as it should be, however slow the bench is."""
+    end_s = time.monotonic() + PATIENT_S
+    while not holds(*(feedback := stream.exchange(setpoints).feedback)):
+        assert time.monotonic() < end_s, feedback
+
+
+@pytest.mark.usefixtures("patient")
 def test_stream_drives_both_reels_in_tension_and_in_position():
-    with served_bench() as (_, servers), connected(servers) as rigs:
+    with served_bench() as (platform, servers), connected(servers) as rigs:
         stream = SetpointStream(rigs, 100.0)
         first = stream.exchange([Setpoint(20.0), Setpoint(20.0)])
         angle = first.feedback[1].angle_rad
-        for _ in range(100):
-            last = stream.exchange([Setpoint(20.0), Setpoint(HOLD_N, angle)])
-        assert last.feedback[0].tension_N == pytest.approx(20.0, abs=1.0)
-        assert last.feedback[1].angle_rad == pytest.approx(angle, abs=0.05)
-        # Position control takes what X pulls, less twice the friction of the eyelets.
-        assert HOLD_N + 1.0 < last.feedback[1].tension_N <= 21.0
-        time.sleep(SETPOINT_S + 1.0)  # the source pauses
-        last = stream.exchange([Setpoint(20.0), Setpoint(20.0)])
-        assert last.feedback[0].tension_N == pytest.approx(HOLD_N, abs=1.0)
+        send_until(
+            stream,
+            [Setpoint(20.0), Setpoint(HOLD_N, angle)],
+            # Position control takes what X pulls, less twice the friction of the eyelets.
+            lambda x, y: (
+                is_near(x.tension_N, 20.0, 1.0)
+                and is_near(y.angle_rad, angle, 0.05)
+                and HOLD_N + 1.0 < y.tension_N <= 21.0
+            ),
+        )
+        end_s = time.monotonic() + PATIENT_S
+        while not is_near(platform.simulation.tension_N[0], HOLD_N, 1.0):  # the source pauses
+            assert time.monotonic() < end_s
+            time.sleep(0.01)
 
 
+@pytest.mark.usefixtures("patient")
 def test_second_source_is_refused_with_the_holder():
     with served_bench() as (_, servers), connected(servers) as rigs:
         SetpointStream(rigs, 100.0).exchange([Setpoint(20.0)] * 2)
@@ -129,6 +156,7 @@ def test_second_source_is_refused_with_the_holder():
                 second.exchange([Setpoint(20.0)])
 
 
+@pytest.mark.usefixtures("patient")
 def test_setpoints_outside_the_limits_and_to_rigs_without_them_are_refused():
     with served_bench() as (_, servers), connected(servers) as rigs:
         stream = SetpointStream(rigs, 100.0)
