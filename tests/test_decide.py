@@ -1,6 +1,7 @@
 """Decision between fitted models: shares of power, families, nameless laws, probabilities."""
 
 import math
+from random import Random
 from types import SimpleNamespace
 
 import numpy as np
@@ -19,8 +20,7 @@ from plants.diagnosis.search.conclusion import (
 from plants.diagnosis.search.decide import Decision, decide, probabilities, summed
 from plants.diagnosis.search.nameless_laws import NAMELESS
 from plants.effects import EFFECTS
-
-NOTHING = frozenset[str]()
+from tests.support_decision import NOTHING, decided, odds, random_fits
 
 
 def base(J):
@@ -31,6 +31,23 @@ def model(names, J, values=1, *, rank=None, family="", **fields):
     slugs = frozenset(names.split("+"))
     families = frozenset({family}) if family else slugs
     return ModelSummary(slugs, families, values if rank is None else rank, J, values, **fields)
+
+
+def test_decision_and_probabilities_are_those_of_the_rules_written_out_anew():
+    random, verdicts = Random(1), set()  # noqa: S311  no secret
+    for _ in range(400):
+        before, fits = random_fits(random)
+        decision = decided(before, fits)
+        assert decide(before, fits) == decision
+        p = probabilities(before, fits)
+        assert max(abs(p[names] - q) for names, q in odds(before, fits).items()) < 1e-9
+        verdicts.add(decision.verdict)
+    assert verdicts == {"none", "named", "incomplete", "ambiguous", "unknown"}
+
+
+def test_probabilities_of_models_that_leave_an_enormous_power_sum_to_one():
+    p = probabilities(base(1e30), [model("a", 1e28), model("b", 1e29)])
+    assert sum(p.values()) == pytest.approx(1.0)
 
 
 def test_error_at_the_noise_floor_gives_none_whatever_fits_better():

@@ -111,6 +111,14 @@ AREAS: dict[str, Area] = {
 
 UNCHANGED: dict[tuple[str, str], str] = {
     (
+        "pairs = [m for m in named if len(m.names) == 2]",
+        "condition replaced",
+    ): "the best single one does not beat itself, and no pair is of one family",
+    (
+        "weight = [math.exp(-0.5 * (cost - min(L))) for cost in L]",
+        "min and max exchanged",
+    ): "their ratios alone count, which the allowance for a wrong form bounds",
+    (
         "fitted = {fit.effects[0].name: fit for fit in models.singles if is_named(fit)}",
         "first and last exchanged",
     ): "a single fit has one effect",

@@ -135,7 +135,7 @@ def best_of(models: Sequence[Model]) -> Model | None:
     pairs = [m for m in named if len(m.names) == 2]
     if single is None or not pairs:
         return _member(pairs) or single
-    fullest = min((m for m in singles if m.families == single.families), key=lambda m: m.power)
+    fullest = min(singles, key=lambda m: m.power)
     if beats(min(pairs, key=lambda m: m.power), fullest, CONSTANTS.one_more, CONSTANTS.nothing):
         return _member(pairs)
     return single
@@ -149,7 +149,7 @@ def _member(models: Sequence[Model]) -> Model | None:
     alike = sorted((m for m in models if m.families == best.families), key=lambda m: (m.rank, m.J))
     kept = alike[0]
     for fuller in alike[1:]:
-        if fuller.rank > kept.rank and beats(fuller, kept, CONSTANTS.one_more):
+        if beats(fuller, kept, CONSTANTS.one_more):
             kept = fuller
     return kept
 
