@@ -64,7 +64,8 @@ def _setpoint_fault(record: TrialRecord, request: TrialRequest, rig: RigDescript
     asked = request.profile.setpoint(record.sampling_Hz)
     beside = np.pad(asked, 1, mode="edge")
     around = np.stack([beside[:-2], asked, beside[2:]])[:, : len(record.setpoint_N)]
-    allowed = SETPOINT_ERROR * max(float(np.ptp(asked)), ROUNDING * float(np.abs(asked).max()))
+    rounding = ROUNDING * float(np.abs(asked).max())
+    allowed = SETPOINT_ERROR * max(float(np.ptp(asked)), rounding)
     low, high = around.min(axis=0) - allowed, around.max(axis=0) + allowed
     inside = (record.setpoint_N >= low) & (record.setpoint_N <= high)
     if inside.all():

@@ -111,6 +111,10 @@ AREAS: dict[str, Area] = {
 
 UNCHANGED: dict[tuple[str, str], str] = {
     (
+        "rounding = ROUNDING * float(np.abs(asked).max())",
+        "min and max exchanged",
+    ): "it counts only where all values are within a thousandth of each other",
+    (
         "pairs = [m for m in named if len(m.names) == 2]",
         "condition replaced",
     ): "the best single one does not beat itself, and no pair is of one family",
