@@ -6,7 +6,7 @@ Of fits, `left` is the power above the noise, and `best(fits)` the one that leav
 import math
 from itertools import combinations
 
-from plants.diagnosis.constants import CONSTANTS as numbers
+from plants.diagnosis.constants import CONSTANTS
 from plants.diagnosis.result import ModelSummary
 from plants.diagnosis.search.decide import Decision
 
@@ -19,7 +19,7 @@ def random_fits(random):
     """A base model and fits of four effects, of two nameless laws, and of some pairs.
 
     Args:
-        random: Python's own generator, the quickest for single numbers.
+        random: Python's own generator, the quickest for single CONSTANTS.
     """
     most = random.choice([1.0, 2.0, 10.0, 100.0, 1000.0])
 
@@ -54,9 +54,9 @@ def best(fits):
 
 def odds(base, fits):
     """p ~ (P + f (J0 - 1))^(-n/2) n^(-k/2), with powers relative to the least one's."""
-    n = numbers.effective
+    n = CONSTANTS.effective
     unit = min(1.0, base.J, *(m.J for m in fits))
-    slack = numbers.form * left(base._replace(J=base.J / unit))
+    slack = CONSTANTS.form * left(base._replace(J=base.J / unit))
     weights = {
         m.names: (max(m.J / unit, 1.0) + slack) ** (-n / 2.0) * n ** (-m.values / 2.0)
         for m in (base, *fits)
@@ -66,7 +66,7 @@ def odds(base, fits):
 
 def decided(base, fits):
     """The decision, by the rules that `plants.diagnosis.search.decide` states."""
-    if base.J <= numbers.nothing:
+    if base.power <= CONSTANTS.nothing:
         return Decision("none", NOTHING)
     p = odds(base, fits)
     unit = min(1.0, base.J, *(m.J for m in fits))
@@ -79,7 +79,7 @@ def decided(base, fits):
 
     chosen = believed(fits, p)
     if chosen is None:
-        like = [next(iter(m.names)) for m in laws if share(m) >= numbers.named_share]
+        like = [next(iter(m.names)) for m in laws if share(m) >= CONSTANTS.named_share]
         leading = best([m for m in fits if m.named]) or base
         return Decision("unknown", NOTHING, (), like[0] if like else "", leading.names)
     rivals = [
@@ -88,20 +88,20 @@ def decided(base, fits):
         if len(m.names) <= len(chosen.names)
         and m.families.isdisjoint(chosen.families)
         and (m.known_apart, m.values) < (chosen.known_apart, chosen.values)
-        and share(m) >= numbers.named_share
-        and not takes_off(chosen, m, numbers.one_more)
+        and share(m) >= CONSTANTS.named_share
+        and not takes_off(chosen, m, CONSTANTS.one_more)
     ]
     chosen = rivals[0] if rivals else chosen
     for law in laws:
         needed = {
-            -1: not takes_off(chosen, law, numbers.one_more)
-            or takes_off(law, chosen, numbers.one_more),
-            0: takes_off(law, chosen, numbers.one_more),
-            1: takes_off(law, chosen, numbers.named_share),
+            -1: not takes_off(chosen, law, CONSTANTS.one_more)
+            or takes_off(law, chosen, CONSTANTS.one_more),
+            0: takes_off(law, chosen, CONSTANTS.one_more),
+            1: takes_off(law, chosen, CONSTANTS.named_share),
         }
         if needed[(law.values > chosen.values) - (law.values < chosen.values)]:
             return Decision("unknown", NOTHING, (), next(iter(law.names)), chosen.names)
-    if chosen.J > numbers.floor and share(chosen) < numbers.named_share:
+    if chosen.power > CONSTANTS.floor and share(chosen) < CONSTANTS.named_share:
         return Decision("unknown", NOTHING, (), "", chosen.names)
     tied = tuple(
         m.names
@@ -113,9 +113,9 @@ def decided(base, fits):
             m.families.isdisjoint(chosen.families)
             or (m.families == chosen.families and (m.rank, m.values) == alike(chosen))
         )
-        and p[m.names] / (p[m.names] + p[chosen.names]) > numbers.tied
+        and p[m.names] / (p[m.names] + p[chosen.names]) > CONSTANTS.tied
     )
-    verdict = "incomplete" if math.sqrt(chosen.J) > numbers.above_noise else "named"
+    verdict = "incomplete" if math.sqrt(chosen.power) > CONSTANTS.above_noise else "named"
     return Decision("ambiguous" if tied else verdict, chosen.names, tied, "", chosen.names)
 
 
@@ -125,7 +125,7 @@ def alike(fit):
 
 def takes_off(full, simple, share, least=0.0):
     """Whether one takes off so much of what another leaves, if that is above the noise."""
-    missing = simple.J > numbers.floor and simple.J > least
+    missing = simple.power > max(CONSTANTS.floor, least)
     return missing and left(full) / left(simple) <= 1.0 - share
 
 
@@ -137,7 +137,7 @@ def best_named(fits):
     if not singles or not pairs:
         return simplest(singles or pairs)
     fullest = best(singles)  # no other of its family leaves less
-    if takes_off(best(pairs), fullest, numbers.one_more, numbers.nothing):
+    if takes_off(best(pairs), fullest, CONSTANTS.one_more, CONSTANTS.nothing):
         return simplest(pairs)
     return simplest(singles)
 
@@ -150,7 +150,7 @@ def simplest(fits):
     kept = None
     for rank in sorted({m.rank for m in family}):
         of_rank = best([m for m in family if m.rank == rank])
-        if kept is None or takes_off(of_rank, kept, numbers.one_more):
+        if kept is None or takes_off(of_rank, kept, CONSTANTS.one_more):
             kept = of_rank
     return kept
 
@@ -168,5 +168,5 @@ def believed(fits, p):
     without = believed([m for m in fits if doubtful not in m.families], p)
     if without is None or not without.families < chosen.families:
         return without
-    needed = takes_off(chosen, without, numbers.named_share, numbers.above_noise**2)
+    needed = takes_off(chosen, without, CONSTANTS.named_share, CONSTANTS.above_noise**2)
     return chosen if needed else without
