@@ -26,6 +26,7 @@ setpoint. `estune.core.pidf` runs the form of all defaults.
 """
 
 import math
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -97,7 +98,7 @@ def controller_polynomials(
         unfiltered = np.convolve(Nf, _DIFFERENCE) / h
         T = with_derivative(Nf, slope if form.filter_on == "derivative" else unfiltered)
     return ControllerPolynomials(
-        T, S, np.convolve(_DIFFERENCE, Nf), *setpoint_filter(form, h, gains), p
+        T, S, np.convolve(_DIFFERENCE, Nf), *setpoint_filter(form, h, gains.setpoint_filter_s), p
     )
 
 
@@ -120,15 +121,40 @@ def unlimited_effort(
         measurement: Measurement, shape (samples,).
         form: As of `controller_polynomials`.
     """
+    efforts = efforts_by_filter(
+        settings, gains, setpoint, measurement, first_effort=first_effort, form=form
+    )
+    return efforts(gains.setpoint_filter_s)
+
+
+def efforts_by_filter(
+    settings: ControllerSettings,
+    gains: Gains,
+    setpoint: FloatArray,
+    measurement: FloatArray,
+    *,
+    first_effort: float,
+    form: ControllerForm | None = None,
+) -> Callable[[float], FloatArray]:
+    """The same as a function of the setpoint filter's time constant, s, that of the gains unread.
+
+    What is the same for all of them is computed once: many are tried on one record.
+    """
+    form = form or settings.form or OWN_FORM
+    h = 1.0 / settings.sampling_Hz
     c = controller_polynomials(settings, gains, form)
-    r, y = setpoint - setpoint[0], measurement - measurement[0]
-    r = lfilter(c.filter_numerator, c.filter_denominator, r)
-    driven = _filtered(c.setpoint, r) - _filtered(c.measurement, y)
+    r, measured = setpoint - setpoint[0], _filtered(c.measurement, measurement - measurement[0])
     # The error of the first sample is integrated from then on, as if it had always been there.
     constant = float(setpoint[0] - measurement[0]) * gains.I / settings.sampling_Hz
-    passed = lfilter([1.0], [1.0, -c.derivative_pole], driven)
-    effort = first_effort + np.cumsum(passed) + constant * np.arange(setpoint.size)
-    return np.asarray(effort + first_effort - effort[0])
+    integrated = constant * np.arange(setpoint.size)
+
+    def efforts(filter_s: float) -> FloatArray:
+        driven = _filtered(c.setpoint, lfilter(*setpoint_filter(form, h, filter_s), r)) - measured
+        passed = lfilter([1.0], [1.0, -c.derivative_pole], driven)
+        effort = first_effort + np.cumsum(passed) + integrated
+        return np.asarray(effort + first_effort - effort[0])
+
+    return efforts
 
 
 def _derivative(form: ControllerForm, h: float, lag: float) -> tuple[float, float]:
@@ -148,9 +174,9 @@ def _derivative(form: ControllerForm, h: float, lag: float) -> tuple[float, floa
     return p, 1.0 / lag
 
 
-def setpoint_filter(form: ControllerForm, h: float, gains: Gains) -> tuple[FloatArray, FloatArray]:
-    """Numerator and denominator of F."""
-    one, other, pole = filter_terms(form, h, gains.setpoint_filter_s)
+def setpoint_filter(form: ControllerForm, h: float, lag: float) -> tuple[FloatArray, FloatArray]:
+    """Numerator and denominator of F with some time constant."""
+    one, other, pole = filter_terms(form, h, lag)
     return np.array([one, other] if other else [one]), np.array([1.0, -pole])
 
 

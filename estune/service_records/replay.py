@@ -297,7 +297,7 @@ def _triangle(stretch: Stretch, settings: ControllerSettings, tau: float) -> Flo
     """R of the efforts of P, I and D of one and the logged one, freed of the start, (4, 4)."""
     taps, pole = _unit_taps(settings)
     form, h = settings.form or OWN_FORM, 1.0 / settings.sampling_Hz
-    above, below = setpoint_filter(form, h, Gains(1.0, 0.0, 0.0, tau))
+    above, below = setpoint_filter(form, h, tau)
     r, y = stretch.setpoint - stretch.setpoint[0], stretch.measurement - stretch.measurement[0]
     seen = lfilter([1.0], [1.0, -pole], np.array([lfilter(above, below, r), y]))
     k = np.arange(stretch.samples)

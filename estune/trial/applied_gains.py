@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from estune.core.controller_equation import efforts_by_filter
 from estune.core.quantities import FloatArray
 from estune.trial.controller_fit import REPRODUCED, known_samples
 from estune.trial.description import RigDescription
@@ -92,10 +93,13 @@ def _by_filter(record: TrialRecord, rig: RigDescription, moves: FloatArray) -> _
     from scipy.optimize import minimize_scalar  # noqa: PLC0415  slow to import
 
     rate, stated_s = record.sampling_Hz, record.gains.setpoint_filter_s
+    efforts = efforts_by_filter(
+        rig.controller, record.gains, record.setpoint_N, record.tension_N, first_effort=0.0
+    )
+    known = known_samples(rig.controller, record.setpoint_N.size)
 
     def left(logarithm: float) -> float:
-        gains = replace(record.gains, setpoint_filter_s=math.exp(logarithm))
-        return float(np.linalg.norm(_moves(replace(record, gains=gains), rig) - moves))
+        return float(np.linalg.norm(np.diff(efforts(math.exp(logarithm)))[known] - moves))
 
     tried = np.linspace(-math.log(rate), math.log(moves.size / rate), FILTERS)
     at = int(np.argmin([left(one) for one in tried]))
