@@ -233,17 +233,19 @@ def friction_table(name, fraction):
     return hidden, {"friction": table, "share_max": 0.5}
 
 
-def rest_and_tracking(hidden, compensation):
-    """Standard deviation after a step, and the error on a triangle, both in N."""
+REST, TRACKING = (StepProfile(15.0, 2.0, 0.2, 3.0), 1264), (TRIANGLE, 632)
+"""A step and a triangle, and the sample from which on their errors count."""
+
+
+def error_N(motion, hidden, compensation):
+    """Standard deviation of the control error."""
     # Not the gains of the file: slow ones leave the tension creeping.
     gains = Gains(0.78, 31.0, 0.0206, 0.0003)
-    found = []
-    for profile, begin in ((StepProfile(15.0, 2.0, 0.2, 3.0), 1264), (TRIANGLE, 632)):
-        with rig_with(compensation, effects=[hidden], take_up_A=1.0) as rig:
-            record = rig.run(TrialRequest("c", 0, gains, profile))
-        assert record.outcome is Outcome.DONE
-        found.append(np.std((record.tension_N - record.setpoint_N)[begin:]))
-    return found
+    profile, begin = motion
+    with rig_with(compensation, effects=[hidden], take_up_A=1.0) as rig:
+        record = rig.run(TrialRequest("c", 0, gains, profile))
+    assert record.outcome is Outcome.DONE
+    return np.std((record.tension_N - record.setpoint_N)[begin:])
 
 
 @pytest.mark.parametrize(
@@ -252,14 +254,14 @@ def rest_and_tracking(hidden, compensation):
 )
 def test_friction_along_the_known_motion_improves_tracking_and_keeps_the_rest_calm(name):
     hidden, _ = friction_table(name, 0.8)
-    calm, tracking = rest_and_tracking(hidden, None)
-    _, frictionless = rest_and_tracking(FRICTIONLESS, None)
+    calm = error_N(REST, hidden, None)
     for fraction in (0.8, 1.2):
-        rest, error = rest_and_tracking(*friction_table(name, fraction))
-        assert rest <= 1.2 * calm
-        if fraction < 1.0:
-            # Four fifths of what friction adds to the squared error, as the fraction says.
-            assert tracking**2 - error**2 >= 0.65 * (tracking**2 - frictionless**2)
+        assert error_N(REST, *friction_table(name, fraction)) <= 1.2 * calm
+    tracking = error_N(TRACKING, hidden, None)
+    error = error_N(TRACKING, *friction_table(name, 0.8))
+    frictionless = error_N(TRACKING, FRICTIONLESS, None)
+    # Four fifths of what friction adds to the squared error, as the fraction says.
+    assert tracking**2 - error**2 >= 0.65 * (tracking**2 - frictionless**2)
 
 
 FRICTIONLESS = {"name": "coulomb_friction", "torque_Nm": 0.0}

@@ -190,7 +190,7 @@ def torque_ripple(effect):
     state, effort = rest(reel)
     assert effort == pytest.approx(15.0 + 0.05 * np.sin(40.0 * state[0] + 0.7) / R)
     law = Law(reel.effects[0])
-    angles = np.cumsum(np.r_[0.1, 8.0 * SUBSTEP_s * np.cos(np.arange(5000) / 900.0)])
+    angles = np.cumsum(np.r_[0.1, 8.0 * SUBSTEP_s * np.cos(np.arange(1000) / 180.0)])
     law.settle(0.0, angle=angles[0])
     found = [law.pass_(0.0, angle=angle) for angle in angles]
     assert found == pytest.approx(-0.05 * np.sin(40.0 * angles + 0.7), abs=1e-6)
@@ -226,7 +226,7 @@ def link_gravity(effect):
     """The work that it takes off the drum is the energy of a pendulum."""
     size, phi = 0.3, 0.7
     law = Law(effect(torque_Nm=size, phase_rad=phi))
-    angles = np.cumsum(np.r_[0.1, 8.0 * SUBSTEP_s * np.cos(np.arange(5000) / 900.0)])
+    angles = np.cumsum(np.r_[0.1, 8.0 * SUBSTEP_s * np.cos(np.arange(1000) / 180.0)])
     law.settle(0.0, angle=angles[0])
     torque = np.array([law.pass_(0.0, angle=angle) for angle in angles])
     work = np.cumsum(0.5 * (torque[1:] + torque[:-1]) * np.diff(angles))
@@ -264,10 +264,10 @@ def two_masses(currents, preload, m, play, F):
             if (phi <= theta and rate < omega) or (phi >= theta + play and rate > omega):
                 omega = rate = m * omega + (1.0 - m) * rate
                 most *= 1.0 - m
-                omega -= np.clip(omega, -most, most)
+                omega -= min(max(omega, -most), most)
                 rate = omega
             else:
-                rate -= np.clip(rate, -most, most)
+                rate -= min(max(rate, -most), most)
     return found
 
 
