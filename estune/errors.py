@@ -56,7 +56,19 @@ class StaleSetpoint(RigError):
 
 
 class Interrupted(RigError):
-    """A trial was interrupted on a rig that moves: an operator must check it before the next."""
+    """A trial was interrupted on a rig that moves: an operator must check it before the next.
+
+    Attributes:
+        what: What happened, without the order to the operator, which the message ends with.
+    """
+
+    def __init__(self, what: str, then: str = "") -> None:
+        """Args: what happened, and what the operator is to do behind the check."""
+        super().__init__(what, then)
+        self.what, self._then = what, then
+
+    def __str__(self) -> str:
+        return f"{self.what}; check the rig" + (f", then {self._then}" if self._then else "")
 
 
 class JournalError(EstuneError):

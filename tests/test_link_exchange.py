@@ -107,8 +107,13 @@ class Silent:
             RigError,
             "ledger says whether it has",
         ),
-        (LinkStatus(ClientInput.REPLACED, "another"), False, Interrupted, "may have run: inspect"),
-        (encode(Answer(ReplyCode.UNKNOWN)), False, Interrupted, "may have run: inspect"),
+        (
+            LinkStatus(ClientInput.REPLACED, "another"),
+            False,
+            Interrupted,
+            "may have run: .*; check the rig",
+        ),
+        (encode(Answer(ReplyCode.UNKNOWN)), False, Interrupted, "may have run: .*; check the rig"),
         (encode(Answer(ReplyCode.UNKNOWN)), True, RigError, "ledger says whether it has"),
     ],
 )

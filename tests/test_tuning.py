@@ -50,6 +50,25 @@ def test_interrupted_trial_on_moving_rig_ends_run_until_resumed(tmp_path):
     assert [e.outcome for e in resumed.entries if e.outcome.is_void] == [Outcome.INTERRUPTED]
 
 
+@pytest.mark.parametrize("asked", ["may have run: another has the name", "the drive failed"])
+def test_interruption_says_trial_reason_and_remedy_once(asked, tmp_path, caplog):
+    class LosingRig(ArithmeticRig):
+        def run(self, request):
+            if "may" in asked:
+                raise Interrupted(f"trial {request.trial_id} {asked}")
+            raise RigError(asked)
+
+        def has_failed(self, _request):
+            return True
+
+    run = begin(tmp_path / "run", "otis", LosingRig())
+    with pytest.raises(Interrupted) as raised:
+        loop.run(run, LosingRig())
+    run.journal.close()
+    said = str(raised.value) + caplog.text
+    assert [said.count(part) for part in ("trial run-", asked, "check the rig")] == [1, 1, 1]
+
+
 def test_trial_that_a_late_sample_ended_is_repeated_on_a_moving_rig(tmp_path):
     class LateRig(ArithmeticRig):
         def run(self, request):

@@ -10,7 +10,7 @@ from estune.daemon.config import RigTable
 from estune.daemon.store import DaemonStore, age_s
 from estune.daemon.supervisor_state import GainSet
 from estune.errors import Interrupted
-from estune.run.failed_trials import needs_operator
+from estune.run.failed_trials import cut_off, needs_operator
 from estune.run.tally import UNSAFE_RATIO
 from estune.trial import Rig, RigDescription, TrialRecord, TrialRequest
 from estune.trial.scoring import cost_of
@@ -23,10 +23,7 @@ def check_cut_off(record: TrialRecord, description: RigDescription) -> None:
         Interrupted: that is so.
     """
     if needs_operator(record, description):
-        raise Interrupted(
-            f"trial {record.trial_id} was interrupted ({record.reason}); "
-            "check the rig, then resume"
-        )
+        raise Interrupted(cut_off(record), "resume")
 
 
 class CheckTrialResult(NamedTuple):

@@ -10,7 +10,7 @@ from typing import NamedTuple
 from estune.core.cost import default_cost
 from estune.core.gains import Gains
 from estune.errors import Interrupted, InvalidInput, RigError
-from estune.run.failed_trials import needs_operator, run_trial
+from estune.run.failed_trials import cut_off, needs_operator, run_trial
 from estune.run.journal import Journal
 from estune.trial import Outcome, Rig, RigDescription, TrialRecord, TrialRequest
 from estune.trial.profiles import Profile, StepProfile, TriangleProfile
@@ -70,11 +70,10 @@ def measure_behaviour(
     for number, profile in enumerate(profiles):
         record = run_trial(rig, TrialRequest(run, number, gains, profile), about, notes=journal)
         if record.outcome is not Outcome.DONE:
-            why = record.reason or record.outcome.sentence
-            ended = f"trial {record.trial_id} ended early: {why}"
             if needs_operator(record, about):
-                raise Interrupted(f"{ended}; check the rig")
-            raise RigError(ended)
+                raise Interrupted(cut_off(record))
+            why = record.reason or record.outcome.sentence
+            raise RigError(f"trial {record.trial_id} ended early: {why}")
         records.append(record)
     rested, followed = records
     return LoopBehaviour(*tracking_in(followed, about, triangle), rest_in(rested, about))

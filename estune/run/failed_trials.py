@@ -67,13 +67,21 @@ def needs_operator(record: TrialRecord, description: RigDescription) -> bool:
     return interrupted and not description.simulated
 
 
+def cut_off(record: TrialRecord) -> str:
+    """What an operator is told of an interrupted trial: a reason that names it says the rest."""
+    if record.trial_id in record.reason:
+        return record.reason
+    why = record.reason or record.outcome.sentence
+    return f"trial {record.trial_id} on rig {record.rig} was interrupted ({why})"
+
+
 def _run_trial(
     rig: Rig, request: TrialRequest, description: RigDescription, *, may_be_refused: bool
 ) -> TrialRecord:
     try:
         return rig.run(request)
     except Interrupted as error:
-        return _interrupted(request, description, str(error))
+        return _interrupted(request, description, error.what)
     except EstuneError as error:
         if may_be_refused and isinstance(error, InvalidInput):
             return declined(request, description, f"the rig refused it: {error}")
@@ -86,7 +94,6 @@ def _run_trial(
 
 
 def _interrupted(request: TrialRequest, description: RigDescription, reason: str) -> TrialRecord:
-    _log.error("%s", reason, extra={"rig": description.name})
     return empty_record(request, description, Outcome.INTERRUPTED, reason, _now())
 
 

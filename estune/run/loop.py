@@ -9,7 +9,7 @@ from pathlib import Path
 from estune.errors import Interrupted, InvalidInput, JournalError, RigError, UnsafeStart
 from estune.run import snapshot
 from estune.run.approval import ApprovalCallback, approval_request
-from estune.run.failed_trials import declined, needs_operator, run_trial
+from estune.run.failed_trials import cut_off, declined, needs_operator, run_trial
 from estune.run.first_trial import BACKWARDS, check_answer, moved_backwards
 from estune.run.journal import CompletedTrial, Journal, JournalEntry
 from estune.run.phase import Phase
@@ -261,14 +261,12 @@ def _check_void(tuning: TuningRun, record: TrialRecord, consecutive: int) -> Non
     resume = "tune again"
     if folder:
         resume = f"continue with: estune resume {shlex.quote(str(folder))}"
-    what = f"trial {record.trial_id} on rig {record.rig}"
     if needs_operator(record, tuning.description):
-        raise Interrupted(
-            f"{what} was interrupted ({record.reason}); check the rig, then {resume}"
-        )
+        raise Interrupted(cut_off(record), resume)
     if consecutive >= CONSECUTIVE_VOID_MAX:
         raise RigError(
-            f"{what}: {consecutive} consecutive void trials ({record.reason}); "
+            f"trial {record.trial_id} on rig {record.rig}: {consecutive} consecutive void trials "
+            f"({record.reason}); "
             f"fix the cause, then {resume}"
         )
 

@@ -13,7 +13,7 @@ from estune.core.cost import StepCost
 from estune.core.gains import Gains
 from estune.core.quantities import FloatArray
 from estune.errors import Interrupted, InvalidInput, RigError
-from estune.run.failed_trials import needs_operator, run_trial
+from estune.run.failed_trials import cut_off, needs_operator, run_trial
 from estune.run.journal import RUNS
 from estune.run.loop import CONSECUTIVE_VOID_MAX
 from estune.run.planning import description_from_json, description_to_json
@@ -134,12 +134,12 @@ class ExperimentRunner:
 
     def _check_void(self, record: TrialRecord, fresh: int) -> None:
         """Ends an improvement that must not repeat its void trial by itself."""
-        what = f"trial {record.trial_id} on rig {record.rig}"
         if fresh and needs_operator(record, self.about):
-            raise Interrupted(f"{what} was interrupted ({record.reason}); check the rig")
+            raise Interrupted(cut_off(record))
         if fresh >= CONSECUTIVE_VOID_MAX:
             raise RigError(
-                f"{what}: {fresh} consecutive void trials ({record.reason}); fix the cause"
+                f"trial {record.trial_id} on rig {record.rig}: {fresh} consecutive void trials "
+                f"({record.reason}); fix the cause"
             )
 
 

@@ -169,15 +169,15 @@ class TrialExchange:
         if action is Action.FAIL:
             self._answer.check()
             raise ProtocolError(f"{rig} replies {self._answer.verdict} to a trial")
-        why = self._explanation or f"{rig} has no entry of {trial}"
+        why = self._explanation or f"{rig} has no entry of it"
         if action is Action.GONE:
-            raise RigError(f"{why}; {trial} did not run")
+            raise RigError(f"{trial} did not run: {why}")
         about = self._connection.about
         if self._heard is ClientInput.GONE or about is None or about.rig.simulated:
             # No order to inspect: whoever asks again by itself, as a daemon does, learns it then.
             raise RigError(
-                f"{why}; {trial} may have run: when the run is resumed, the rig's ledger says "
+                f"{trial} may have run: {why}; when the run is resumed, the rig's ledger says "
                 "whether it has"
             )
         # A ledger without the trial would let it run again: a person must look before.
-        raise Interrupted(f"{why}; {trial} may have run: inspect the rig")
+        raise Interrupted(f"{trial} may have run: {why}")
