@@ -2,7 +2,7 @@
 
 import contextlib
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -185,7 +185,7 @@ def tune(target: Any, options: TuneOptions) -> "TuneResult":
     start = options.start if isinstance(options.start, Gains) else None
     with open_target(target, *where, **own, gains=start) as the_rig:
         description = the_rig.describe()
-        name = options.run or _free_name(Path(options.folder))
+        name = options.run or datetime.now().astimezone().strftime("%Y%m%d-%H%M%S")
         if not name.replace("-", "").replace("_", "").isalnum():
             raise InvalidInput(f"run name {name!r} may hold only letters, digits, - and _")
         plan = make_plan(
@@ -207,6 +207,10 @@ def tune(target: Any, options: TuneOptions) -> "TuneResult":
             behaviour_profiles(description)
         book = None
         if options.journal:
+            folder = Path(options.folder) / name
+            if not options.run:
+                folder = _claimed(folder)
+                plan = replace(plan, run=folder.name)
             facts = {
                 "plan": plan_to_json(plan),
                 "rig": description_to_json(description),
@@ -218,7 +222,7 @@ def tune(target: Any, options: TuneOptions) -> "TuneResult":
                 "records_max": options.records,
                 "tracking": options.tracking,
             }
-            book = Journal.create(Path(options.folder) / name, facts)
+            book = Journal.create(folder, facts)
         tuning_ = loop.start(plan, description, book)
         try:
             return _run(tuning_, the_rig, options.watch, options.ask, tracking=options.tracking)
@@ -369,7 +373,21 @@ def check_same_rig(then: RigDescription, now: RigDescription) -> None:
             )
 
 
-def _free_name(folder: Path) -> str:
-    name = datetime.now().astimezone().strftime("%Y%m%d-%H%M%S")
-    taken = {path.name for path in folder.glob(f"{name}*")}
-    return next(n for n in (name, *(f"{name}-{i}" for i in range(2, 1000))) if n not in taken)
+def _claimed(folder: Path) -> Path:
+    """A new folder of this name or a numbered one, made for a run.
+
+    Making it is what takes the name: of two tunings that begin in one second both find it free.
+    """
+    one, number = folder, 1
+    try:
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        while True:
+            try:
+                one.mkdir()
+            except FileExistsError:
+                number += 1
+                one = folder.with_name(f"{folder.name}-{number}")
+            else:
+                return one
+    except OSError:  # the journal tells it, with its remedy
+        return one

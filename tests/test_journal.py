@@ -5,12 +5,15 @@ import shutil
 import sqlite3
 import subprocess
 import sys
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from threading import Barrier
 
 import numpy as np
 import pytest
 
 import estune
+from estune import api
 from estune.errors import JournalError
 from estune.run import loop
 from estune.run.journal import FILE_NAME, Journal
@@ -141,6 +144,25 @@ def test_loaded_result_equals_the_returned_one(tmp_path):
     loaded = estune.load(tmp_path / "a")
     assert loaded.verdict == returned.verdict
     assert loaded.to_frame().equals(returned.to_frame())
+
+
+def test_tunings_that_begin_at_one_instant_have_a_run_each(tmp_path, monkeypatch):
+    both, plan_json = Barrier(2, timeout=60.0), api.plan_to_json
+
+    def together(plan):
+        both.wait()  # each has looked for a name, and none has begun its journal
+        return plan_json(plan)
+
+    monkeypatch.setattr(api, "plan_to_json", together)
+
+    def begun(_):
+        return estune.tune(ArithmeticRig(), trials=11, folder=tmp_path, watch=None)
+
+    with ThreadPoolExecutor(2) as pool:
+        folders = {result.folder for result in pool.map(begun, range(2))}
+    assert {folder.name for folder in folders} == {path.name for path in tmp_path.iterdir()}
+    assert [estune.load(folder).plan.run for folder in folders] == [f.name for f in folders]
+    assert len(folders) == 2
 
 
 def test_journal_refuses_a_second_writer_but_no_reader(tmp_path):
