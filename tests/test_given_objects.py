@@ -75,6 +75,13 @@ def test_function_is_a_plant_of_the_time_scale_of_its_equations(function, slowes
     assert found.step.preload_N == at_rest
 
 
+def test_function_that_integrates_alone_is_a_plant_of_the_time_of_its_gain():
+    def tank(level, inflow, dt_s):
+        return level + 0.02 * inflow * dt_s, level
+
+    assert 50.0 <= described(tank).settling_time_s / (2.0 * np.pi) < 100.0
+
+
 def test_function_without_arguments_is_called():
     assert described(lambda: LAG).settling_time_s == described(LAG).settling_time_s
     assert described(plants.reference_reel) == plants.reference_reel().rig().describe()

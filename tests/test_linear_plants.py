@@ -166,6 +166,31 @@ def test_linear_plant_chooses_safe_gains():
         assert min(gains.as_tuple()) > 0.0  # or it would not be tuned
 
 
+@pytest.mark.parametrize(("gain", "dead_time_s"), [(0.02, 2.0), (50.0, 0.01), (1e-3, 60.0)])
+def test_integrator_with_dead_time_has_the_safe_gains_of_another_scaled(gain, dead_time_s):
+    def safe(gain, dead_time_s):
+        plant = plants.linear_plant(control.tf([gain], [1.0, 0.0]), dead_time_s)
+        return plant.describe("plant", None)
+
+    scaled, one = safe(gain, dead_time_s), safe(1.0, 1.0)
+    P, I, D, F = one.gains.as_tuple()
+    times = np.array([1.0, 1.0 / dead_time_s, dead_time_s]) / (gain * dead_time_s)
+    expected = [*(times * (P, I, D)), F * dead_time_s]
+    assert scaled.gains.as_tuple() == pytest.approx(expected, rel=1e-6)
+    assert scaled.settling_time_s == pytest.approx(one.settling_time_s * dead_time_s)
+
+
+def test_settling_time_of_an_integrator_follows_rate_effort_and_gain():
+    def settling_s(gain, rate=None, most=1e9):
+        system = control.tf([gain], [1.0, 0.0])
+        limits = {"output_min_N": -most, "output_max_N": most}
+        return plants.linear_plant(system, 0.0, rate, **limits).mounting.settling_time_s
+
+    assert settling_s(0.02) == pytest.approx(100.0 * settling_s(2.0))
+    assert settling_s(0.02, rate=50.0) == pytest.approx(4.0)
+    assert settling_s(0.02, rate=50.0, most=10.0) == pytest.approx(2.0 * np.pi * 5.0)
+
+
 def lag(state, effort, dt_s):
     """x' = (2 u - x)/0.5, exactly."""
     following = 2.0 * effort + (state - 2.0 * effort) * np.exp(-dt_s / 0.5)

@@ -8,7 +8,15 @@ from cyclopts import Parameter
 from estune.cli import output
 from estune.cli.options import NO_LIMITS, LimitOptions
 from estune.cli.stated_controller import stated_controller
-from estune.cli.values import Flag, Json, Values, check_folder_exists, command_line, words_from
+from estune.cli.values import (
+    Flag,
+    Json,
+    Quiet,
+    Values,
+    check_folder_exists,
+    command_line,
+    words_from,
+)
 from estune.errors import InvalidInput
 from estune.support.quantity_text import time_text
 
@@ -35,6 +43,7 @@ def suggest(
     limits: LimitOptions = NO_LIMITS,
     report: Path | None = None,
     next_: Annotated[Path | None, Parameter(name="--next")] = None,
+    quiet: Quiet = False,
     json: Json = False,
 ) -> int:
     """Judge the gains of a running loop by its records, and recommend better ones.
@@ -66,25 +75,30 @@ def suggest(
         InvalidInput: no record can be used, or an option cannot be read.
     """
     check_folder_exists("--report", report)
-    from estune.service_records import suggestion as service  # noqa: PLC0415  slow to import
+    from estune.run.progress import showing_phases  # noqa: PLC0415  slow to import
+    from estune.service_records import suggestion as service  # noqa: PLC0415  as above
 
     stated = stated_controller(gains)
     try:
-        found = service.suggest(
-            records,
-            gains=stated.gains,
-            columns=words_from("--map", map_),
-            sampling_Hz=sampling_Hz,
-            derivative_filter_s=(
-                stated.derivative_filter_s if derivative_filter_s is None else derivative_filter_s
-            ),
-            form=_form(form),
-            reverse=reverse,
-            settling_time_s=settling_time_s,
-            step=step,
-            cost=cost,
-            limits=limits.limits,
-        )
+        with showing_phases(quiet=quiet) as progress:
+            found = service.suggest(
+                records,
+                gains=stated.gains,
+                columns=words_from("--map", map_),
+                sampling_Hz=sampling_Hz,
+                derivative_filter_s=(
+                    stated.derivative_filter_s
+                    if derivative_filter_s is None
+                    else derivative_filter_s
+                ),
+                form=_form(form),
+                reverse=reverse,
+                settling_time_s=settling_time_s,
+                step=step,
+                cost=cost,
+                limits=limits.limits,
+                progress=progress,
+            )
     except service.GainsUnknown as error:
         return _cause_alone(error, report, json=json)
     if report is not None:

@@ -6,7 +6,8 @@ motion takes friction for a load, and is white with it.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from itertools import chain
 
 import numpy as np
 
@@ -57,15 +58,16 @@ def friction_score(
     """
     signals, model = motion.signals, linear.model
     at = Solution.at(signals, np.array(model.coordinates), model.dead_samples, linear.noise)
-    linear_laws = [at.slopes(signals), linear_past(signals, LAGS)]
-    linear_laws += [linear_answers(signals, answers)] if answers else []
-    known = orthonormal(np.hstack(linear_laws))
+    linear_laws = chain(at.slopes(signals).T, linear_past(signals, LAGS))
+    if answers:
+        linear_laws = chain(linear_laws, linear_answers(signals, answers))
+    known = orthonormal(signals.samples, linear_laws)
     errors = less(at.residual, known)
     rounding = max(rounding_std(motion.records[i].measurement) for i in range(signals.records))
     grid = [np.array([*p, share, 0.0]) for p in grid_of_poles(linear) for share in SHARES]
-    forces, scores = forces_of(motion, grid), [0.0]
-    for i in range(len(grid)):
-        driven = less_friction(signals, [force[i] for force in forces])
+    scores = [0.0]
+    for force in _forces(motion, grid):
+        driven = less_friction(signals, force)
         moved = Solution.at(driven, at.coordinates, at.dead, at.noise, at.numerator)
         whole = at.residual - moved.residual
         slope = less(whole, known)
@@ -76,6 +78,16 @@ def friction_score(
         if size * math.sqrt(power / errors.size) > ROUNDING_SHARE * rounding:
             scores.append(float(slope @ errors) / float(np.linalg.norm(slope * errors)))
     return max(scores)
+
+
+def _forces(motion: FrictionMotion, grid: Sequence[FloatArray]) -> Iterator[list[FloatArray]]:
+    """Friction of each group at the points of a grid, of as many at a time as fit in 128 MB."""
+    at_once = max((1 << 24) // motion.signals.samples, 1)
+    for start in range(0, len(grid), at_once):
+        part = grid[start : start + at_once]
+        forces = forces_of(motion, part)
+        for i in range(len(part)):
+            yield [force[i] for force in forces]
 
 
 def shows_friction(

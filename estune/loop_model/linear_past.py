@@ -9,7 +9,7 @@ setpoint besides, and is as little a law of motion (`linear_answers`).
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 
 import numpy as np
 
@@ -31,54 +31,87 @@ with Laguerre functions of the setpoint in their place 5e-4 in one."""
 APART = 1e-7
 """Least share of the largest singular value by which columns differ."""
 
+BLOCK = 1 << 14
+"""Samples that are decomposed at a time."""
 
-def linear_past(signals: FitSignals, lags: int) -> FloatArray:
-    """The past of effort and measurement behind each residual, shape (residuals, columns).
+MOST = 128
+"""Columns that there is room for; those that are not used take no memory."""
+
+
+def linear_past(signals: FitSignals, lags: int) -> Iterator[FloatArray]:
+    """The past of effort and measurement behind each residual, columns of shape (residuals,).
 
     Args:
         lags: Samples before that are known one by one; beyond them exponential means are.
     """
     longest = max(MEANS_TO * signals.settling_samples, 2.0 ** (MEANS_FROM + 1))
     spans = 2.0 ** np.arange(MEANS_FROM, math.floor(math.log2(longest)) + 1)
-    rows = []
-    for group in signals.groups:
-        columns = []
-        for signal in (group.effort, group.measurement):
-            moved = signal - signal[:, :1]
-            before = delayed(moved, 1)
-            columns += [delayed(moved, lag) for lag in range(1, lags + 1)]
-            columns += [
-                lfilter([-math.expm1(-1.0 / span)], [1.0, -math.exp(-1.0 / span)], before)
-                for span in spans
-            ]
-        rows.append(np.stack([one[:, group.history :].ravel() for one in columns], axis=1))
-    X = np.concatenate(rows)
-    return np.asarray(X - X.mean(axis=0))
+    efforts = [group.effort for group in signals.groups]
+    measurements = [group.measurement for group in signals.groups]
+    for moved in ([one - one[:, :1] for one in of] for of in (efforts, measurements)):
+        for lag in range(1, lags + 1):
+            yield _column(signals, (delayed(one, lag) for one in moved))
+        for span in spans:
+            b, a = [-math.expm1(-1.0 / span)], [1.0, -math.exp(-1.0 / span)]
+            yield _column(signals, (lfilter(b, a, delayed(one, 1)) for one in moved))
 
 
 def linear_answers(
     signals: FitSignals, answers: Sequence[tuple[FloatArray, FloatArray]]
-) -> FloatArray:
-    """What a linear loop may still answer to its setpoint, shape (residuals, columns).
+) -> Iterator[FloatArray]:
+    """What a linear loop may still answer to its setpoint, columns of shape (residuals,).
 
     Args:
         answers: Output and effort by which the model answers the setpoint of each record.
     """
     lags = np.unique(np.linspace(0.0, ANSWERED * signals.settling_samples, ANSWERS + 1).round())
-    rows = []
-    for group in signals.groups:
-        pair = (np.stack([answers[i][k] for i in group.members]) for k in (0, 1))
-        columns = [delayed(x - x[:, :1], int(lag)) for x in pair for lag in lags]
-        rows.append(np.stack([one[:, group.history :].ravel() for one in columns], axis=1))
-    X = np.concatenate(rows)
-    return np.asarray(X - X.mean(axis=0))
+    for k in (0, 1):
+        of = [np.stack([answers[i][k] for i in group.members]) for group in signals.groups]
+        for lag in lags:
+            yield _column(signals, (delayed(x - x[:, :1], int(lag)) for x in of))
 
 
-def orthonormal(columns: FloatArray) -> FloatArray:
-    """Orthonormal basis of what columns span, whatever their sizes."""
-    scaled = columns / np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
-    basis, sizes, _ = np.linalg.svd(scaled, full_matrices=False)
-    return np.asarray(basis[:, sizes > APART * sizes[0]])
+def _column(signals: FitSignals, parts: Iterable[FloatArray]) -> FloatArray:
+    """A signal of each group as one column behind the histories, less its mean."""
+    groups = zip(signals.groups, parts, strict=True)
+    column = np.concatenate([part[:, group.history :].ravel() for group, part in groups])
+    column -= column.mean()
+    return np.asarray(column)
+
+
+def orthonormal(samples: int, columns: Iterable[FloatArray]) -> FloatArray:
+    """Orthonormal basis of what columns of so many samples span, whatever their sizes.
+
+    By the triangle of their QR decomposition, block after block: a decomposition of all at once
+    has four copies of them, 4 GB with two million samples.
+    """
+    whole, count = np.empty((samples, MOST), order="F"), 0
+    for column in columns:
+        whole[:, count] = column / max(float(np.linalg.norm(column)), 1e-300)
+        count += 1
+    whole = whole[:, :count]
+    _, sizes, axes = np.linalg.svd(_triangle(whole), full_matrices=False)
+    kept = sizes > APART * sizes[0]
+    basis = _turned(whole, axes[kept].T / sizes[kept])
+    # Of columns that hardly differ it is orthonormal to 1e-9 only.
+    return _turned(basis, np.asarray(np.linalg.inv(_triangle(basis)), float))
+
+
+def _triangle(columns: FloatArray) -> FloatArray:
+    """R of the QR decomposition of columns."""
+    found = np.empty((0, columns.shape[1]))
+    for start in range(0, len(columns), BLOCK):
+        block = np.vstack([found, columns[start : start + BLOCK]])
+        found = np.asarray(np.linalg.qr(block, mode="r"))
+    return found
+
+
+def _turned(columns: FloatArray, by: FloatArray) -> FloatArray:
+    """Columns times a matrix with as many columns or fewer, in their place."""
+    for start in range(0, len(columns), BLOCK):
+        part = slice(start, start + BLOCK)
+        columns[part, : by.shape[1]] = columns[part] @ by
+    return columns[:, : by.shape[1]]
 
 
 def less(values: FloatArray, basis: FloatArray) -> FloatArray:

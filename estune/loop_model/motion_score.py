@@ -14,6 +14,7 @@ answer to the setpoint leave of the errors two scores that know nothing of each 
 
 import math
 from collections.abc import Sequence
+from itertools import chain
 from typing import NamedTuple
 
 import numpy as np
@@ -85,7 +86,8 @@ def changes_with_motion(
     slopes = at.slopes(signals)
     motions = [[moved[i][1] for i in group.members] for group in signals.groups]
     answers = linear_answers(signals, [(m.output, m.effort) for _, m in moved])
-    known = orthonormal(np.hstack([slopes, linear_past(signals, LAGS), answers]))
+    laws = chain(slopes.T, linear_past(signals, LAGS), answers)
+    known = orthonormal(signals.samples, laws)
     errors = less(at.residual, known)
     speeds = [
         motion.speed[group.history :]

@@ -10,6 +10,7 @@ is needed, nor rest, nor a chosen window. The steps, one file each:
     replay            the logged effort against that of the stated gains, before anything else
     controller_search its derivative and setpoint filters where others ran than stated
     gain_sets         several sets of gains within one log
+    fitted_part       of long records what is fitted, and whether it speaks for the rest
     identification    the loop by a direct fit with a model of load, drift and noise
     ringing           a loop that rings, with its period
     judgement         whether the records show the margins of the gains in use

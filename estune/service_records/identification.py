@@ -20,6 +20,7 @@ from estune.loop_model.margins import robustness
 from estune.loop_model.model import close_loop
 from estune.loop_model.plant_error import PlantErrorBound, plant_error
 from estune.loop_model.records import LoopRecord
+from estune.service_records.fitted_part import moved_most, speaks_for
 from estune.service_records.stretches import Stretch
 
 SCALES_APART = 6.0
@@ -56,7 +57,9 @@ class ServiceLoop(NamedTuple):
     """A loop identified from records of service.
 
     Attributes:
+        records: Those that were fitted: of long ones a part (`fitted_part`).
         draws: Models that the records allow; empty for those of the fit's covariances.
+        span: Range of the setpoint in all records; of the measurement where no setpoint moves.
     """
 
     fit: LoopFit
@@ -64,6 +67,7 @@ class ServiceLoop(NamedTuple):
     settings: ControllerSettings
     error: PlantErrorBound
     draws: Draws = ()
+    span: float = 0.0
 
 
 def identify(
@@ -87,10 +91,21 @@ def identify(
         pairs = zip(records, off, strict=True)
         switched = [_switched_on(r, rest) if begins_off else r for r, begins_off in pairs]
         begun = best_scale(switched, rate, [settling], begun)
-    records = begun.records
-    fit = fit_loop(records, rate, settling, starts=begun.starts)
-    draws = _draws(fit, records, settings, parts[-1].gains)
-    return ServiceLoop(fit, records, settings, plant_error(fit, records), draws)
+    gains = parts[-1].gains
+    fitted, others = moved_most(begun.records, settling * rate)
+    fit = fit_loop(fitted, rate, settling, starts=begun.starts)
+    if others and not speaks_for(fit, fitted, others, gains, settings):
+        fitted = list(begun.records)
+        fit = fit_loop(fitted, rate, settling, starts=begun.starts)
+    draws = _draws(fit, fitted, settings, gains)
+    error = plant_error(fit, fitted)
+    return ServiceLoop(fit, tuple(fitted), settings, error, draws, _span(begun.records))
+
+
+def _span(records: Sequence[LoopRecord]) -> float:
+    setpoint = np.concatenate([record.setpoint for record in records])
+    measured = np.concatenate([record.measurement for record in records])
+    return float(np.ptp(setpoint)) or float(np.ptp(measured))
 
 
 def _draws(

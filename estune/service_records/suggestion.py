@@ -1,7 +1,7 @@
 """From logs of a running loop to its margins and to better gains."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -89,6 +89,7 @@ def suggest(
     cost: StepCost | str | CostFunction | None = None,
     trial: StepTrial | None = None,
     limits: RobustnessLimits | None = None,
+    progress: Callable[[str, float], None] = lambda _phase, _done: None,
 ) -> Suggestion:
     """Margins of a running loop and better gains, from records of its ordinary service.
 
@@ -111,6 +112,7 @@ def suggest(
         trial: The step trial that costs and overshoots are predicted for; then `cost`, `step` and
             the settling time are its own.
         limits: What the recommended gains keep; Ms 1.6 and overshoot 5 % by default.
+        progress: Called with the phase in words and about the share of the work that is done.
 
     Raises:
         InvalidInput: there is no usable log.
@@ -121,13 +123,16 @@ def suggest(
         suggestion = estune.suggest("logs", gains=estune.Gains(2.0, 0.5, 0.0, 0.0))
         print(suggestion.heading())
     """
+    progress("reading the logs", 0.0)
     logs = _logs(records, columns, sampling_Hz, reverse=reverse)
     limits = limits or RobustnessLimits()
     settings = logs.controller or ControllerSettings(
         logs.logs[0].sampling_Hz, derivative_filter_s or 0.0, -math.inf, math.inf, form
     )
+    progress("looking for the cause", 0.05)
     judged = [judge_cause(log) for log in logs.logs]
     cause = of_most(judged)
+    progress("replaying the effort", 0.1)
     parts, left_out, replays = _usable(logs, gains, settings, cause)
     decides = replays[-1][1] if replays else None
     if decides is not None and decides.explained and decides.controller is not None:
@@ -137,18 +142,21 @@ def suggest(
         cost = trial.cost
     if isinstance(cost, StepCost):
         settling_time_s = cost.settling_time_s
+    progress("identifying the loop", 0.15)
     loop = identify(parts, settings, settling_time_s)
     if trial is None:
         trial = _trial(loop, in_use, settling_time_s, step, cost or "paper")
     # The limits of the effort are about a level that the records do not name.
     limitless = replace(trial.controller, output_min_N=-math.inf, output_max_N=math.inf)
     trial = replace(trial, controller=limitless)
+    progress("judging what the logs show", 0.65)
     margins, margin = margins_of(loop, trial, in_use)
     is_thin = decides is not None and decides.is_thin
     judgement = judge(loop, in_use, margins, margin, is_thin=is_thin)
     known = margins.sensitivity if judgement.can_tell else None
     cause = of_most([with_margins(_beside(loop, one, judgement), known) for one in judged])
     judgement = _for_machine(judgement, cause, loop)
+    progress("looking for better gains", 0.8)
     better = recommend(loop, trial, in_use, limits) if judgement.can_tell else None
     holds = math.isfinite(margins.sensitivity.value)
     identified = loop if judgement.can_tell and holds else None
@@ -170,6 +178,7 @@ def suggest(
         advised = advise(loop, trial, in_use, aim)
     else:
         advised = None
+    progress("done", 1.0)
     return Suggestion(
         verdict=verdict,
         in_use=in_use,
@@ -293,9 +302,7 @@ def _trial(
     rate = settings.sampling_Hz
     if settling_time_s is None:
         settling_time_s = settling_time(loop, in_use)
-    setpoint = np.concatenate([record.setpoint for record in loop.records])
-    measured = np.concatenate([record.measurement for record in loop.records])
-    size = step or float(np.ptp(setpoint)) or float(np.ptp(measured)) or 1.0
+    size = step or loop.span or 1.0
     own = isinstance(cost, StepCost)
     cost = cost if isinstance(cost, StepCost) else cost_from(cost, settling_time_s)
     # A fit of an integrating plant has any gain at rest: with it the effort of a servo cost 1e11

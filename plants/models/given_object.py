@@ -2,6 +2,7 @@
 
 import inspect
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -27,6 +28,9 @@ ROUNDS = 60
 """Time steps that are tried, each from the rates of the last: a decade in two."""
 SAMPLES_PER_FAST = 2.0
 """Samples in the fastest time constant of a function, at which an explicit step is damped."""
+UNIT_OCTAVES, UNIT_STEPS = 30, 16
+"""Times, as powers of two of a second, in which a function that integrates may move by one, and
+steps by which it is run over them."""
 STIFFNESS_MAX = 20_000.0
 """Samples in a settling time at most: a trial of five and a half takes a second of CPU."""
 
@@ -86,7 +90,9 @@ def _of_function(
 ) -> Any:
     state = _initial_state(step)
     rates = _rates(step, state)
-    settling_time_s = settling_time(rates, dead_time_s)
+    settling_time_s = settling_time(
+        rates, dead_time_s, sampling_Hz, partial(_unit_time, step, state)
+    )
     if sampling_Hz is None:
         fastest = SAMPLES_PER_FAST * float(np.abs(rates).max(initial=0.0))
         sampling_Hz = max(SAMPLES_PER_SETTLING_TIME / settling_time_s, fastest)
@@ -127,6 +133,18 @@ def _initial_state(step: Step) -> Any:
         f"state, as step(state, effort, dt_s) -> (state, measurement) would{why}; give the state "
         f"as the default of its first argument, or write {_WRITTEN}"
     )
+
+
+def _unit_time(step: Step, state: Any, effort: float) -> float:
+    """Time in which an effort moves a function that integrates alone by one, s."""
+    begin = float(np.asarray(step(state, 0.0, 1e-6)[1]).item())
+    for exponent in range(-UNIT_OCTAVES, UNIT_OCTAVES + 1):
+        dt_s, now = 2.0**exponent / UNIT_STEPS, state
+        for _ in range(UNIT_STEPS):
+            now, _measured = step(now, effort, dt_s)
+        if abs(float(np.asarray(step(now, 0.0, 1e-6)[1]).item()) - begin) >= 1.0:
+            return 2.0**exponent
+    return 1.0
 
 
 def _rates(step: Step, state: Any) -> FloatArray:
