@@ -1,13 +1,16 @@
 """Daemons with rigs over Zenoh: modes, live gains, commands."""
 
+import threading
 import time
 from dataclasses import replace
 
 import pytest
 
+import plants
 from estune.core.gains import Gains
 from estune.errors import InvalidInput, RigError
 from estune.remote import zenoh
+from estune.trial.profiles import MultisineProfile
 from tests.support_daemon import (
     ORIGINAL,
     WITHIN_S,
@@ -131,6 +134,10 @@ def test_paused_rig_accepts_other_clients_and_keeps_their_gains(tmp_path):
         it.until_mode("paused")
         with zenoh.connect(where) as other:
             other.apply(FOREIGN)
+        it.until(lambda s: s.live == "")
+        assert (
+            "set by others; resume applies the original" in it.client.events("drum")[-1].sentence
+        )
         # After a reconnection the daemon waits for the operator's command to resume.
         it.service._supervisors[0]._disconnect()
         status = it.until(lambda s: "not set through this daemon" in s.paused)
@@ -158,6 +165,34 @@ def test_nominal_gains_are_restored_on_a_restarted_rig(tmp_path):
             assert again.describe().gains == accepted_status.gains["accepted"] != ORIGINAL
             it.service.stop()  # while its rig is there: it waits for one that is gone
             it.thread.join(WITHIN_S)
+
+
+def test_search_continued_at_its_exciting_trial_is_not_called_a_confirmation(tmp_path):
+    rig = plants.reference_reel(cable_length_m=0.8).rig(name="drum")
+    run, requests = rig.run, []
+    begun, paused = threading.Event(), threading.Event()
+
+    def held(request):
+        requests.append(request)
+        begun.set()
+        assert paused.wait(WITHIN_S)
+        return run(request)
+
+    rig.run = held
+    with (
+        zenoh.serve(rig) as server,
+        daemon(tmp_path, rig_table("drum", server.endpoint, trials=30)) as it,
+    ):
+        assert begun.wait(WITHIN_S)
+        it.command("pause")  # after the initial gains' trial, which is under way
+        paused.set()
+        it.until(lambda s: s.mode == "paused")
+        it.command("resume")
+        it.until_mode("holding")
+        events = [e.sentence for e in it.client.events("drum") if e.kind == "confirming"]
+    assert isinstance(requests[1].profile, MultisineProfile)
+    assert len(events) == 1
+    assert "the search ended" in events[0]
 
 
 def test_single_outlying_check_is_repeated_and_starts_no_tuning(tmp_path):

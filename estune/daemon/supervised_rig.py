@@ -211,6 +211,18 @@ class SupervisedRig:
                 self.live = live
                 self._change(SupervisorEvent.READIED)
 
+    def note_live(self, gains: Gains) -> None:
+        """Takes the gains that a rig runs whose supervision is paused: others may set them."""
+        with self._lock:
+            home, stored = self.state.home, self.store.gains()
+            live = next((name for name in (home, *GainSet) if stored.get(name) == gains), None)
+            if self.mode is not SupervisorMode.PAUSED or live is self.live:
+                return
+            self.live = live
+        if live is not home:
+            sentence = f"the rig runs {gains}, set by others; resume applies the {home} gains"
+            self.log_event(EventKind.GAINS, sentence, gains=str(gains))
+
     def stop(self, why: str) -> None:
         """Ends the supervision with the nominal gains restored, as the verb does."""
         with self._lock:

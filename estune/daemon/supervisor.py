@@ -35,6 +35,7 @@ from estune.run import archived_run, loop
 from estune.run.disk_space import DiskForecast
 from estune.run.loop import Progress
 from estune.run.phase import Phase
+from estune.run.session import Session
 from estune.run.tuning_run import TuningRun
 
 _POLL_S = 0.5
@@ -245,10 +246,12 @@ class RigSupervisor:
 
     def _follow_phase(self, run: TuningRun) -> None:
         """Synchronises the mode with the phase of a resumed run, which may be past its search."""
-        is_past_search = run.session.phase not in (Phase.BASELINE, Phase.SEARCH)
-        if is_past_search and self._rig.mode is SupervisorMode.TUNING:
-            sentence = f"confirming {run.plan.run}"
-            self._rig.apply_event(SupervisorEvent.SEARCHED, sentence)
+        if not run.session.is_open and self._rig.mode is SupervisorMode.TUNING:
+            self._announce_confirmation(run.session)
+
+    def _announce_confirmation(self, session: Session) -> None:
+        sentence = f"confirming {session.plan.run}; {session.search_end}"
+        self._rig.apply_event(SupervisorEvent.SEARCHED, sentence)
 
     def _on_trial(self, progress: Progress) -> None:
         """After each trial, which is committed by now."""
@@ -260,8 +263,7 @@ class RigSupervisor:
         self._rig.note_cost(progress.entry.cost)
         is_past_search = progress.session.phase in (Phase.CHOOSE, Phase.CONFIRM)
         if is_past_search and mode is SupervisorMode.TUNING:
-            sentence = f"confirming {progress.session.plan.run}; {progress.session.search_end}"
-            self._rig.apply_event(SupervisorEvent.SEARCHED, sentence)
+            self._announce_confirmation(progress.session)
         if self._rig.mode not in (SupervisorMode.TUNING, SupervisorMode.CONFIRMING):
             raise Preempted
         # Before the run says it, which would name `estune resume`: the verb is the daemon's here.
@@ -331,7 +333,8 @@ class RigSupervisor:
         access = self._connection.required()
         access.release()
         if not self._rest(self._settings.look_every_s):
-            access.describe()
+            # Others may set gains meanwhile: the status must not go on to claim the nominal ones.
+            self._rig.note_live(access.describe().gains)
 
     def _restore_nominal_gains(self) -> None:
         if self._stopping_since_s is None:
