@@ -2,17 +2,21 @@
 
 import math
 import tracemalloc
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from estune.core.controller_equation import unlimited_effort
 from estune.core.controller_form import ControllerForm
 from estune.core.gains import Gains
 from estune.core.pidf import ControllerSettings
-from estune.loop_model import linear_past
+from estune.loop_model import beginning, linear_past
+from estune.loop_model.beginning import best_scale
+from estune.loop_model.identification import cold_starts
 from estune.loop_model.linear_past import less, orthonormal
 from estune.loop_model.margins import robustness
-from estune.service_records import fitted_part
+from estune.service_records import fitted_part, replay
 from estune.service_records.identification import ServicePart, identify
 from estune.service_records.stretches import Stretch
 
@@ -63,6 +67,39 @@ def test_long_log_is_fitted_where_its_setpoint_moves_and_states_what_all_of_it_d
 @pytest.mark.usefixtures("short_windows")
 def test_long_log_whose_rest_says_otherwise_is_fitted_whole():
     assert sum(record.samples for record in loop(change=0.5).records) == ROWS
+
+
+def test_slow_loop_in_many_samples_begins_where_all_of_them_would_begin_it(monkeypatch):
+    records = loop().records
+    whole = best_scale(records, 1.0, [60.0])
+    monkeypatch.setattr(beginning, "THIN_FROM", 0)
+    monkeypatch.setattr(beginning, "THIN", 12)
+    monkeypatch.setattr(beginning, "HOPELESS", 0.0)  # so that it is not improved
+    seen = []
+    monkeypatch.setattr(
+        beginning, "cold_starts", lambda *of: seen.append(of[0].samples) or cold_starts(*of)
+    )
+    thinned = best_scale(records, 1.0, [60.0])
+    assert seen[0] < ROWS / 4
+    assert thinned.power == pytest.approx(whole.power, rel=0.1)
+
+
+def test_filter_that_ran_is_found_by_the_part_in_which_the_setpoint_moves(monkeypatch):
+    random, rows = np.random.default_rng(2), 4000
+    setpoint = np.repeat(random.standard_normal(rows // 100), 100)
+    setpoint[: rows // 2] = 0.0
+    measured = np.convolve(setpoint, np.full(40, 1 / 40))[:rows]
+    measured = measured + 0.01 * random.standard_normal(rows)
+    own = ControllerSettings(100.0, 0.02, -math.inf, math.inf)
+    gains = Gains(2.0, 20.0, 0.1, 0.3)
+    effort = unlimited_effort(own, gains, setpoint, measured, first_effort=3.0)
+    effort += 1e-3 * random.standard_normal(rows)
+    stretch = Stretch("log", 0.0, setpoint, measured, effort)
+    monkeypatch.setattr(replay, "SEARCHED", 1000)
+    found = replay.replay([stretch], own, replace(gains, setpoint_filter_s=0.0))
+    assert found.explained
+    assert not found.is_thin
+    assert found.ran.as_tuple() == pytest.approx(gains.as_tuple(), rel=0.05)
 
 
 def test_basis_of_columns_that_hardly_differ_is_that_of_their_decomposition_in_their_memory():

@@ -32,12 +32,19 @@ Measure = Callable[[ControllerSettings, float], tuple[float, FloatArray]]
 
 
 def least_changed(
-    best: Measure, settings: ControllerSettings, tau: float, longest_s: float, *, moves: bool
+    best: Measure,
+    by_part: Measure,
+    settings: ControllerSettings,
+    tau: float,
+    longest_s: float,
+    *,
+    moves: bool,
 ) -> tuple[float, FloatArray, ControllerSettings, float]:
     """Error, gains, controller and setpoint filter: the fewest changes that explain the effort.
 
     Args:
         best: What a controller leaves with the gains of least squares.
+        by_part: The same of a part of a long record, by which the filters are sought.
         settings: The controller as stated.
         tau: Time constant of the setpoint filter, as stated.
         longest_s: Length of the longest stretch, which bounds the filters, s.
@@ -55,12 +62,12 @@ def least_changed(
     rate = settings.sampling_Hz
     for form in others:
         here = replace(settings, form=form)
-        by_lag = partial(_with_derivative, best, here, tau)
+        by_lag = partial(_with_derivative, by_part, here, tau)
         lagged = _derivative_filter(here, _best_filter(by_lag, rate, longest_s))
         for controller in dict.fromkeys((here, lagged)):  # one where no filter is better
             tried.append((*best(controller, tau), controller, tau))
             if moves:
-                slow = _best_filter(partial(best, controller), rate, longest_s)
+                slow = _best_filter(partial(by_part, controller), rate, longest_s)
                 tried.append((*best(controller, slow), controller, slow))
             if _is_sure(tried):
                 return tried[-1]

@@ -33,7 +33,7 @@ from estune.core.pidf import ControllerSettings
 from estune.core.quantities import FloatArray
 from estune.loop_model.error_filters import delayed
 from estune.service_records.controller_search import AS_WELL, FITS, least_changed
-from estune.service_records.stretches import Stretch
+from estune.service_records.stretches import Stretch, moving_part
 
 APART = 0.02
 """Relative difference from which a stated gain is said to be another than the one that ran."""
@@ -46,6 +46,9 @@ RAN_OTHERWISE = "the stated gains are not what ran: "
 
 TERMS = ([0], [0, 1], [0, 2], [0, 1, 2])
 """Terms of P, I and D that may have run; the fewest that explain the effort did."""
+
+SEARCHED = 1 << 18
+"""Samples of a stretch by which filters are sought; all of it judges those that are found."""
 
 MEMORY = 32
 FORGOTTEN = 0.35
@@ -251,8 +254,12 @@ def _compared(
     span = float(np.ptp(logged)) or 1.0
 
     def best(own: ControllerSettings, tau: float) -> tuple[float, FloatArray]:
-        values, left = _least_squares(stretches, own, tau)
-        return left / (span * math.sqrt(logged.size)), values
+        return _best_of(stretches, own, tau, span)
+
+    moving = [moving_part(stretch, SEARCHED) for stretch in stretches]
+
+    def by_part(own: ControllerSettings, tau: float) -> tuple[float, FloatArray]:
+        return _best_of(moving, own, tau, span)
 
     stated_error = math.inf
     if stated is not None:
@@ -260,7 +267,9 @@ def _compared(
     tau = stated.setpoint_filter_s if stated is not None else 0.0
     longest_s = max(s.samples for s in stretches) / settings.sampling_Hz
     moves = any(np.ptp(s.setpoint) for s in stretches)
-    ran_error, values, own, tau = least_changed(best, settings, tau, longest_s, moves=moves)
+    ran_error, values, own, tau = least_changed(
+        best, by_part, settings, tau, longest_s, moves=moves
+    )
     ran = (
         Gains(float(values[0]), float(values[1]), float(values[2]), tau)
         if values[0] > 0.0
@@ -277,6 +286,14 @@ def _compared(
         if error <= min(FITS, AS_WELL * ran_error):
             return Replay(stated, stated_error, stated, error, other, span)
     return found
+
+
+def _best_of(
+    stretches: Sequence[Stretch], settings: ControllerSettings, tau: float, span: float
+) -> tuple[float, FloatArray]:
+    """Error over a range, and gains, of least squares."""
+    values, left = _least_squares(stretches, settings, tau)
+    return left / (span * math.sqrt(sum(s.samples for s in stretches))), values
 
 
 @lru_cache(maxsize=64)

@@ -55,6 +55,16 @@ class Stretch(NamedTuple):
         )
 
 
+def moving_part(stretch: Stretch, samples: int) -> Stretch:
+    """The part of at most so many samples in which the setpoint moves most, in quarters of it."""
+    if stretch.samples <= samples:
+        return stretch
+    way = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(stretch.setpoint)))])
+    begins = np.arange(0, stretch.samples - samples + 1, samples // 4)
+    first = int(begins[np.argmax(way[begins + samples - 1] - way[begins])])
+    return stretch.part(slice(first, first + samples))
+
+
 class LeftOut(NamedTuple):
     """Part of a log that is not used."""
 
