@@ -12,7 +12,8 @@ import plants
 from estune.cli import run
 from estune.run.behaviour import LoopBehaviour, measure_all, measure_behaviour
 from estune.trial import Outcome, RigLimits
-from estune.trial.tracking import REST_SETTLINGS, rest_of, tracking_of, tracking_profile
+from estune.trial.profiles import StepProfile
+from estune.trial.tracking import rest_of, resting_profile, tracking_of, tracking_profile
 from plants.effects import CoulombFriction
 from plants.remedies.behaviour import MEASURES, behaviour
 from tests.support_rigs import ScriptedRig
@@ -70,12 +71,43 @@ def test_tracking_is_judged_after_the_first_cycle_which_begins_from_rest():
     rms, reversal = tracking_of(profile, 0.1, rate, error)
     assert rms == pytest.approx(0.2, rel=0.01)
     assert reversal == pytest.approx(0.2 * 2.0)
+    for after_s, counts in ((0.118, True), (0.122, False)):
+        late = np.full(profile.samples(rate), 0.2)
+        late[round((profile.start_s + 1.25 * profile.period_s + after_s) * rate)] = 1.0
+        reversal = tracking_of(profile, 0.1, rate, late).reversal
+        assert reversal == pytest.approx(0.4 if counts else 0.2)
+
+
+def test_nothing_is_said_of_the_tracking_of_a_triangle_that_was_cut_short_or_diverged():
+    profile, rate = tracking_profile(PLAIN.profile, 0.1), 1000.0
+    error = np.full(profile.samples(rate), 0.2)
+    diverged = np.where(np.arange(error.size) == 7, np.inf, error)
+    assert np.isfinite(tracking_of(profile, 0.1, rate, error)).all()
+    for bad in (error[:-1], diverged):
+        assert np.isnan(tracking_of(profile, 0.1, rate, bad)).all()
+
+
+def test_triangle_lasts_as_the_loop_settles_and_is_as_wide_as_the_step_or_the_range_asks_for():
+    step = StepProfile(10.0, 4.0, 0.5, 2.0)
+    plain, wide = (tracking_profile(step, 0.2, one) for one in (None, RigLimits(5.0, 45.0, 60.0)))
+    about = {"period_s": 3.0, "duration_s": 0.4 + 3 * 3.0, "start_s": 0.4}
+    for found, middle, amplitude in ((plain, 12.0, 1.2), (wide, 25.0, 16.0)):
+        expected = about | {"preload_N": middle, "amplitude_N": amplitude}
+        assert {name: getattr(found, name) for name in expected} == pytest.approx(expected)
+
+
+@pytest.mark.parametrize(("settling_s", "after_s"), [(0.2, 3.2), (0.05, 1.5)])
+def test_rest_lasts_sixteen_settling_times_after_the_step_or_as_long_as_the_step_has(
+    settling_s, after_s
+):
+    step = StepProfile(10.0, 4.0, 0.5, 2.0)
+    assert resting_profile(step, settling_s) == replace(step, duration_s=0.5 + after_s)
 
 
 @pytest.mark.parametrize(("restless", "rest"), [(0, 0.1), (1, 0.1), (3, 2.0), (4, 2.0)])
 def test_rest_passes_over_a_single_slip_and_counts_hunting(restless, rest):
     rate, settling = 1000.0, 0.1
-    part = round(REST_SETTLINGS * settling * rate) // 4
+    part = round(8.0 * settling * rate) // 4
     sway = np.where(np.arange(part) % 2, 1.0, -1.0)
     tension = [sway * (2.0 if k < restless else 0.1) + 10.0 for k in range(4)]
     settling_part = np.linspace(0.0, 10.0, 4 * part)

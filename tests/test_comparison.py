@@ -5,9 +5,16 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from scipy import stats
 from scipy.stats import ttest_ind
 
-from estune.core.comparison import InterleavedRepeats, compare_costs, repeatability
+from estune.core.comparison import (
+    Change,
+    InterleavedRepeats,
+    compare_costs,
+    interval_factor,
+    repeatability,
+)
 from estune.core.gains import Gains
 from estune.errors import InvalidInput
 
@@ -81,7 +88,13 @@ def test_repeats_are_over_once_narrow_with_one_more_of_the_first_gains():
 
 
 @pytest.mark.parametrize(
-    "bad", [([1.0], [1.0, 2.0]), ([1.0, 0.0], [1.0, 2.0]), ([1.0, 1.0], [1.0, math.inf])]
+    "bad",
+    [
+        ([1.0], [1.0, 2.0]),
+        ([1.0, 2.0], [1.0]),
+        ([1.0, 0.0], [1.0, 2.0]),
+        ([1.0, 1.0], [1.0, math.inf]),
+    ],
 )
 def test_too_few_or_invalid_costs_are_refused(bad):
     with pytest.raises(InvalidInput):
@@ -91,12 +104,38 @@ def test_too_few_or_invalid_costs_are_refused(bad):
 @pytest.mark.parametrize("confidence", [0.0, 1.0, 1.5, -0.5, math.nan])
 def test_confidence_that_is_no_probability_is_refused(confidence):
     with pytest.raises(InvalidInput, match="between 0 and 1"):
-        compare_costs([1.0, 1.1], [1.0, 1.1], confidence)
+        compare_costs([1.0, 1.0], [1.1, 1.1], confidence)
+    with pytest.raises(InvalidInput, match="between 0 and 1"):
+        interval_factor(3.0, confidence)
+
+
+def test_interval_of_repeats_has_a_share_of_six_tenths_of_the_error_that_its_confidence_allows():
+    repeats = InterleavedRepeats((A, B), 3, ((1.0, 1.1, 0.95), (0.8, 0.7, 0.9)))
+    for confidence in (0.95, 0.8):
+        expected = compare_costs(*repeats.costs, 1.0 - 0.6 * (1.0 - confidence))
+        found = repeats.change(confidence)
+        assert (found.low, found.high, found.confidence) == (
+            expected.low,
+            expected.high,
+            confidence,
+        )
+    assert repeats.change() == repeats.change(0.95)
+    assert interval_factor(4.0) == pytest.approx(stats.t.ppf(0.975, 4.0))
+
+
+def test_change_of_costs_without_any_scatter_is_known_exactly():
+    assert compare_costs([2.0, 2.0], [1.0, 1.0]) == Change(-0.5, -0.5, -0.5, 0.95)
+
+
+@pytest.mark.parametrize(("high", "is_decrease"), [(-0.01, True), (0.0, False), (0.01, False)])
+def test_change_is_a_decrease_where_all_of_its_interval_is_one(high, is_decrease):
+    assert Change(-0.1, -0.2, high, 0.95).is_decrease is is_decrease
 
 
 def test_repeatability_is_pooled_within_gains():
     groups = [np.exp([1.0, 3.0]), np.exp([11.0, 13.0]), (5.0,), (7.0, math.inf)]
     assert repeatability(groups) == pytest.approx(math.sqrt(2.0))
+    assert repeatability([(math.inf,), *groups]) == repeatability(groups)
     assert math.isnan(repeatability([(1.0,)]))
 
 
@@ -116,9 +155,26 @@ def test_unsafe_gains_are_not_repeated():
     assert repeats.best == 0
     assert repeats.safe == (0,)
     assert repeats.until(lambda _: True, 1, 9) == repeats  # there is no change of the cost
+    assert repeats.missing == 0
     assert InterleavedRepeats.new((A, B), 3).with_cost(math.inf).best == 1
     both = InterleavedRepeats.new((A, B), 3)._replace(costs=((math.inf,), (math.inf,)))
     assert both.best is None
+
+
+def test_best_gains_have_the_least_mean_and_those_out_of_turn_come_next():
+    repeats = InterleavedRepeats((A, B), 2, ((1.0, 1.0), (0.5, 1.2)))
+    assert repeats.best == 1
+    assert repeats._replace(costs=((1.0,), (1.1,))).best == 0
+    assert repeats.next_index is None
+    ahead = repeats._replace(ahead=1)
+    assert ahead.next_index == 1
+    assert ahead.with_cost(0.7) == repeats._replace(costs=((1.0, 1.0), (0.5, 1.2, 0.7)))
+
+
+def test_repeats_are_over_at_their_greatest_number_however_wide_the_interval():
+    repeats = InterleavedRepeats((A, B), 2, ((1.0, 1.1), (0.5, 1.2)))
+    assert repeats.until(lambda _: False, 2, 2).next_index is None
+    assert repeats.until(lambda _: False, 2, 3).next_index is not None
 
 
 @pytest.mark.parametrize(("known", "most"), [(0, 4), (1, 3), (5, 2)])

@@ -87,7 +87,7 @@ AREAS: dict[str, Area] = {
     ),
     "verdict": Area(
         ("plants/diagnosis/search/decide.py", "plants/diagnosis/search/conclusion.py"),
-        ("decide", "explain_report", "explain_friction"),
+        ("decide", "conclusion", "explain_report", "explain_friction"),
     ),
     "intervals": Area(
         (
@@ -123,9 +123,17 @@ UNCHANGED: dict[tuple[str, str], str] = {
         "min and max exchanged",
     ): "their ratios alone count, which the allowance for a wrong form bounds",
     (
-        "fitted = {fit.effects[0].name: fit for fit in models.singles if is_named(fit)}",
+        "fitted = {fit.effects[0].name: fit for fit in models.singles}",
         "first and last exchanged",
     ): "a single fit has one effect",
+    (
+        "effect = fit.effects[0]",
+        "first and last exchanged",
+    ): "a single fit has one effect",
+    (
+        'return _title(models, nameless[0]) if nameless else ""',
+        "first and last exchanged",
+    ): "a model has one nameless law at most",
     (
         "if load is not None and self.rejection > 0.0:",
         "part of a condition dropped",

@@ -18,7 +18,7 @@ from plants.diagnosis.result import (
     family_of,
 )
 from plants.diagnosis.search.decide import Decision, decide, probabilities, summed
-from plants.diagnosis.search.fitted_models import FittedModels, is_named
+from plants.diagnosis.search.fitted_models import FittedModels
 from plants.diagnosis.search.model_fitter import CandidateFit, ModelFitter
 from plants.diagnosis.search.nameless_laws import NAMELESS
 from plants.diagnosis.search.screening import Screening
@@ -91,7 +91,7 @@ def conclude(fitter: ModelFitter, models: FittedModels) -> Conclusion:
     singles = [fit for fit in models.singles if fit.names < decision.best]
     return conclusion._replace(
         stages=(models.base, *singles[:1], models.with_effects[decision.best]),
-        tied=tuple(names) if decision.verdict == "ambiguous" else (),
+        tied=tuple(names),
         apart=apart_of(*(models.with_effects[slugs] for slugs in rivals[:2])),
         rest=_rest(models, decision, others),
     )
@@ -138,7 +138,7 @@ def candidates(
     screening: Screening, models: FittedModels, conclusion: Conclusion
 ) -> tuple[Candidate, ...]:
     """All effects screened as the first one, best first, each with why it was taken or not."""
-    fitted = {fit.effects[0].name: fit for fit in models.singles if is_named(fit)}
+    fitted = {fit.effects[0].name: fit for fit in models.singles}
     believed = [e.name for e in conclusion.stages[-1].effects]
     listed = []
     for name, screened in screening.declared.items():
@@ -155,13 +155,14 @@ def candidates(
             p.get(name, 0.0) for p in (conclusion.probability, conclusion.own_probability)
         )
         listed.append(Candidate(name, share, ratio, screened.screening_R2, why, family, effect))
-    listed.sort(key=lambda c: (c.gap if math.isfinite(c.gap) else 1e9, -c.cosine2))
+    listed.sort(key=lambda c: (c.gap if math.isfinite(c.gap) else math.inf, -c.cosine2))
     listed.sort(key=lambda c: believed.index(c.name) if c.name in believed else len(believed))
     return tuple(listed)
 
 
 def _why(fit: CandidateFit, share: float, conclusion: Conclusion) -> str:
-    effect, best = fit.effects[0], conclusion.stages[-1].effects
+    best = conclusion.stages[-1].effects
+    effect = fit.effects[0]
     what = f"{effect.title} explains {_percent(max(share, 0.0))} of the error power"
     if effect in best:
         return what
