@@ -191,6 +191,20 @@ def test_settling_time_of_an_integrator_follows_rate_effort_and_gain():
     assert settling_s(0.02, rate=50.0, most=10.0) == pytest.approx(2.0 * np.pi * 5.0)
 
 
+def test_integrator_with_delays_as_poles_at_zero_is_that_with_dead_time():
+    plain, late = (
+        control.tf([0.002], [1.0, -1.0], 0.1),
+        control.tf([0.002], [1.0, -1.0, 0, 0], 0.1),
+    )
+    limits = {"output_min_N": 0.0, "output_max_N": 1e3}
+    one = plants.linear_plant(plain, 0.2, **limits)
+    other = plants.linear_plant(late, **limits)
+    assert other.mounting.settling_time_s == pytest.approx(one.mounting.settling_time_s)
+    assert other.describe("plant", None).gains.as_tuple() == pytest.approx(
+        one.describe("plant", None).gains.as_tuple(), rel=1e-6
+    )
+
+
 def lag(state, effort, dt_s):
     """x' = (2 u - x)/0.5, exactly."""
     following = 2.0 * effort + (state - 2.0 * effort) * np.exp(-dt_s / 0.5)

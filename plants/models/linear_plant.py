@@ -31,6 +31,9 @@ if TYPE_CHECKING:  # python-control takes more than a second to import
 
 SAMPLES_PER_SETTLING_TIME = 200
 
+DELAY = -100.0
+"""Logarithm of a discrete pole below which it is a delay, whose pole is zero."""
+
 
 @dataclass(frozen=True, repr=False)
 class LinearPlant(MountedModel):
@@ -228,15 +231,12 @@ def linear_plant(
     if sampling_Hz is not None:
         check_positive("sampling rate", sampling_Hz, "Hz")
     system = as_control(system)
-    most = min(abs(output_min_N), abs(output_max_N))
+    most = max(abs(output_min_N), abs(output_max_N))
     if getattr(system, "dt", None):  # 0 and None are continuous time
         sampling_Hz = _rate(system, sampling_Hz)
         model, sampled = None, _as_sampled(system, dead_time_s, sampling_Hz)
-        rate, ones = sampling_Hz, np.eye(sampled.C.size)
-        gamma = sampled.before + sampled.now
-        moved = partial(_unit_time, rate * (sampled.Phi - ones), rate * gamma, sampled.C)
-        settling_time_s = settling_time_s or settling_time(
-            sampled.modes * rate, dead_time_s, rate, moved, most
+        settling_time_s = settling_time_s or _discrete_settling_time(
+            sampled, dead_time_s, sampling_Hz, most
         )
     else:
         model = linear_model(system, dead_time_s)
@@ -304,6 +304,27 @@ def settling_time(
     if most < UNLIMITED_N:
         reached_s = max(reached_s, 2.0 * math.pi * unit_time(most))
     return reached_s + dead_time_s
+
+
+def _discrete_settling_time(
+    sampled: SampledPlant, dead_time_s: float, rate: float, most: float
+) -> float:
+    """The settling time of a discrete model; a pole at zero is a sample of dead time.
+
+    As the fastest pole beside integrators it would be their settling time, a thousandth of a
+    sample.
+    """
+    late = sampled.modes.real < DELAY
+    poles = sampled.modes[~late]
+    if not poles.any():
+        dead_time_s += float(late.sum()) / rate
+
+    def unit_time(effort: float) -> float:
+        theta, n = 1e-3, poles.size
+        ramp = float(np.abs(sampled.response(np.array([theta])))[0]) * (theta * rate) ** n
+        return float((math.factorial(n) / (effort * ramp)) ** (1.0 / n)) if n else 0.0
+
+    return settling_time(poles * rate, dead_time_s, rate, unit_time, most)
 
 
 def _unit_time(A: FloatArray, B: FloatArray, C: FloatArray, effort: float) -> float:
