@@ -10,6 +10,7 @@ and a few periods are alike but for their growth: friction's limit cycle has unl
 """
 
 import math
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -88,13 +89,12 @@ def _growing(values: FloatArray, fit: OscillationFit) -> float | None:
     n = values.size
     if n < FEWEST:
         return None
-    t = np.linspace(-0.5, 0.5, n)
-    trend = np.linalg.qr(np.vander(t, fit.degree + 1))[0]
+    t, trend, window = _stretch(n, fit.degree)
     y = values - trend @ (trend.T @ values)
     early, late = float(np.sum(y[: n // 2] ** 2)), float(np.sum(y[n - n // 2 :] ** 2))
     if not (late > early and late > RESOLUTION**2 * n):
         return None
-    spectrum = np.abs(np.fft.rfft(y * np.hanning(n), 4 * n))
+    spectrum = np.abs(np.fft.rfft(y * window, 4 * n))
     first = math.ceil(4 * fit.least)
     turns = (first + int(np.argmax(spectrum[first:]))) / 4.0
     x = np.array([0.0, 2.0 * math.pi * turns])  # growth and phase over the stretch
@@ -111,6 +111,16 @@ def _growing(values: FloatArray, fit: OscillationFit) -> float | None:
     least = EXPLAINED_LEAST if turns >= SEVERAL else EXPLAINED_OF_FEW
     grows = explained > least and x[0] > GROWTH_ERRORS * _growth_error(left, slopes)
     return turns / (n - 1) if grows and fit.least <= turns <= fit.most else None
+
+
+@lru_cache(maxsize=16)
+def _stretch(n: int, degree: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Times from -1/2 to 1/2, an orthonormal basis of the polynomials, and Hann's window.
+
+    They are the same for all trials of a length.
+    """
+    t = np.linspace(-0.5, 0.5, n)
+    return t, np.linalg.qr(np.vander(t, degree + 1))[0], np.hanning(n)
 
 
 def _growth_error(left: FloatArray, slopes: FloatArray) -> float:

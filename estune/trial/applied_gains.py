@@ -55,8 +55,13 @@ def applied_fault(record: TrialRecord, rig: RigDescription) -> str:
     level = np.full_like(record.setpoint_N, record.setpoint_N[0])
     rest = _moves(replace(record, setpoint_N=level), rig)
     step = _Explained.by(("the step",), (whole - rest)[:, None], moves - rest)
-    best = min((gains, step, _by_filter(record, rig, moves)), key=lambda one: one.left)
-    return "" if best.left > min(REPRODUCED * size, BETTER * stated) else best.sentence(record)
+    explained, most = [gains, step], min(REPRODUCED * size, BETTER * stated)
+    # Before the setpoint changes every filter of it leaves the same: to try them takes as long as
+    # all the rest of a trial, so it is left out where that is too much already.
+    if float(np.linalg.norm((whole - moves)[: _unfiltered_moves(record, rig)])) <= most:
+        explained.append(_by_filter(record, rig, moves))
+    best = min(explained, key=lambda one: one.left)
+    return "" if best.left > most else best.sentence(record)
 
 
 class _Explained(NamedTuple):
@@ -86,6 +91,13 @@ class _Explained(NamedTuple):
             off = {"P, I and D" if len(off) > 2 else " and ".join(off): float(np.mean(values))}
         what = " and ".join(f"{ratio:.3g} times {name}" for name, ratio in off.items())
         return f"its logged effort is that of {what} as stated ({record.gains})" if off else ""
+
+
+def _unfiltered_moves(record: TrialRecord, rig: RigDescription) -> int:
+    """Number of the first known increments that end before the setpoint changes."""
+    changed = np.flatnonzero(record.setpoint_N != record.setpoint_N[0])
+    samples = int(changed[0]) if changed.size else record.setpoint_N.size
+    return max(0, samples - 1 - known_samples(rig.controller, record.setpoint_N.size).start)
 
 
 def _by_filter(record: TrialRecord, rig: RigDescription, moves: FloatArray) -> _Explained:
