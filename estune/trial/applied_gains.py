@@ -97,7 +97,8 @@ def _unfiltered_moves(record: TrialRecord, rig: RigDescription) -> int:
     """Number of the first known increments that end before the setpoint changes."""
     changed = np.flatnonzero(record.setpoint_N != record.setpoint_N[0])
     samples = int(changed[0]) if changed.size else record.setpoint_N.size
-    return max(0, samples - 1 - known_samples(rig.controller, record.setpoint_N.size).start)
+    first: int = known_samples(rig.controller, record.setpoint_N.size).start
+    return max(0, samples - 1 - first)
 
 
 def _by_filter(record: TrialRecord, rig: RigDescription, moves: FloatArray) -> _Explained:
