@@ -85,7 +85,7 @@ def test_response_that_ends_farther_from_its_setpoint_than_before_is_not_robust(
             late = record.time_s > 0.6 * record.time_s[-1]
             return replace(record, tension_N=record.tension_N - 0.4 * (late & droops))
 
-    result = tune(Drooping(plants.reference_reel().rig()), trials=6, tuner="otis")
+    result = tune(Drooping(plants.reference_reel().rig()), trials=2, tuner="otis")
     assert ("off its setpoint" in result.message) == (not with_any_gains)
     assert with_any_gains or result.ending is RunEnding.NOT_ROBUST
 

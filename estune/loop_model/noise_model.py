@@ -20,7 +20,7 @@ import numpy as np
 
 from estune.core.filtering import lfilter
 from estune.core.quantities import FloatArray
-from estune.loop_model.poles import OUTSIDE, ComplexArray, sections_of
+from estune.loop_model.poles import OUTSIDE, ComplexArray, PoleSection, sections_of
 
 FASTEST = 1e-9
 """Least magnitude of a pole that counts: a faster one is none."""
@@ -114,17 +114,8 @@ def shaping(
 def _shaping(
     coordinates: tuple[float, ...], noise: NoiseModel, settling_samples: float
 ) -> Shaping:
-    sections = sections_of(coordinates)
     slow = 1.0 - 1.0 / (SLOW * settling_samples)
-    # Roots in units of this share of s: they are as small as the squares of the slow poles.
-    first = coordinates[0] - OUTSIDE if sections[0].grows else coordinates[0]
-    unit = math.exp(2.0 * min(max(first, -12.0), 1.0))
-    plant, at_one, leading = np.ones(1, complex), 1.0, complex(slow)
-    for section in sections:
-        at_one *= float(section.powers[0]) ** 2
-        for p, u in zip(section.poles, -np.expm1(section.log_poles), strict=True):
-            if abs(p) > FASTEST:
-                plant, leading = np.convolve(plant, np.array([-p * unit, u * u])), leading * p
+    sections, unit, plant, at_one, leading = _of_plant(coordinates, slow)
     spectrum = np.convolve(plant.real, [-slow * unit, (1.0 - slow) ** 2])
     spectrum[1:] += noise.drift * plant.real
     spectrum[-1] += noise.load * at_one
@@ -140,6 +131,38 @@ def _shaping(
         (*(one.mirrored for one in sections), PN),
         math.prod(one.growth for one in sections),
     )
+
+
+class _Plant(NamedTuple):
+    """What of a noise's filter depends on the plant alone.
+
+    Attributes:
+        unit: Share of s in units of which roots are sought.
+        factors: A A* without its poles of no size, in powers of s in that unit.
+        at_one: |A(1)|^2.
+        leading: Product of the poles and of that of the slow forgetting.
+    """
+
+    sections: tuple[PoleSection, ...]
+    unit: float
+    factors: ComplexArray
+    at_one: float
+    leading: complex
+
+
+@lru_cache(maxsize=64)
+def _of_plant(coordinates: tuple[float, ...], slow: float) -> _Plant:
+    sections = sections_of(coordinates)
+    # Roots in units of this share of s: they are as small as the squares of the slow poles.
+    first = coordinates[0] - OUTSIDE if sections[0].grows else coordinates[0]
+    unit = math.exp(2.0 * min(max(first, -12.0), 1.0))
+    plant, at_one, leading = np.ones(1, complex), 1.0, complex(slow)
+    for section in sections:
+        at_one *= float(section.powers[0]) ** 2
+        for p, u in zip(section.poles, -np.expm1(section.log_poles), strict=True):
+            if abs(p) > FASTEST:
+                plant, leading = np.convolve(plant, np.array([-p * unit, u * u])), leading * p
+    return _Plant(sections, unit, plant, at_one, leading)
 
 
 @lru_cache(maxsize=64)

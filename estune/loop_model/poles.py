@@ -79,6 +79,7 @@ def _sections(coordinates: tuple[float, ...]) -> tuple[PoleSection, ...]:
     return tuple(map(_pair, zip(coordinates[::2], coordinates[1::2], strict=True)))
 
 
+@lru_cache(maxsize=256)
 def _pair(at: tuple[float, float]) -> PoleSection:
     grow = [GROWS_FROM < x < GROWS_TO for x in at]
     if grow[0] and not grow[1]:
@@ -103,6 +104,7 @@ def _growth(x: float) -> float:
     return math.exp(min(max(x - OUTSIDE, LEAST), MOST_GROWTH))
 
 
+@lru_cache(maxsize=256)
 def _single(x: float) -> PoleSection:
     log_p = _growth(x) if GROWS_FROM < x < GROWS_TO else -math.exp(min(max(x, LEAST), GREATEST))
     p, rest = float(np.exp(log_p)), -math.expm1(log_p)
