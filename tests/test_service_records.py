@@ -255,7 +255,10 @@ def test_command_reads_a_csv_and_writes_report_and_json(busy, tmp_path, capsys):
     with pytest.raises(SystemExit) as ended:
         main(given)
     assert ended.value.code == 0
-    found = json.loads(capsys.readouterr().out)
+    said = capsys.readouterr()
+    assert "identifying the loop" in said.err
+    assert "done" in said.err
+    found = json.loads(said.out)
     assert found["verdict"] == "change"
     assert found["replay"]["agrees"]
     page = (tmp_path / "page.html").read_text()

@@ -123,12 +123,12 @@ def suggest(
         suggestion = estune.suggest("logs", gains=estune.Gains(2.0, 0.5, 0.0, 0.0))
         print(suggestion.heading())
     """
-    progress("reading the logs", 0.0)
     logs = _logs(records, columns, sampling_Hz, reverse=reverse)
     limits = limits or RobustnessLimits()
     settings = logs.controller or ControllerSettings(
         logs.logs[0].sampling_Hz, derivative_filter_s or 0.0, -math.inf, math.inf, form
     )
+    # Logs that cannot be read are refused in one line.
     progress("looking for the cause", 0.05)
     judged = [judge_cause(log) for log in logs.logs]
     cause = of_most(judged)
