@@ -236,6 +236,17 @@ def test_doctor_names_missing_and_invalid_readings_as_what_they_are():
         assert check_exchange(found).state is State.FINE
 
 
+@pytest.mark.parametrize("name", ["answer_within_s", "write_within_s", "counts_per_turn"])
+@pytest.mark.parametrize("value", [math.nan, 0.0])
+def test_times_that_would_end_no_wait_and_a_turn_without_counts_are_refused(bus, name, value):
+    settings = {"newton_metres_per_count": 1.0, "counts_per_turn": 1, name: value}
+    with pytest.raises(InvalidInput, match=rf"{name} is .*above zero"):
+        ODrive(bus[0], **settings)
+    if name == "answer_within_s":
+        with pytest.raises(InvalidInput, match=rf"{name} is .*above zero"):
+            CanGauge(bus[0], 1, answer_within_s=value)
+
+
 def test_missing_interface_and_part_of_the_wrong_kind_are_refused(bus):
     with pytest.raises(RigError, match=r"no CAN interface nocan0.*ip link set nocan0 up"):
         CanSocket("nocan0", 0, 1)

@@ -1,5 +1,6 @@
 """A driver of a serial board, and the conformance of every driver, on emulated devices."""
 
+import math
 import select
 import struct
 import threading
@@ -341,6 +342,10 @@ def test_port_that_is_in_use_absent_or_slow_is_refused(board, tmp_path):
         SerialBoard(board.address)
     with pytest.raises(RigError, match="is it plugged in"):
         SerialBoard(str(tmp_path / "ttyACM0"))
+    with pytest.raises(RigError, match="ioctl for device; name the serial port"):
+        SerialBoard("/dev/null")
+    with pytest.raises(RigError, match="directory; name the serial port"):
+        SerialBoard(str(tmp_path))
     timer = tmp_path / "ttyUSB0" / "device" / "latency_timer"
     timer.parent.mkdir(parents=True)
     timer.write_text("16\n")
@@ -348,3 +353,6 @@ def test_port_that_is_in_use_absent_or_slow_is_refused(board, tmp_path):
         SerialPort("/dev/ttyUSB0", 921600, tmp_path)
     with pytest.raises(InvalidInput, match="baud is 1234"):
         SerialPort("/dev/ttyUSB0", 1234, tmp_path)
+    for within_s in (math.nan, math.inf, 0.0, -1.0):
+        with pytest.raises(InvalidInput, match="answer_within_s is"):
+            SerialBoard(board.address, answer_within_s=within_s)

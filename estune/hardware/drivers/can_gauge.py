@@ -29,7 +29,7 @@ class CanGauge:
 
     Raises:
         RigError: there is no such interface.
-        InvalidInput: the layout or the identifier cannot be used, or its counts are no number.
+        InvalidInput: a value is out of its range, or the layout does not begin with a number.
     """
 
     def __init__(
@@ -55,6 +55,7 @@ class CanGauge:
             raise InvalidInput(f"identifier is {identifier:#x}; it must be from 0 to 0x7ff")
         self._identifier, self._requested = identifier, requested
         self._within_s, self._overload = answer_within_s, overload
+        check_positive("answer_within_s", answer_within_s, "s")  # after NaN no wait would end
         check_positive("bits_per_s", bits_per_s, "bit/s")
         self._rate_Hz, self._bits_per_s = rate_Hz, bits_per_s
         self._last: GaugeReading | None = None

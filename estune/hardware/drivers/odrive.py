@@ -84,6 +84,9 @@ class ODrive:
         bits_per_s: int = 1_000_000,
     ) -> None:
         check_positive("newton_metres_per_count", newton_metres_per_count, "N m")
+        check_positive("answer_within_s", answer_within_s, "s")  # after NaN no wait would end
+        check_positive("write_within_s", write_within_s, "s")  # NaN would see no dead controller
+        check_positive("counts_per_turn", abs(counts_per_turn))  # a shaft never seen to turn
         check_positive("heartbeat_s", heartbeat_s, "s")
         check_positive("bits_per_s", bits_per_s, "bit/s")
         if not 0 <= node <= 0x3F:

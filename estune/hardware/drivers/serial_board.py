@@ -12,6 +12,7 @@ import time
 from collections import Counter
 from typing import NamedTuple, Self
 
+from estune.core.quantities import check_positive
 from estune.errors import RigError
 from estune.hardware.driver import GaugeReading, MessageCount, Reading, bad_reading
 from estune.hardware.drivers.board_clock import BoardClock, unwrapped
@@ -80,9 +81,11 @@ class SerialBoard:
 
     Raises:
         RigError: there is no port, or no board that answers at it.
+        InvalidInput: a value is out of its range.
     """
 
     def __init__(self, port: str, baud: int = 921600, answer_within_s: float = 0.003) -> None:
+        check_positive("answer_within_s", answer_within_s, "s")  # after NaN no wait would end
         self._wait_s = answer_within_s / ATTEMPTS
         self._stream = AnswerStream()
         self._clock = BoardClock()

@@ -1,6 +1,7 @@
 """A serial port as bytes with deadlines."""
 
 import binascii
+import errno
 import fcntl
 import os
 import select
@@ -18,6 +19,16 @@ LATENCY_MAX_ms = 1
 
 BITS_PER_BYTE = 10
 """With start and stop bit."""
+
+
+_REMEDIES = {
+    errno.EACCES: "let the user use it, on most systems by: sudo usermod -aG dialout $USER",
+    errno.EWOULDBLOCK: "close the other program that uses it",
+    errno.EBUSY: "close the other program that uses it",
+    errno.ENOTTY: "name the serial port that the board is at",
+    errno.EISDIR: "name the serial port that the board is at",
+}
+"""What to do, by the number of the error."""
 
 
 CHECKSUM = struct.Struct("<H")
@@ -55,7 +66,8 @@ class SerialPort:
         try:
             self._file = os.open(path, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
         except OSError as error:
-            raise RigError(f"no board at {path}: {error.strerror}; is it plugged in?") from error
+            remedy = _REMEDIES.get(error.errno or 0, "is it plugged in?")
+            raise RigError(f"no board at {path}: {error.strerror}; {remedy}") from error
         try:
             fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
             tty.setraw(self._file)
@@ -65,9 +77,9 @@ class SerialPort:
             termios.tcflush(self._file, termios.TCIOFLUSH)
         except (OSError, termios.error) as error:
             os.close(self._file)
-            raise RigError(
-                f"{path} cannot be used ({error}); close the other program that uses it"
-            ) from error
+            number, why = error.args
+            remedy = _REMEDIES.get(number, "check the device")
+            raise RigError(f"{path} cannot be used: {why}; {remedy}") from error
         self._poll = select.poll()
         self._poll.register(self._file, select.POLLIN)
         self._path = path
