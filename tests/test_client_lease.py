@@ -13,6 +13,7 @@ from estune.remote import messages
 from estune.remote.messages import Answer
 from estune.remote.messages.commands import Lease
 from estune.remote.state_machine.reply_codes import ReplyCode
+from estune.remote.state_machine.state import LEASE_S, RENEW_S
 from estune.remote.zenoh import client_lease
 from estune.remote.zenoh.client_lease import ClientLease, LeaseRenewal
 
@@ -28,6 +29,7 @@ class Connection:
         self.verdicts, self.asked, self.renewals = list(verdicts), [], []
 
     def command(self, command):
+        assert len(self.asked) < 1000, "asked for ever"
         self.asked.append(command)
         verdict = self.verdicts.pop(0) if len(self.verdicts) > 1 else self.verdicts[0]
         return Answer(verdict, sentence="held by another")
@@ -39,7 +41,8 @@ class Connection:
         assert timeout_s < 1.0
         self.asked.append(messages.decode(Lease, payload))
 
-    def send(self, command, receive, _timeout_s):
+    def send(self, command, receive, timeout_s):
+        assert RENEW_S <= timeout_s < 2.0 * RENEW_S  # until the next is sent, not that after it
         self.renewals.append((time.monotonic(), command, receive))
 
     def own_reply(self, reply):
@@ -122,19 +125,24 @@ def test_age_of_a_lease_counts_from_the_last_request_that_the_rig_granted(held):
     assert held.lease.renewed_s == known_s
     (age_s,) = held.renewal.ages_s()
     assert 0.0 < age_s <= time.monotonic() - known_s
-    held.lease.renewed_s -= client_lease.LEASE_S
+    held.connection.own_reply = lambda _reply: None
+    held.connection.reply(2, ReplyCode.NO_LEASE)  # that of another rig
+    assert held.renewal.ages_s()
+    held.lease.renewed_s -= LEASE_S
     assert not held.renewal.ages_s()
 
 
-def test_lease_that_the_rig_refuses_is_lost_once_and_acquired_anew(held):
+def test_lease_that_the_rig_refuses_is_lost_once_and_acquired_anew(held, caplog):
     lost = held.lease.token
     renewed(held.connection, 2)
     for number in (0, 1):
         held.connection.reply(number, ReplyCode.NO_LEASE)
     assert (held.lease.token, held.lease.losses) == ("", 1)
+    assert not held.renewal.ages_s()
     assert held.lease.hold() != lost
     held.connection.reply(0, ReplyCode.NO_LEASE)  # of the lost one
     assert (held.lease.hold(), held.lease.losses) == (held.lease.token, 1)
+    assert [record.levelname for record in caplog.records] == ["WARNING"]
 
 
 def test_released_lease_is_returned_and_renewed_no_more(held):
@@ -191,20 +199,43 @@ def test_rig_held_by_another_client_is_asked_again_until_its_lease_can_have_expi
     assert lease.hold()
     assert len(connection.asked) == 3
     lease.release()
-    monkeypatch.setattr(client_lease, "_HELD_WITHIN_S", 0.02)
-    begun_s = time.monotonic()
+    now_s = 0.0
+
+    def sleep(wait_s):
+        nonlocal now_s
+        now_s += wait_s
+
+    time_s = SimpleNamespace(monotonic=lambda: now_s, sleep=sleep)
+    monkeypatch.setattr(client_lease, "time", time_s)
+    monkeypatch.setattr(client_lease, "AGAIN_S", 0.01)
     with pytest.raises(RigError, match="held by another"):
         ClientLease(Connection(ReplyCode.HELD), renewal, "tester").hold()
-    assert time.monotonic() - begun_s >= 0.02
+    assert LEASE_S < now_s < 2.0 * LEASE_S
     refusing = Connection(ReplyCode.REFUSED)
     with pytest.raises(RigError, match="held by another"):
         ClientLease(refusing, renewal, "tester").hold()
     assert len(refusing.asked) == 1
 
 
+def test_lease_may_be_released_by_the_thread_that_renews_it(renewal):
+    """There the collector of garbage may close a rig."""
+    returned = threading.Event()
+
+    class Closing(Connection):
+        def send(self, _command, _receive, _timeout_s):
+            lease.release()
+            returned.set()
+
+    lease = ClientLease(Closing(ReplyCode.ACCEPTED), renewal, "tester")
+    lease.hold()
+    assert returned.wait(20.0)
+
+
 def test_command_refused_for_want_of_a_lease_loses_none(renewal):
     lease = ClientLease(Connection(ReplyCode.ACCEPTED), renewal, "tester")
     lease.drop(lease.token)
+    lease.hold()
+    lease.drop("that of an earlier lease")
     assert lease.losses == 0
     lease.drop(lease.hold())
     assert (lease.token, lease.losses) == ("", 1)
