@@ -228,6 +228,35 @@ def test_rest_of_an_integrating_plant_is_no_crossing():
     assert result.gain_margin == pytest.approx(2.0 * 1000.0 / 0.01, rel=1e-3)
 
 
+@pytest.mark.parametrize("slow_s", [10.0, 1000.0])
+def test_slow_plant_without_a_crossover_is_stable_however_fast_it_is_sampled(slow_s):
+    model, controller = linear_model(1 / (1 + slow_s * s)), settings(1000.0, 0.0)
+    result = margins(model, Gains(0.1, 0.0, 0.0, 0.0), controller)
+    assert result.stable
+    assert result.phase_margin_deg == math.inf
+
+
+def test_loop_with_little_integral_action_is_stable_though_its_slow_pole_is_hardly_off_one():
+    """At 100 I h/(1 + 100 P) = 2e-8 per sample, where the plant's own pole is at 1e-3."""
+    model, controller = linear_model(100 / (1 + s)), settings(1000.0, 0.0)
+    assert margins(model, Gains(19.0, 4e-4, 0.0, 0.0), controller).stable
+
+
+def test_loop_that_meets_the_negative_real_axis_only_at_an_end_has_its_margin_there():
+    controller, lag, decay = settings(1000.0, 0.0), 1 / (s + 1), math.exp(-1e-3)
+    fast = margins(linear_model(lag), Gains(0.1, 0.5, 0.0, 0.0), controller)
+    # At z = -1 the controller is P - I h/2 and the plant -(1 - decay)/(1 + decay).
+    expected = (1.0 + decay) / (1.0 - decay) / (0.1 - 0.5e-3 / 2.0)
+    assert fast.gain_margin == pytest.approx(expected, rel=1e-6)
+    assert fast.phase_crossover_Hz == pytest.approx(500.0)
+    for P, expected in ((0.0025, (1.0 + decay) / (1.0 - decay) / 0.0025), (0.0015, math.inf)):
+        quiet = margins(linear_model(lag), Gains(P, 0.0, 0.0, 0.0), controller)
+        assert quiet.gain_margin == pytest.approx(expected, rel=1e-6)  # up to a million
+    at_rest = margins(linear_model(-0.5 * lag), Gains(1.0, 0.0, 0.0, 0.0), controller)
+    assert at_rest.gain_margin == pytest.approx(2.0, rel=1e-4)
+    assert at_rest.phase_crossover_Hz < 1e-3
+
+
 @pytest.mark.parametrize("system", [0.2 / (s + 1), control.tf([0.0], [1.0, 1.0])])
 def test_loop_below_one_has_no_crossover(system):
     result = margins(linear_model(system), Gains(0.5, 0.0, 0.0, 0.0), settings(100.0, 0.0))

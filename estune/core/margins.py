@@ -149,18 +149,19 @@ def is_stable(plant: SampledPlant, gains: Gains, settings: ControllerSettings) -
 def _responses(
     plant: SampledPlant, gains: Gains, settings: ControllerSettings
 ) -> tuple[Response, Response]:
-    """The loop L, and the product of its poles' factors, as functions of the angle."""
+    """The loop L, and a product of its poles' factors, as functions of the angle."""
 
     def loop(theta: FloatArray) -> ComplexArray:
         return controller_response(gains, settings, theta) * plant.response(theta)
 
     def without_poles(theta: FloatArray) -> ComplexArray:
-        """The product of (1 - pole/z) over the poles of L."""
-        h, lag = 1.0 / settings.sampling_Hz, settings.derivative_filter_s
+        """The product of (1 - pole/z) over the poles of L, but that of the derivative.
+
+        That pole is inside the unit circle: its factor makes no turn.
+        """
         integrator = -np.expm1(-1j * theta) if gains.I > 0.0 else 1.0
-        derivative = 1.0 - lag / (lag + h) * np.exp(-1j * theta) if gains.D > 0.0 else 1.0
         factors = -np.expm1(plant.modes[:, None] - 1j * theta)
-        return np.asarray(integrator * derivative * factors.prod(axis=0))
+        return np.asarray(integrator * factors.prod(axis=0))
 
     return loop, without_poles
 

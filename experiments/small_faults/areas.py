@@ -29,7 +29,7 @@ AREAS: dict[str, Area] = {
     ),
     "margins": Area(
         ("estune/core/margins.py", "estune/loop_model/margins.py"),
-        ("loop_margins", "loop_records", "loop_model"),
+        ("interop", "loop_margins", "loop_records", "loop_model"),
     ),
     "limits": Area(
         (
@@ -158,6 +158,26 @@ UNCHANGED: dict[tuple[str, str], str] = {
         "parts = np.array_split(later, max(1, later.size * self.C.size**2 // 2**20))",
         "power dropped",
     ): "it decides the memory for a response, not its value",
+    (
+        "delay = math.floor(dead_time_s / sample_s + 1e-9)  # a whole number in spite of rounding",
+        "constant scaled",
+    ): "rounding is far below it",
+    (
+        "fraction_s = max(0.0, dead_time_s - delay * sample_s)",
+        "clamp dropped",
+    ): "it is below zero by rounding alone, which changes the matrices by as little",
+    (
+        "low = float(np.clip(1e-3 * rates.min(initial=1.0), 1e-9, 1e-5))",
+        "constant scaled",
+    ): "any of them is well below the slowest rate, or the upper limit",
+    (
+        "FINEST_TURN_rad = math.pi / 8.0",
+        "constant scaled",
+    ): "twice as fine a grid",
+    (
+        "integrator = -np.expm1(-1j * theta) if gains.I > 0.0 else 1.0",
+        "constant scaled",
+    ): "a real factor turns nothing",
     (
         "low = float(np.clip(1e-3 * slow, 1e-12, low))",
         "constant scaled",
