@@ -326,6 +326,32 @@ def test_remedy_outside_the_gauge_needs_a_gauge_there():
 def test_number_that_is_not_finite_is_no_remedy():
     with pytest.raises(InvalidInput, match=r"friction\.coulomb_Nm of the remedy is nan"):
         patch(coulomb_Nm=math.nan)
+    with pytest.raises(InvalidInput, match=r"friction\.factors of the remedy is inf"):
+        patch(factors=[1.0, math.inf])
+
+
+OTHER = {"inertia": {"inertia_kgm2": 1e-3}}
+
+
+@pytest.mark.parametrize(
+    ("own", "on", "off"),
+    [
+        ({}, TABLES, None),
+        (TABLES, None, {}),
+        (OTHER, OTHER | TABLES, None),
+        (OTHER | TABLES, None, OTHER),
+        (OTHER | {"friction": {}}, OTHER | TABLES, OTHER),
+        (TABLES | {"share_max": 0.3}, None, {}),
+        ({"velocity": {}}, TABLES | {"velocity": {}}, None),
+    ],
+)
+def test_trial_has_the_remedy_on_or_off_beside_all_others_of_the_rig(own, on, off):
+    """None where the rig's own compensations are right."""
+    text = json.dumps(own) if own else ""
+    for is_on, expected in ((True, on), (False, off)):
+        found = PATCH.compensation(text, on=is_on)
+        assert (json.loads(found) if found else None) == expected
+    assert PATCH.is_on(text) is (on is None)
 
 
 def test_tables_may_have_words_and_whole_numbers():
@@ -378,6 +404,10 @@ def ratios(**values):
     [
         ({"tracking": (0.56, 0.54, 0.58)}, True),
         ({"tracking": (0.97, 0.93, 1.01)}, False),
+        ({"cost": (0.96, 0.95, 0.97)}, True),
+        ({"reversal": (0.98, 0.97, 0.99)}, False),
+        ({"tracking": (0.56, 0.54, 0.58), "rest": (1.04, 1.03, 1.05)}, False),
+        ({"tracking": (0.56, 0.54, 0.58), "rest": (1.02, 1.01, 1.03)}, True),
         ({"tracking": (0.56, 0.54, 0.58), "cost": (1.1, 1.05, 1.15)}, False),
         ({"rest": (0.5, 0.4, 0.6)}, False),
     ],
@@ -394,6 +424,33 @@ def test_sentence_of_a_proof_says_of_each_measure_whether_its_interval_decides()
         "error at reversals undecided, 1.00 [0.90, 1.20] of what it was",
         "restlessness undecided, 0.90 [0.85, 1.00] of what it was",
     ]
+
+
+def test_proof_that_was_stopped_proves_nothing_and_a_tuning_with_it_is_told():
+    better = ratios(tracking=(0.56, 0.54, 0.58))
+    stopped = Proof("r", "today", GAINS, 2, better, "it hunts")
+    assert (stopped.proven, stopped.sentence) == (False, "stopped and switched off: it hunts")
+    tuned = Proof("r", "today", GAINS, 2, better, tuned=(1.25, 0.75))
+    assert tuned.sentence.endswith("; tuned with it on, the cost falls from 1.25 to 0.75")
+
+
+def test_rig_with_a_remedy_passes_on_what_is_asked_of_the_rig():
+    asked = []
+
+    class Plain:
+        def __getattr__(self, name):
+            return lambda *given: asked.append((name, *given)) or REEL.describe("reel", GAINS)
+
+    rig = RemedyRig(Plain(), PATCH)
+    rig.apply(GAINS)
+    rig.abort()
+    rig.estop("smoke")
+    rig.clear()
+    assert asked[1:] == [("apply", GAINS), ("abort",), ("estop", "smoke"), ("clear",)]
+    about = REEL.describe("reel", GAINS)
+    with closing(REEL.rig(gains=GAINS)) as simulated:  # which remembers no trial
+        request = TrialRequest("asked", 0, about.gains, about.step)
+        assert not RemedyRig(simulated, PATCH).has_failed(request)
 
 
 def test_rig_that_ignores_the_remedy_is_found_out():
@@ -421,6 +478,8 @@ def test_patch_of_a_diagnosis_says_for_which_gains_it_was_predicted(tmp_path):
     file = tmp_path / "d.json"
     file.write_text(json.dumps({"remedies": [offer]}))
     patch = patch_of(file)
+    file.write_text(json.dumps({"remedies": [offer | {"gains": None}]}))
+    assert patch_of(file) == replace(patch, gains={})
     patch.write(tmp_path / "a.remedy.json")
     assert read_patch(tmp_path / "a.remedy.json").gains == gains
     first = json.loads((tmp_path / "a.remedy.json").read_text()) | {"version": 1}

@@ -234,6 +234,107 @@ def test_remedy_that_harms_one_measure_is_not_worth_its_gain_in_another(
     assert offer.worth is is_worth
 
 
+@pytest.mark.parametrize(
+    ("changes", "worth"),
+    [
+        ({"tracking": (0.975, 0.9, 1.1)}, True),
+        ({"tracking": (0.985, 0.9, 1.1)}, False),
+        ({"rest": (0.5, 0.4, 0.6)}, False),  # a gain at rest alone is no reason
+        ({"cost": (0.9, 0.8, 1.0), "reversal": (1.025, 1.0, 1.1)}, False),
+        ({"cost": (0.9, 0.8, 1.0), "reversal": (1.015, 1.0, 1.1)}, True),
+        ({"cost": (0.9, 0.8, 1.0), "rest": (1.5, 1.015, 1.9)}, True),  # may be no loss
+        ({"cost": (0.9, 0.8, 1.0), "rest": (1.5, 1.025, 1.9)}, False),
+        ({"cost": (0.9, 0.8, 1.0), "sensitivity": (1.0, 0.9, 1.025)}, False),
+        ({"cost": (0.9, 0.8, 1.0), "sensitivity": (1.0, 0.9, 1.015)}, True),
+    ],
+)
+def test_remedy_is_worth_a_gain_of_two_per_cent_beside_no_such_loss(changes, worth):
+    ratios = dict.fromkeys(MEASURES, offers.PredictedRatio(1.0, 1.0, 1.0))
+    ratios |= {name: offers.PredictedRatio(*at) for name, at in changes.items()}
+    assert offers._worth(ratios) is worth
+    listed = [f"{name} {at.value:.2f} times" for name, at in ratios.items() if at.value > 1.02]
+    told = f"predicted to be worse: {', '.join(listed)}" if listed else ""
+    assert offers._predicted_harm(ratios) == told
+    assert offers._worth({}) is None
+
+
+@pytest.mark.parametrize(
+    ("value", "low", "share"),
+    [(2.0, 1.8, 0.8), (2.0, 1.0, 0.5), (2.0, -0.1, 0.0), (0.0, 0.0, 0.0), (-2.0, -1.0, 0.0)],
+)
+def test_share_that_is_fed_forward_is_at_most_that_of_the_lower_end_and_eight_tenths(
+    value, low, share
+):
+    assert offers.safe_fraction(interval(value, value - low)) == pytest.approx(share)
+
+
+@pytest.mark.parametrize(
+    ("value", "half", "words"),
+    [
+        (2.0, 0.59, ""),
+        (-2.0, 0.61, "size is known to 30 %, more than 30 %; measure slow turns, and explain"),
+        (2.0, 2.0, "size is known to 100 %"),
+        (2.0, np.inf, "size has no interval; measure slow turns"),
+        (0.0, 0.1, "size has no interval"),
+    ],
+)
+def test_number_is_too_uncertain_where_it_is_known_to_less_than_three_tenths(value, half, words):
+    for shown in ("slow turns", ""):
+        named = SimpleNamespace(effect=SimpleNamespace(excitation=shown))
+        told = offers._too_wide(named, SimpleNamespace(sized_by="size"), interval(value, half))
+        assert bool(told) is bool(words)
+        assert words.replace("slow turns", shown or "more records of it") in told
+
+
+def test_calibration_is_judged_with_the_effects_and_of_a_gauge_only_where_there_is_one():
+    def moved(name, base, with_effects, **changes):
+        given = float(name == "torque_gain")
+        ends = interval(base, 0.01), interval(with_effects, 0.01)
+        one = found(
+            CoulombFriction(torque_Nm=0.05), calibrations=(BaseParameter(name, "", given, *ends),)
+        )
+        return bool(offers._calibrations(replace(one, **changes)))
+
+    effects = found(CoulombFriction(torque_Nm=0.05)).effects
+    for name, off in (("torque_gain", 1.17), ("gauge_offset_N", 0.6)):
+        right = float(name == "torque_gain")
+        assert moved(name, right, off, effects=effects)
+        assert not moved(name, off, right, effects=effects)
+        assert moved(name, off, right, effects=())
+        assert not moved(name, right, off, effects=())
+        without = SimpleNamespace(channels={})
+        assert moved(name, off, off, noise=without) is (name == "torque_gain")
+
+
+def test_nothing_is_predicted_of_an_open_loop_nor_of_what_changes_no_number(monkeypatch):
+    def predicted(loop, tables, removes):
+        model = SimpleNamespace(profile=SimpleNamespace(loop=loop))
+        remedy = SimpleNamespace(removes=removes)
+        return offers._predicted(SimpleNamespace(augmented=model), None, remedy, tables, None)
+
+    for unpredicted in (("open", {"friction": {}}, 1.0), ("closed", {}, 0.0)):
+        assert predicted(*unpredicted) == ({}, None)
+
+    def refused(*_, **__):
+        raise InvalidInput("the model cannot run")
+
+    monkeypatch.setattr(offers, "_ratios", refused)
+    (offer,) = offers_for(found(CoulombFriction(torque_Nm=0.05)), GAINS)
+    assert (offer.ratios, offer.gains, offer.worth) == ({}, None, None)
+
+
+def test_calibration_of_an_uncertain_number_is_offered_and_a_term_in_the_loop_is_not(monkeypatch):
+    monkeypatch.setattr(offers, "_predicted", lambda *_: ({}, None))
+    for name, place in (
+        ("gauge_nonlinearity", Place.CALIBRATION),
+        ("coulomb_friction", Place.LOOP),
+    ):
+        listed = offers_for(found(EFFECTS[name](), spread=0.5), GAINS)
+        assert {bool(offer.refused) for offer in listed if offer.place is place} == {
+            place is Place.LOOP
+        }
+
+
 def test_small_friction_is_listed_as_not_worth_it():
     (offer,) = offers_for(found(CoulombFriction(torque_Nm=2e-4)), GAINS)
     assert offer.worth is False

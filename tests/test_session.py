@@ -11,7 +11,7 @@ from estune.core.comparison import InterleavedRepeats
 from estune.core.cost import StepCost
 from estune.core.gains import GAIN_NAMES
 from estune.errors import InvalidInput
-from estune.run.confirmation import extended
+from estune.run.confirmation import confirming, extended
 from estune.run.phase import Phase
 from estune.run.plan import CONFIRMATION_REPEATS_MAX, Plan
 from estune.run.planning import make_plan, plan_from_json, plan_to_json
@@ -197,6 +197,11 @@ def test_smaller_improvement_is_confirmed_by_more_repeats():
 def test_repeats_go_on_until_the_improvement_is_known_or_none_is_possible(costs, over):
     repeats = InterleavedRepeats((START, replace(START, P=1.0)), 3, ((1.0, 1.001, 0.999), costs))
     assert (extended(repeats, plan(tolerance=0.02, precision=0.1)).next_index is None) is over
+
+
+def test_both_gains_are_repeated_twice_at_the_least():
+    other = replace(START, P=2.0 * START.P)
+    assert [confirming(plan(repeats=n), other, ()).rounds for n in (1, 2, 3)] == [2, 2, 3]
 
 
 def test_candidate_that_turns_out_unsafe_is_dropped():
