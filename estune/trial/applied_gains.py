@@ -14,7 +14,7 @@ import numpy as np
 
 from estune.core.controller_equation import efforts_by_filter
 from estune.core.quantities import FloatArray
-from estune.trial.controller_fit import REPRODUCED, known_samples
+from estune.trial.controller_fit import REPRODUCED, known_samples, unfiltered_moves
 from estune.trial.description import RigDescription
 from estune.trial.loop_records import recomputed_effort
 from estune.trial.outcome import Outcome
@@ -58,7 +58,7 @@ def applied_fault(record: TrialRecord, rig: RigDescription) -> str:
     explained, most = [gains, step], min(REPRODUCED * size, BETTER * stated)
     # Before the setpoint changes every filter of it leaves the same: to try them takes as long as
     # all the rest of a trial, so it is left out where that is too much already.
-    if float(np.linalg.norm((whole - moves)[: _unfiltered_moves(record, rig)])) <= most:
+    if float(np.linalg.norm((whole - moves)[: unfiltered_moves(record, rig.controller)])) <= most:
         explained.append(_by_filter(record, rig, moves))
     best = min(explained, key=lambda one: one.left)
     return "" if best.left > most else best.sentence(record)
@@ -91,14 +91,6 @@ class _Explained(NamedTuple):
             off = {"P, I and D" if len(off) > 2 else " and ".join(off): float(np.mean(values))}
         what = " and ".join(f"{ratio:.3g} times {name}" for name, ratio in off.items())
         return f"its logged effort is that of {what} as stated ({record.gains})" if off else ""
-
-
-def _unfiltered_moves(record: TrialRecord, rig: RigDescription) -> int:
-    """Number of the first known increments that end before the setpoint changes."""
-    changed = np.flatnonzero(record.setpoint_N != record.setpoint_N[0])
-    samples = int(changed[0]) if changed.size else record.setpoint_N.size
-    first: int = known_samples(rig.controller, record.setpoint_N.size).start
-    return max(0, samples - 1 - first)
 
 
 def _by_filter(record: TrialRecord, rig: RigDescription, moves: FloatArray) -> _Explained:

@@ -2,9 +2,9 @@
 
 import math
 from collections.abc import Iterator
-from dataclasses import fields
+from dataclasses import fields, replace
 from itertools import product
-from typing import get_args, get_type_hints
+from typing import NamedTuple, get_args, get_type_hints
 
 import numpy as np
 
@@ -42,9 +42,16 @@ def fitted_form(record: TrialRecord, rig: RigDescription) -> ControllerForm | No
         return None
     if not np.isfinite(logged).all() or not np.diff(logged).any():
         return None
-    if _residual(record, rig, logged, OWN_FORM) <= EXACT:
+    if _residual(record, rig, logged, OWN_FORM).of_all <= EXACT:
         return None
-    residuals = {form: _residual(record, rig, logged, form) for form in _forms()}
+    residuals: dict[ControllerForm, float] = {}
+    excluded: set[ControllerForm] = set()  # whatever the filter of the setpoint
+    for form in _forms():
+        any_filter = replace(form, setpoint_filter=OWN_FORM.setpoint_filter)
+        if any_filter not in excluded:
+            residuals[form], before = _residual(record, rig, logged, form)
+            if before > ALIKE * REPRODUCED:
+                excluded.add(any_filter)
     least = min(residuals.values())
     if least > REPRODUCED:
         return None
@@ -55,26 +62,44 @@ def fitted_form(record: TrialRecord, rig: RigDescription) -> ControllerForm | No
     return None if found == OWN_FORM else found
 
 
+class _Residual(NamedTuple):
+    """Root mean square of what a form leaves of the increments of the effort, as a share of them.
+
+    Attributes:
+        of_all: Without the samples in which the filter still knows what was before the record.
+        before: Of these, those before the setpoint changes; not above that of all.
+    """
+
+    of_all: float
+    before: float
+
+
 def _residual(
     record: TrialRecord, rig: RigDescription, logged: FloatArray, form: ControllerForm
-) -> float:
-    """Root mean square of what a form leaves of the increments of the effort, as a share.
-
-    Without the samples in which the filter still knows what was before the record.
-    """
+) -> _Residual:
     try:
         effort = recomputed_effort(record, rig, 0.0, form)
     except InvalidInput:
-        return math.inf
+        return _Residual(math.inf, math.inf)
     known = known_samples(rig.controller, logged.size)
     moves, left = np.diff(logged)[known], (np.diff(effort) - np.diff(logged))[known]
-    return float(np.linalg.norm(left) / max(float(np.linalg.norm(moves)), 1e-300))
+    size = max(float(np.linalg.norm(moves)), 1e-300)
+    before = left[: unfiltered_moves(record, rig.controller)]
+    return _Residual(float(np.linalg.norm(left) / size), float(np.linalg.norm(before) / size))
 
 
 def known_samples(settings: ControllerSettings, samples: int) -> slice:
     """The samples in which the filter has forgotten what was before the record."""
     forgotten = math.ceil(FORGOTTEN * settings.derivative_filter_s * settings.sampling_Hz) + 3
     return slice(min(forgotten, samples // 4), None)
+
+
+def unfiltered_moves(record: TrialRecord, settings: ControllerSettings) -> int:
+    """Number of the first known increments in which no filter of the setpoint has a part."""
+    changed = np.flatnonzero(record.setpoint_N != record.setpoint_N[0])
+    samples = int(changed[0]) if changed.size else record.setpoint_N.size
+    first: int = known_samples(settings, record.setpoint_N.size).start
+    return max(0, samples - 1 - first)
 
 
 def _forms() -> Iterator[ControllerForm]:
