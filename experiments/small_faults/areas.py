@@ -171,6 +171,14 @@ UNCHANGED: dict[tuple[str, str], str] = {
         "constant scaled",
     ): "any of them is well below the slowest rate, or the upper limit",
     (
+        "at_rest = abs(plant.response(np.array([low]))[0])",
+        "first and last exchanged",
+    ): "one angle has one response",
+    (
+        "_HELD_WITHIN_S = 1.5 * LEASE_S  # by then the lease of a killed client has expired",
+        "arithmetic exchanged",
+    ): "a lease is one second",
+    (
         "FINEST_TURN_rad = math.pi / 8.0",
         "constant scaled",
     ): "twice as fine a grid",

@@ -17,7 +17,7 @@ from estune.remote.zenoh.rig_connection import RigConnection
 from estune.remote.zenoh.zenoh_session import AGAIN_S
 
 _RENEWED_WITHIN_S = 0.3  # by then the next renewal is on its way
-_HELD_WITHIN_S = 1.5 * LEASE_S  # by then the lease of a client that was killed has expired
+_HELD_WITHIN_S = 1.5 * LEASE_S  # by then the lease of a killed client has expired
 _END_WITHIN_S = 2.0  # the thread is woken, and waits for no rig
 
 _log = logging.getLogger(__name__)
