@@ -368,6 +368,14 @@ def test_remedy_that_no_rig_has_proven_is_not_taken_for_one(tmp_path):
     proven = replace(PATCH, proof=proof | {"proven": True})
     proven.write(file)
     assert read_proven(file) == proven
+    assert proven.status == "proven on rig r, today: cost unchanged"
+
+
+def test_remedy_is_written_over_one_of_other_numbers_that_has_no_proof(tmp_path):
+    file, other = tmp_path / "x.remedy.json", patch(coulomb_Nm=0.2)
+    assert other.with_proof_of(file) == other
+    PATCH.write(file)
+    assert other.with_proof_of(file) == other
 
 
 def test_remedy_of_the_effect_asked_for_is_taken_whatever_is_predicted(tmp_path):
