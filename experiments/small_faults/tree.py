@@ -83,7 +83,7 @@ class Tree:
         """
         (self.folder / FAILED).write_text("")
         arguments = ["-x", *OPTIONS, "-m", LANES[lane], *tests]
-        process = FORK.Process(target=run, args=(self.folder, arguments, Failed()))
+        process = FORK.Process(target=run, args=(self.folder, arguments, FailedTest()))
         process.start()
         process.join(within_s)
         if process.exitcode is None:
@@ -96,7 +96,7 @@ class Tree:
         return failed or (f"exit code {process.exitcode}" if process.exitcode else "")
 
 
-class Failed:
+class FailedTest:
     """Plugin of pytest that writes down which test, or which file, failed."""
 
     def pytest_configure(self) -> None:
