@@ -128,6 +128,12 @@ def test_trials_too_long_for_the_rig_are_told_with_the_key_to_raise_before_motio
     enough.check(tracking_profile(about.step, about.settling_time_s))
 
 
+@pytest.mark.parametrize("pairs", [-2, 0, 1, 3])
+def test_proof_takes_an_even_number_of_pairs(pairs):
+    with pytest.raises(InvalidInput, match=f"pairs is {pairs}; give an even number"):
+        prove(None, PATCH, pairs=pairs)
+
+
 class Repeating:
     """Rig whose n-th trial is that of the reel with its tension changed as told."""
 
