@@ -3,14 +3,16 @@
 import itertools
 import math
 import time
-from collections.abc import Iterator, Sequence
-from typing import Protocol
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
+from typing import Protocol, TypeVar
 
 import pytest
 
 from estune.hardware.driver import Driver, Reading
 from estune.hardware.driver_link import DriverLink
 
+T = TypeVar("T")
 READINGS = 20
 SILENCES_s = (0.01, 0.1, 1.0)
 BACK_WITHIN_s = 10.0
@@ -144,7 +146,7 @@ class DriverConformance:
         self, device: FaultyDevice | None, fault: str
     ) -> None:
         device = having(device, fault)
-        driver = opened(device)
+        driver = in_time(device.open)
         try:
             driver.write(0)
             driver.enable()
@@ -165,7 +167,7 @@ class DriverConformance:
         finally:
             driver.close()
             device.end()
-        link = DriverLink(lambda: opened(device))
+        link = DriverLink(lambda: in_time(device.open))
         is_good_again(link)
         link.switch(on=True)
         link.write(0)
@@ -181,7 +183,7 @@ class DriverConformance:
         self, device: FaultyDevice | None
     ) -> None:
         device = having(device, "unplugged")
-        link = DriverLink(device.open)
+        link = in_time(partial(DriverLink, device.open))
         is_good_again(link)
         device.begin("unplugged")
         link.write(0)
@@ -202,12 +204,12 @@ def having(device: FaultyDevice | None, fault: str) -> FaultyDevice:
     return device
 
 
-def opened(device: FaultyDevice) -> Driver:
-    """A driver of a device, which may have to start again first."""
+def in_time(make: Callable[[], T]) -> T:
+    """What opens a device, which may have to start again first, or whose answer came late."""
     deadline_s = time.monotonic() + BACK_WITHIN_s
     while True:
         try:
-            return device.open()
+            return make()
         except Exception:
             if time.monotonic() > deadline_s:
                 raise
@@ -234,7 +236,7 @@ def check_reading(reading: Reading) -> None:
 
 def check_silence(devices: Sequence[FaultyDevice], seconds: float) -> None:
     """Checks devices that are silent for so long: the ages of their readings, and their return."""
-    links = [DriverLink(device.open) for device in devices]
+    links = [in_time(partial(DriverLink, device.open)) for device in devices]
     ages_s = [[0.0] for _ in links]
     for link, device in zip(links, devices, strict=True):
         is_good_again(link)
