@@ -130,6 +130,22 @@ def test_step_with_a_refused_command_changes_nothing(moves):
         assert (move.state, move.orders) == (passed.state, passed.orders), event
 
 
+def test_trial_that_the_ledger_knows_is_answered_from_it_and_changes_nothing(moves):
+    answered = set()
+    for state, now_s, event, move in moves:
+        if getattr(event, "known", TrialState.UNKNOWN) is TrialState.UNKNOWN or move is None:
+            continue
+        if state.closed:
+            continue
+        if isinstance(event, events.VoidEvent) and event.trial_id == state.trial_id:
+            continue  # whether its entry can still be kept from running is open
+        passed = rig.step(state, events.Expire(), now_s)
+        assert (move.reply_code, move.state) == (rig.OF_TRIAL[event.known], passed.state)
+        assert move.orders == passed.orders
+        answered.add((type(event), event.known))
+    assert len(answered) == 4
+
+
 def test_submit_is_accepted_once_from_the_holder_when_idle(moves):
     accepted = 0
     for state, now_s, event, move in moves:
