@@ -239,3 +239,13 @@ def test_name_with_a_comma_is_accepted_in_a_map(tmp_path, capsys):
     given = "effort=fan, %,measurement=room, °C,setpoint=wish, °C"
     assert run(["records", str(path), "--map", given]) == 0
     assert "usable" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("map_", ["setpoint=nope", "current=nope"])
+def test_map_of_a_column_that_is_not_there_is_refused_also_by_a_log_that_needs_none(
+    map_, tmp_path, capsys
+):
+    path = table(tmp_path / "log.csv", "t,sp,pv,effort", T, T, T, T)
+    assert run(["records", str(path)]) == 0
+    assert run(["records", str(path), "--map", map_]) == 2
+    assert "there is no nope; the file has t, sp, pv, effort" in capsys.readouterr().err

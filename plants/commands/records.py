@@ -59,19 +59,21 @@ def records(
     from plants.diagnosis.data.records import read_measurements  # noqa: PLC0415
     from plants.explain_page.preview import preview, warnings  # noqa: PLC0415  as above
 
-    of_loop = _of_loop(map_)
-    if of_loop:
-        _show_logs(_logs(data, of_loop), json=json)
+    named = _named(map_)
+    if {"measurement", "effort"} & named.keys():  # channels of a loop's log alone
+        _show_logs(_logs(data, named), json=json)
         return
+    is_for_logs = named.keys() <= {"time", "setpoint"}
     columns, drum = column_map(map_, unit, scale, save_map), _drum(model)
     try:
-        logs = _logs(data, {})
+        logs = _logs(data, named if is_for_logs else {})
     except InvalidInput:  # no log of a running loop
         logs = None
     try:
         contents = read_measurements(data, columns, drum)
     except InvalidInput as error:
-        if logs is None or out is not None:
+        # A log that was read without the map would be called usable, though the map is wrong.
+        if logs is None or out is not None or not is_for_logs:
             raise
         _show_logs(logs, str(error), json=json)
         return
@@ -117,11 +119,9 @@ def _drum(model: str | None) -> "Drum":
     return drum_of(plants.load_model(model))
 
 
-def _of_loop(sources: Iterable[str]) -> dict[str, str]:
-    """The channels of a map that names columns of a loop's log; empty of a record's."""
-    given = [text for text in sources if "=" in text]
-    named = words_from("--map", given)
-    return named if {"measurement", "effort"} & named.keys() else {}
+def _named(sources: Iterable[str]) -> dict[str, str]:
+    """The columns by channel that a map names on the command line."""
+    return words_from("--map", [text for text in sources if "=" in text])
 
 
 def _logs(data: Path, sources: Mapping[str, str]) -> "JudgedLogs":
