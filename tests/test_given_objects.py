@@ -96,6 +96,7 @@ def test_function_without_arguments_is_called():
         (plants.reference_reel(), {"dead_time_s": 1.0}, "dead_time_s .* which has its own"),
         (LAG, {"sampling_Hz": -1.0}, "sampling rate"),
         (lambda x, _u, _dt: (x * math.nan, x), {}, "a state that is not finite"),
+        (lambda x, _u, _dt: (x, math.nan), {}, "a measurement of nan in the state 0.0"),
         (control.tf([-3.0], [10.0, 1.0]), {}, "lowers the measurement.*turn the sign"),
         (rubbing_motor, {}, "as with dry friction: that hides its time constants"),
     ],

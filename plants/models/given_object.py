@@ -110,8 +110,19 @@ def _of_function(
         settling_time_s=settling_time_s,
         dead_time_s=dead_time_s,
         gains=gains,
-        initial_measurement_N=float(np.asarray(step(state, 0.0, 1.0 / sampling_Hz)[1]).item()),
+        initial_measurement_N=_first_measurement(step, state, 1.0 / sampling_Hz),
     )
+
+
+def _first_measurement(step: Step, state: Any, dt_s: float) -> float:
+    measurement = float(np.asarray(step(state, 0.0, dt_s)[1]).item())
+    if not np.isfinite(measurement):
+        raise InvalidInput(
+            f"the function {_name(step)} gives a measurement of {measurement} in the state "
+            f"{state} without effort; it must be finite: give another state as the default of "
+            "its first argument"
+        )
+    return measurement
 
 
 def _initial_state(step: Step) -> Any:
