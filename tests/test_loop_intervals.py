@@ -14,6 +14,7 @@ from estune.loop_model.intervals import (
     margins_by_records,
     peak_sensitivity,
     predict_with_intervals,
+    relative_cost,
     remaining_error,
     setpoint_deviation,
 )
@@ -73,6 +74,22 @@ def test_interval_leaves_out_a_fortieth_of_the_draws_at_either_end(two, count):
     assert told.phase_margin_deg == pytest.approx([centre[3], low[3], high[3]])
     ends = [centre[2] + s * math.hypot(x[2] - centre[2], 0.07) for s, x in ((-1, low), (1, high))]
     assert told.sensitivity == pytest.approx(np.exp([centre[2], *ends]))
+
+
+def test_interval_of_a_relative_cost_holds_its_value_whichever_way_all_draws_lie(two):
+    _, fit = two
+    more, trial = Gains(1.2 * GAINS.P, *GAINS.as_tuple()[1:]), trial_of(linear())
+
+    def ratio(model):
+        return predict(model, trial, GAINS).cost / predict(model, trial, more).cost
+
+    centre = ratio(fit.model)
+    sides = [(m := changed(share), ratio(m)) for share in (-0.5, 0.2)]
+    assert min(r for _, r in sides) < centre < max(r for _, r in sides)
+    for model, other in sides:
+        told = relative_cost(fit, trial, GAINS, more, [(model,) * 9])
+        ends = min(centre, other), max(centre, other)
+        assert told == pytest.approx((centre, *ends), rel=1e-3)
 
 
 def test_unstable_draws_leave_no_upper_end(two):
