@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from estune import tune
 from estune.errors import InvalidInput, RigError
 from estune.remote.messages.rights import Right
-from estune.remote.zenoh import connect
+from estune.remote.zenoh import RemoteRig, connect
 from estune.run.journal import Journal
 from estune.support.user import user_at_host
 from estune.web.board import Board, Seen
@@ -250,6 +250,13 @@ def test_emergency_stop_reaches_a_rig_that_no_reading_has_a_link_to():
         RigReader(Board(), partial(connect, endpoint, "reel")).estop("smoke")
         with connect(endpoint) as there:
             assert there.status().latched == "smoke"
+            there.clear()
+            late = RigReader(Board(), partial(connect, endpoint, "reel"))
+            late.read()
+            rig = late._rig
+            rig.estop = lambda reason: (late.release(), RemoteRig.estop(rig, reason))
+            late.estop("fire")
+            assert there.status().latched == "fire"
         absent = RigReader(Board(), partial(connect, endpoint, "other", timeout_s=0.1))
         with pytest.raises(RigError, match="cut its power"):
             absent.estop("smoke")

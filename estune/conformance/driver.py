@@ -205,7 +205,7 @@ def having(device: FaultyDevice | None, fault: str) -> FaultyDevice:
 
 
 def in_time(make: Callable[[], T]) -> T:
-    """What opens a device, which may have to start again first, or whose answer came late."""
+    """What is made, tried again: the device may have to start again, or its answer came late."""
     deadline_s = time.monotonic() + BACK_WITHIN_s
     while True:
         try:

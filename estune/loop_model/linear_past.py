@@ -35,7 +35,8 @@ BLOCK = 1 << 14
 """Samples that are decomposed at a time."""
 
 MOST = 128
-"""Columns that there is room for; those that are not used take no memory."""
+"""Columns that there is room for: a settling time of 2^30 samples has 100 beside the slopes of the
+model. Those that are not used take no memory."""
 
 
 def linear_past(signals: FitSignals, lags: int) -> Iterator[FloatArray]:

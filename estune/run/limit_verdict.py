@@ -11,6 +11,7 @@ from estune.core.comparison import interval_factor
 from estune.core.gains import Gains
 from estune.loop_model.claim import Claim
 from estune.loop_model.intervals import Interval
+from estune.loop_model.loop_fit import NORMAL_QUANTILE
 from estune.loop_model.optimum import KEPT, RobustnessLimits
 from estune.run.ending import RunEnding
 from estune.run.plan import Plan
@@ -21,7 +22,6 @@ PEAK_SCATTER = 0.7
 """Standard deviation of the peak of a record, in those of its noise, where repeats are few: 0.4 to
 1.1 on 15 random loops with an overshoot of 3 to 7 % and noise of 0.2 to 2 % of the step."""
 
-NORMAL_QUANTILE = 1.96
 MEDIAN_OF_DIFFERENCE = 0.6745 * math.sqrt(2.0)
 """Median of the magnitude of a difference of two normal variables of standard deviation one."""
 

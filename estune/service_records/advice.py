@@ -8,11 +8,12 @@ import numpy as np
 
 from estune.core.gains import Gains
 from estune.loop_model.intervals import setpoint_deviation
+from estune.loop_model.loop_fit import NORMAL_QUANTILE
 from estune.loop_model.prediction import StepTrial
 from estune.loop_model.records import LoopRecord
 from estune.run.trial_file import TrialFile
 from estune.service_records.identification import ServiceLoop
-from estune.service_records.judgement import DEVIATIONS, HALF_WIDTH_MAX
+from estune.service_records.judgement import HALF_WIDTH_MAX
 from estune.support.quantity_text import time_text
 from estune.trial.profiles import MultisineProfile
 
@@ -78,7 +79,7 @@ def advise(
         setpoint = profile.setpoint(rate)
         still = np.zeros(setpoint.size)
         record = LoopRecord(still, still, setpoint, gains)
-        half = DEVIATIONS * setpoint_deviation(fit, [record], gains, trial.controller)
+        half = NORMAL_QUANTILE * setpoint_deviation(fit, [record], gains, trial.controller)
         if half <= aim * math.sqrt(LONGEST / PERIOD):
             periods = max(math.ceil((half / aim) ** 2), 1)
             length_s = periods * profile.period_s

@@ -14,7 +14,7 @@ import numpy as np
 from estune.core.gains import Gains
 from estune.core.pidf import ControllerSettings
 from estune.loop_model.intervals import setpoint_deviation
-from estune.loop_model.loop_fit import LoopFit
+from estune.loop_model.loop_fit import NORMAL_QUANTILE, LoopFit
 from estune.loop_model.margins import robustness
 from estune.loop_model.records import LoopRecord
 from estune.service_records.plant_change import evidence
@@ -26,9 +26,6 @@ of 300 settling times gave gains within 5 % of the best cost in 44 of 44 loops."
 WIDEST = 0.01
 """Half width of ln Ms by the part, counting what the setpoint excites, and the difference of ln Ms
 that the rest may make: each half of the error that always remains."""
-
-DEVIATIONS = 1.96
-"""Half width of a 95 % interval in standard deviations."""
 
 
 def moved_most(
@@ -80,7 +77,7 @@ def speaks_for(
     Ms = robustness(fit.model, gains, settings).sensitivity
     if not math.isfinite(Ms):
         return False
-    if not DEVIATIONS * setpoint_deviation(fit, fitted, gains, settings) <= WIDEST:
+    if not NORMAL_QUANTILE * setpoint_deviation(fit, fitted, gains, settings) <= WIDEST:
         return False
     of_rest = [evidence(fit, record) for record in rest]
     of_fitted = [evidence(fit, record) for record in fitted]

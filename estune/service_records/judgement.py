@@ -13,6 +13,7 @@ from estune.loop_model.intervals import (
     predict_with_intervals,
     setpoint_deviation,
 )
+from estune.loop_model.loop_fit import NORMAL_QUANTILE
 from estune.loop_model.motion_score import changes_with_motion
 from estune.loop_model.plant_error import ErrorMargin, error_margin, unknown_band
 from estune.loop_model.prediction import StepTrial
@@ -26,9 +27,6 @@ of 44 was missed without it, by 0.2 %."""
 HALF_WIDTH_MAX = 0.3
 """Half width of the interval of ln Ms, by what the setpoint excites alone, up to which margins are
 stated. Of 112 records of ordinary service it lets 57 through, whose intervals all hold."""
-
-DEVIATIONS = 1.96
-"""Half width of a 95 % interval in standard deviations."""
 
 FRICTION_HALF_WIDTH_MAX = 0.06
 """Half width of the interval of ln Ms up to which margins of a loop with friction are stated: Ms
@@ -96,7 +94,7 @@ def judge(
             be taken for friction.
     """
     deviation = setpoint_deviation(loop.fit, loop.records, gains, loop.settings)
-    half_width = DEVIATIONS * deviation
+    half_width = NORMAL_QUANTILE * deviation
     band = margin.unknown and unknown_band(margin.unknown, loop.settings.sampling_Hz)
     reason = _too_still(loop, half_width)
     if not reason and not is_thin and hides_friction(loop.records, loop.fit, loop.settings):

@@ -128,7 +128,7 @@ def suggest(
     settings = logs.controller or ControllerSettings(
         logs.logs[0].sampling_Hz, derivative_filter_s or 0.0, -math.inf, math.inf, form
     )
-    # Logs that cannot be read are refused in one line.
+    # Not before: a log that cannot be read is refused in one line, with no progress above it.
     progress("looking for the cause", 0.05)
     judged = [judge_cause(log) for log in logs.logs]
     cause = of_most(judged)

@@ -138,13 +138,20 @@ class RigReader(Reader):
             RigError: no link to the rig can be made, or it has not answered.
         """
         rig = self._rig
-        if rig is not None:
-            rig.estop(reason)
-        elif self._is_wanted():
-            self._estop_by_new_link(reason)
-        else:
+        if rig is None and not self._is_wanted():
             raise RigError("this run is not running; open the page of the rig to stop the rig")
+        if rig is None or not self._has_stopped(rig, reason):
+            self._estop_by_new_link(reason)
         return "the rig is on its way to its safe state"
+
+    def _has_stopped(self, rig: RemoteRig, reason: str) -> bool:
+        try:
+            rig.estop(reason)
+        except RigError:
+            if rig is self._rig:
+                raise
+            return False  # a reading was late and closed the link: that says nothing of the rig
+        return True
 
     def _estop_by_new_link(self, reason: str) -> None:
         try:

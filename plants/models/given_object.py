@@ -155,7 +155,7 @@ def _unit_time(step: Step, state: Any, effort: float) -> float:
             now, _measured = step(now, effort, dt_s)
         if abs(float(np.asarray(step(now, 0.0, 1e-6)[1]).item()) - begin) >= 1.0:
             return 2.0**exponent
-    return 1.0
+    return 1.0  # no effort moves it: no gains are found safe for it, whatever its time
 
 
 def _rates(step: Step, state: Any) -> FloatArray:

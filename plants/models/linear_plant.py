@@ -332,7 +332,7 @@ def _unit_time(A: FloatArray, B: FloatArray, C: FloatArray, effort: float) -> fl
     terms = [float(C @ np.linalg.matrix_power(A, n) @ B) for n in range(B.size)]
     moving = [n for n, term in enumerate(terms, 1) if abs(term) > 1e-12 * np.abs(terms).max()]
     if not moving:
-        return 1.0
+        return 1.0  # no effort moves it: no gains are found safe for it, whatever its time
     n = moving[-1]
     return float((math.factorial(n) / (effort * abs(terms[n - 1]))) ** (1.0 / n))
 
